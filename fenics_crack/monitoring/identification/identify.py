@@ -25,16 +25,25 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import MPI, StopRequest, on_root
 from fenics_crack.basics.tables import TURN
 from fenics_crack.files.store import scene_text
-from fenics_crack.monitoring.identification.interpolation import MESH_AXIS, Loads, Part
+from fenics_crack.monitoring.identification.interpolation import (
+    MESH_AXIS_KEY,
+    SolvedCases,
+    SweptLoads,
+)
 from fenics_crack.monitoring.identification.measurements import (
     Measurement,
     Measurements,
     list_crack_removal_changes,
 )
-from fenics_crack.monitoring.identification.model import Model, is_free
-from fenics_crack.monitoring.identification.nuisance import Whole
+from fenics_crack.monitoring.identification.model import ForwardModel, has_load_independent_shape
+from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior, grid_of
+from fenics_crack.monitoring.identification.posterior import (
+    Branch,
+    Likelihood,
+    Posterior,
+    list_first_grid_points,
+)
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
@@ -124,13 +133,13 @@ def identify(
     whole = _whole(scene, comm)
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
     known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
-    whole.check(measurements, [load for load in known if load > 0.0], other=others)
+    whole.check_units_and_modes(measurements, [load for load in known if load > 0.0], other=others)
     closer: list[Axis] = []
     while True:
         more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}
         forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
         begin("inference")
-        identification = infer(forward, measurements)
+        identification = infer_unknowns(forward, measurements)
         if (worst := _interpolated(identification)) is None:
             return identification
         name, share, cracks = worst
@@ -144,7 +153,7 @@ def identify(
     return replace(identification, remarks=(*identification.remarks, remark))
 
 
-def infer(forward: Forward, measurements: Measurements) -> Identification:
+def infer_unknowns(forward: SolvedForwardModels, measurements: Measurements) -> Identification:
     """Infer the unknowns by a forward model that is solved for the loads of measurements.
 
     Raises
@@ -160,33 +169,36 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
     branches, plain = (
         {
-            name: Branch(Likelihood(values, deviations, model.quantities(rows)))
+            name: Branch(Likelihood(values, deviations, model.make_predictor(rows)))
             for name, model in models.items()
         }
-        for models in (forward.cracked, forward.uncracked)
+        for models in (forward.cracked_model_by_words, forward.uncracked_model_by_words)
     )
-    remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
+    remarks = (
+        *list_measurement_remarks(forward.scene, measurements),
+        *_unresolved(forward, measurements),
+    )
     both = Posterior(branches), Posterior(plain) if plain else None
     return Identification(forward.scene, measurements, *both, remarks, doubts)
 
 
 def _predicted(
-    forward: Forward, measurements: Measurements
+    forward: SolvedForwardModels, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
     """Measurements that every model predicts, with a crack and without; and in words the failed
     cases that were needed, and the measurements that are not used for that.
 
     A measurement that one hypothesis cannot predict would count against the other alone.
     """
-    models = [*forward.cracked.values(), *forward.uncracked.values()]
+    models = [*forward.cracked_model_by_words.values(), *forward.uncracked_model_by_words.values()]
     rows = measurements.rows
-    known = np.all([model.quantities(rows).known for model in models], axis=0)
-    parts = (part for model in models for part in (model.coarse, model.finer) if part)
-    sweeps = {part.sweep.path: part for part in parts}
+    known = np.all([model.make_predictor(rows).is_predictable for model in models], axis=0)
+    parts = (part for model in models for part in (model.coarse_cases, model.finer_cases) if part)
+    sweeps = {part.sweep_result.path: part for part in parts}
     loads = {row.frequency for row in rows}
     doubts = []
     for path, part in sweeps.items():
-        sweep, solved = part.sweep, part.loads.frequencies
+        sweep, solved = part.sweep_result, part.swept_loads.frequencies
         failed = [
             (at, why)
             for at, why in sweep.failed
@@ -202,7 +214,7 @@ def _predicted(
     return Measurements(tuple(used)), tuple(doubts)
 
 
-def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
+def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """Return limits of measurements that do not depend on their values."""
     table = scene.given("identify")
     crack, rows, found = scene.crack, measurements.rows, []
@@ -217,7 +229,7 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
         found.append(
             "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
         )
-    if any(row.shape for row in rows) and not is_free(scene):
+    if any(row.shape for row in rows) and not has_load_independent_shape(scene):
         found.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
@@ -225,17 +237,17 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
-    """Loads under which a crack between the solved cases vibrates much more than in any of them,
+def _unresolved(forward: SolvedForwardModels, measurements: Measurements) -> Iterator[str]:
+    """SweptLoads, under which a crack between the solved cases vibrates much more than in any of them,
     where steady loads let it breathe there as in none of them; in words."""
-    if is_free(forward.scene):
+    if has_load_independent_shape(forward.scene):
         return
     places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
-    for model, (load, point) in itertools.product(forward.cracked.values(), places):
+    for model, (load, point) in itertools.product(forward.cracked_model_by_words.values(), places):
         larger, where = _larger_between(model, load, point)
         if larger > OPTIONS.allowed_vibration_ratio:
             near = ", ".join(
-                f"{key} = {one:.4g}" for key, one in zip(model.keys, where, strict=True)
+                f"{key} = {one:.4g}" for key, one in zip(model.unknown_keys, where, strict=True)
             )
             yield (
                 f"between the solved cases, near {near}, the vibration at {load:.6g} Hz is up to "
@@ -244,13 +256,13 @@ def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
             )
 
 
-def _larger_between(model: Model, load: float, point: str) -> tuple[float, np.ndarray]:
+def _larger_between(model: ForwardModel, load: float, point: str) -> tuple[float, np.ndarray]:
     """Maximum vibration of a point at a load [Hz] between the cases of a model over that at any of
     them, 0 where none is known; and its values (d,) of the unknowns."""
     first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
-    places = grid_of(model.cube)
-    between = np.nan_to_num(model.quantities([first])(places).values[:, 0])
-    solved = np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
+    places = list_first_grid_points(model.unknown_grid)
+    between = np.nan_to_num(model.make_predictor([first])(places).values[:, 0])
+    solved = np.fmax.reduce(np.abs(model.coarse_cases.get_harmonic(point, load, 1)))
     most = int(np.argmax(between))
     return float(between[most] / solved) if solved > 0.0 else 0.0, places[most]
 
@@ -259,7 +271,7 @@ def _larger_between(model: Model, load: float, point: str) -> tuple[float, np.nd
 
 
 @dataclass(frozen=True)
-class Forward:
+class SolvedForwardModels:
     """A forward model, solved.
 
     Attributes
@@ -276,16 +288,16 @@ class Forward:
 
     scene: Scene
     axes: Sequence[Axis]
-    cracked: dict[str, Model]
-    uncracked: dict[str, Model]
+    cracked_model_by_words: dict[str, ForwardModel]
+    uncracked_model_by_words: dict[str, ForwardModel]
 
 
-def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
+def _whole(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
     """The plate of a scene without its crack, on every rank (collective)."""
     table = scene.given("identify")
     plain = scene.replace(dict.fromkeys(IRRELEVANT) | (list_crack_removal_changes(scene) or {}))
     begin("plate without its crack")
-    return on_root(comm, lambda: Whole(plain, table))
+    return on_root(comm, lambda: UncrackedPlate(plain, table))
 
 
 def solve_forward(
@@ -295,10 +307,10 @@ def solve_forward(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     further: Sequence[float] = (),
-    whole: Whole | None = None,
+    whole: UncrackedPlate | None = None,
     closer: Sequence[Axis] = (),
     progress: bool = False,
-) -> Forward:
+) -> SolvedForwardModels:
     """Solve, or read, the cases of the forward model (collective).
 
     Parameters
@@ -312,8 +324,8 @@ def solve_forward(
     comm : MPI.Comm
         The ranks over which the cases are spread.
     further : sequence of float
-        Loads [Hz] at whose speeds of the rotor only natural frequencies are needed.
-    whole : Whole, optional
+        SweptLoads, [Hz] at whose speeds of the rotor only natural frequencies are needed.
+    whole : UncrackedPlate, optional
         The plate without its crack, if it is known already.
     closer : sequence of Axis
         Unknowns with further values, one after another.
@@ -330,14 +342,14 @@ def solve_forward(
     whole = whole or _whole(scene, comm)
     table = scene.given("identify")
     wanted = (*frequencies, *further, *table.frequencies)
-    loads = Loads(scene, [float(one) for one in wanted])
+    loads = SweptLoads(scene, [float(one) for one in wanted])
     shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
     alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
     plain = scene.replace(dict.fromkeys(IRRELEVANT))
     coarse, fine = _meshes(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
-        swept = replace(of, sweep=Sweep(over=(*axes, loads.axis)))
+        swept = replace(of, sweep=Sweep(over=(*axes, loads.sweep_axis)))
         digest = hashlib.sha256(f"{scene_text(swept)}{alone or ''}".encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
         with StopRequest() as stop:
@@ -350,7 +362,7 @@ def solve_forward(
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
-    meshes = [Axis(MESH_AXIS, table.mesh_files)] if table.meshes else []
+    meshes = [Axis(MESH_AXIS_KEY, table.mesh_files)] if table.meshes else []
 
     def others(
         name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
@@ -379,12 +391,12 @@ def solve_forward(
     cracked = others("forward", {}, [*meshes, *axes], every)
     changes = list_crack_removal_changes(scene)
     if changes is None:
-        return Forward(scene, axes, _models(scene, whole, loads, cracked), {})
+        return SolvedForwardModels(scene, axes, _models(scene, whole, loads, cracked), {})
     kept = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
     plain = coarse.replace(changes)
     bare = others("uncracked", changes, kept, run("uncracked", plain, kept))
     found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
-    return Forward(scene, axes, *found)
+    return SolvedForwardModels(scene, axes, *found)
 
 
 def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
@@ -407,20 +419,26 @@ def _most(scene: Scene) -> int:
 
 
 def _denser(
-    scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis]
+    scene: Scene, models: Iterable[ForwardModel], loads: Sequence[float], axes: Sequence[Axis]
 ) -> Axis | None:
     """The unknown along which the vibration changes most, with further values between; None where
     no crack between vibrates much more than the solved ones, where that does not matter, and where
     it would be too many cases."""
     seen = itertools.product(models, loads, scene.point_names or ("",))
-    places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
+    places = (
+        []
+        if has_load_independent_shape(scene)
+        else [(_larger_between(*one)[0], *one) for one in seen]
+    )
     if not places or max(place[0] for place in places) <= OPTIONS.allowed_vibration_ratio:
         return None
     larger, model, load, point = max(places, key=lambda place: place[0])
-    sizes = np.log(np.abs(model.coarse.harmonic(point, load, 1))).reshape(model.cube.shape)
+    sizes = np.log(np.abs(model.coarse_cases.get_harmonic(point, load, 1))).reshape(
+        model.unknown_grid.shape
+    )
     steps = {
         key: np.fmax.reduce(np.abs(np.diff(sizes, axis=place)), axis=None)
-        for place, key in enumerate(model.keys)
+        for place, key in enumerate(model.unknown_keys)
     }
     cases = math.prod(len(axis.values) for axis in axes)
     numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
@@ -443,7 +461,9 @@ def _interpolated(found: Identification) -> tuple[str, np.ndarray, np.ndarray] |
     Its name, its shares by the interpolation along each unknown, (d,), and those cracks, (m, d);
     None if the share is small.
     """
-    seen = [branch.interpolated() for branch in found.posterior.branches.values()]
+    seen = [
+        branch.compute_interpolation_shares() for branch in found.posterior.branch_by_words.values()
+    ]
     x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
     if not shares.size:
         return None
@@ -455,7 +475,7 @@ def _interpolated(found: Identification) -> tuple[str, np.ndarray, np.ndarray] |
 
 
 def _closer(
-    forward: Forward, found: Identification, share: np.ndarray, x: np.ndarray
+    forward: SolvedForwardModels, found: Identification, share: np.ndarray, x: np.ndarray
 ) -> Axis | None:
     """The unknown along which interpolation adds most to the error of a measurement, with further
     values halfway between those around the cracks that explain the measurements; None where it
@@ -506,19 +526,23 @@ def _halfway(axis: Axis, low: float = -np.inf, high: float = np.inf) -> tuple[fl
 
 
 def _models(
-    scene: Scene, whole: Whole, loads: Loads, sweeps: Sweeps, bare: Sweeps | None = None
-) -> dict[str, Model]:
+    scene: Scene,
+    whole: UncrackedPlate,
+    loads: SweptLoads,
+    sweeps: Sweeps,
+    bare: Sweeps | None = None,
+) -> dict[str, ForwardModel]:
     """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
     without its crack, by their values of the unknowns that are words."""
     meshes = scene.given("identify").mesh_axes
-    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH_AXIS)]
+    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH_AXIS_KEY)]
     words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
     models = {}
     for chosen in itertools.product(*words.values()):
         fixed = dict(zip(words, chosen, strict=True))
-        parts: list[Part | None] = []
+        parts: list[SolvedCases | None] = []
         for sweep, plain in zip(sweeps, bare or (None,) * 3, strict=True):
-            under = None if plain is None else Part(plain, loads, (), fixed)
-            parts.append(None if sweep is None else Part(sweep, loads, meshes, fixed, under))
-        models[", ".join(chosen)] = Model(scene, whole, parts, fixed=fixed)
+            under = None if plain is None else SolvedCases(plain, loads, (), fixed)
+            parts.append(None if sweep is None else SolvedCases(sweep, loads, meshes, fixed, under))
+        models[", ".join(chosen)] = ForwardModel(scene, whole, parts, fixed=fixed)
     return models

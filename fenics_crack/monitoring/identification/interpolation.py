@@ -53,7 +53,7 @@ from fenics_crack.sweep.result import SweepResult
 
 
 @dataclass(frozen=True)
-class Cube:
+class UnknownGrid:
     """The unknowns between their bounds.
 
     Attributes
@@ -65,12 +65,12 @@ class Cube:
     axes: tuple[np.ndarray, ...]
 
     @property
-    def low(self) -> np.ndarray:
+    def lower_bounds(self) -> np.ndarray:
         """Lower bounds: (d,)."""
         return np.array([axis[0] for axis in self.axes])
 
     @property
-    def high(self) -> np.ndarray:
+    def upper_bounds(self) -> np.ndarray:
         """Upper bounds: (d,)."""
         return np.array([axis[-1] for axis in self.axes])
 
@@ -85,7 +85,7 @@ class Cube:
         """Number of values on each axis."""
         return tuple(len(axis) for axis in self.axes)
 
-    def places(self, values: np.ndarray) -> np.ndarray:
+    def find_node_coordinates(self, values: np.ndarray) -> np.ndarray:
         """Places of values (m, d) among the nodes: whole numbers at these: (m, d)."""
         columns = [
             np.interp(column, axis, np.arange(len(axis)))
@@ -100,7 +100,7 @@ def _spline(line: np.ndarray, values: np.ndarray) -> Any:
     return make_interp_spline(line, values, k=min(3, len(line) - 1))
 
 
-def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
+def compute_leave_one_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the difference of each value on a line (n,), but for the ends, from the spline through
     all others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
     their neighbours."""
@@ -117,7 +117,7 @@ class Interpolation:
 
     Parameters
     ----------
-    cube : Cube
+    cube : UnknownGrid
         The unknowns.
     values : (n, q)
         Of the quantities at the nodes of the cube; nan where one is not known.
@@ -130,17 +130,17 @@ class Interpolation:
         True where every node at which it is not known is between two others on a line.
     """
 
-    def __init__(self, cube: Cube, values: np.ndarray) -> None:
-        self.cube = cube
-        self.between = _between(cube, np.isfinite(values))
-        values, self.known, of_filled = _filled(cube, values)
+    def __init__(self, cube: UnknownGrid, values: np.ndarray) -> None:
+        self.unknown_grid = cube
+        self.is_between_known = _between(cube, np.isfinite(values))
+        values, self.has_enough_nodes, of_filled = _filled(cube, values)
         self._values = values
         # Along each axis those that are 1 at one of its values and 0 at the others.
         self._splines = [_spline(line, np.eye(len(line))) for line in cube.axes]
         if cube.axes:
             grid = values.reshape(*cube.shape, values.shape[1])
             left = (
-                np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
+                np.moveaxis(compute_leave_one_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
                 for k, line in enumerate(cube.axes)
             )
             self._errors = [
@@ -149,29 +149,35 @@ class Interpolation:
             if of_filled.any():
                 self._errors.append(of_filled)
 
-    def at(self, x: np.ndarray) -> np.ndarray:
+    def interpolate(self, x: np.ndarray) -> np.ndarray:
         """The quantities at values x (m, d) of the unknowns, those outside taken to the border:
         (m, q), 0 where one is not known."""
         weights = np.ones((len(x), 1))
-        for column, line, spline in zip(x.T, self.cube.axes, self._splines, strict=True):
+        for column, line, spline in zip(x.T, self.unknown_grid.axes, self._splines, strict=True):
             own = spline(np.clip(column, line[0], line[-1]))
             weights = (weights[:, :, None] * own[:, None, :]).reshape(len(x), -1)
         return np.asarray(weights @ self._values)
 
-    def scatter(self, x: np.ndarray) -> np.ndarray:
+    def compute_weighted_errors(self, x: np.ndarray) -> np.ndarray:
         """Errors of all quantities together at the nodes around values x (m, d), along each axis,
         and where cases failed, weighted so that their covariance is the sum of the squares:
         (m, k, q)."""
-        found = self.along(x)
-        return np.concatenate(found, axis=1) if found else np.zeros((len(x), 0, len(self.known)))
+        found = self.compute_weighted_errors_by_axis(x)
+        return (
+            np.concatenate(found, axis=1)
+            if found
+            else np.zeros((len(x), 0, len(self.has_enough_nodes)))
+        )
 
-    def along(self, x: np.ndarray) -> list[np.ndarray]:
+    def compute_weighted_errors_by_axis(self, x: np.ndarray) -> list[np.ndarray]:
         """The same of each axis, and of failed cases where there are some, apart."""
-        if not self.cube.axes:
+        if not self.unknown_grid.axes:
             return []
-        nodes = self.cube.places(self.cube.nodes)
+        nodes = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
         exponent = (
-            -0.5 / OPTIONS.error_average_width**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+            -0.5
+            / OPTIONS.error_average_width**2
+            * cdist(self.unknown_grid.find_node_coordinates(x), nodes, "sqeuclidean")
         )
         count = min(OPTIONS.max_averaged_nodes, len(nodes))
         near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
@@ -181,7 +187,7 @@ class Interpolation:
         return [np.sqrt(weights)[..., None] * own[near] for own in self._errors]
 
 
-def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
+def _between(cube: UnknownGrid, known: np.ndarray) -> np.ndarray:
     """True where all nodes (n, q) that are not known have known ones on both sides, on a line along
     some axis: (q,)."""
     grid = known.reshape(*cube.shape, known.shape[1])
@@ -193,7 +199,7 @@ def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
     return np.asarray(found.reshape(known.shape).all(axis=0))
 
 
-def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _filled(cube: UnknownGrid, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values (n, q) with unknown ones taken from a thin plate through the others, 0 where too few
     are known; True where enough are, (q,); and the errors of the values taken."""
     known, d = np.isfinite(values), len(cube.axes)
@@ -203,7 +209,7 @@ def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     errors = np.zeros_like(found)
     for place in np.flatnonzero(enough & ~known.all(axis=0)):
         own, column = known[:, place], values[:, place]
-        nodes = (cube.nodes - cube.low) / (cube.high - cube.low)
+        nodes = (cube.nodes - cube.lower_bounds) / (cube.upper_bounds - cube.lower_bounds)
         found[~own, place] = _plate(nodes[own], column[own], nodes[~own])
         for lost in np.flatnonzero(~own):
             distance = np.linalg.norm(nodes - nodes[lost], axis=1)
@@ -221,11 +227,11 @@ def _plate(nodes: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 # --- interpolated quantities ----------------------------------------------------------------------
 
-MESH_AXIS = "mesh.file"
+MESH_AXIS_KEY = "mesh.file"
 """The axis of meshes with numbers."""
 
 
-class Loads:
+class SweptLoads:
     """Loads of a forward model, the last axis of its sweeps.
 
     Where the load is an engine order, each has its speed of the rotor, and the first has that of
@@ -246,92 +252,98 @@ class Loads:
         own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
         if order is None:
             self.frequencies = tuple(others) or (own,)
-            self.axis = Axis("excitation.frequency", self.frequencies)
+            self.sweep_axis = Axis("excitation.frequency", self.frequencies)
         else:
             self.frequencies = (own, *(one for one in others if one != own))
             rpm = tuple(60.0 * one / order for one in self.frequencies)
-            self.axis = Axis("rotation.rpm", rpm)
+            self.sweep_axis = Axis("rotation.rpm", rpm)
 
     @property
-    def turn(self) -> bool:
+    def has_rotor_speeds(self) -> bool:
         """True if each has its own speed."""
-        return self.axis.key == "rotation.rpm"
+        return self.sweep_axis.key == "rotation.rpm"
 
     @property
-    def faster(self) -> np.ndarray:
+    def speed_ratios(self) -> np.ndarray:
         """Speeds of the rotor over the scene's own, (n,); 1 where there is no other."""
         found = np.array(self.frequencies)
-        return found / found[0] if self.turn else np.ones(len(found))
+        return found / found[0] if self.has_rotor_speeds else np.ones(len(found))
 
 
-class Part:
+class SolvedCases:
     """Solved cases of a sweep for one choice of the words, and those without the crack, if any. Its
     last axis is that of the loads."""
 
     def __init__(
         self,
         sweep: SweepResult,
-        loads: Loads,
+        loads: SweptLoads,
         meshes: Sequence[Axis],
         fixed: Mapping[str, Any],
-        bare: Part | None = None,
+        bare: SolvedCases | None = None,
     ) -> None:
         """Take a sweep, the numbers of its meshes if it has some, and the chosen words."""
-        self.sweep, self.loads, self.bare = sweep, loads, bare
+        self.sweep_result, self.swept_loads, self.uncracked_cases = sweep, loads, bare
         numbers: list[Axis] = []
         index: list[Any] = []
         for axis in sweep.axes[:-1]:
             word = axis.key in fixed
             index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
-            numbers += [] if word else meshes if axis.key == MESH_AXIS else [axis]
-        self.cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        self.keys, self.index = tuple(axis.key for axis in numbers), tuple(index)
+            numbers += [] if word else meshes if axis.key == MESH_AXIS_KEY else [axis]
+        self.unknown_grid = UnknownGrid(
+            tuple(np.array(axis.values, dtype=float) for axis in numbers)
+        )
+        self.unknown_keys, self.word_index = tuple(axis.key for axis in numbers), tuple(index)
 
-    def column(self, name: str) -> np.ndarray:
+    def get_column(self, name: str) -> np.ndarray:
         """A column at all nodes and load frequencies: (n, n_loads)."""
-        values = self.sweep[name][self.index]
+        values = self.sweep_result[name][self.word_index]
         return np.asarray(values.reshape(-1, values.shape[-1]), dtype=float)
 
-    def natural(self, lips: str, mode: int) -> np.ndarray:
+    def get_natural_frequency(self, lips: str, mode: int) -> np.ndarray:
         """A natural frequency at all nodes and loads [Hz]: (n, n_loads); without the crack
         ("uncracked") the same for all cracks, and with a bonded crack where it cannot be
         removed."""
         if lips == "uncracked":
-            if self.bare is None:
-                return self.natural("tied", mode)
-            values = self.bare.natural("tied", mode)
-            pairs = zip(self.keys, self.cube.shape, strict=True)
-            shape = [count if key in self.bare.keys else 1 for key, count in pairs]
+            if self.uncracked_cases is None:
+                return self.get_natural_frequency("tied", mode)
+            values = self.uncracked_cases.get_natural_frequency("tied", mode)
+            pairs = zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
+            shape = [
+                count if key in self.uncracked_cases.unknown_keys else 1 for key, count in pairs
+            ]
             loads = values.shape[1]
-            values = np.broadcast_to(values.reshape(*shape, loads), (*self.cube.shape, loads))
+            values = np.broadcast_to(
+                values.reshape(*shape, loads), (*self.unknown_grid.shape, loads)
+            )
             return values.reshape(-1, loads)
-        column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
-        if self.loads.turn:
+        column = self.get_column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
+        if self.swept_loads.has_rotor_speeds:
             return column
         known = np.isfinite(column)
         best = np.max(np.where(known, column, -np.inf), axis=1, keepdims=True)
         best = np.where(known.any(axis=1, keepdims=True), best, np.nan)
         return np.broadcast_to(best, column.shape)
 
-    def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
+    def get_harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
         """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
         of = f"{point}." if point else ""
-        cosine, sine = (self.column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
-        load = self.load(frequency)
-        fewer = self.column("harmonics")[:, load] < order
+        cosine, sine = (self.get_column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
+        load = self.find_load_index(frequency)
+        fewer = self.get_column("harmonics")[:, load] < order
         value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
-        return np.where(self.column("state")[:, load] == State.CONVERGED, value, np.nan)
+        return np.where(self.get_column("state")[:, load] == State.CONVERGED, value, np.nan)
 
-    def harmonics(self, frequency: float) -> int:
+    def count_harmonics(self, frequency: float) -> int:
         """Minimum number of harmonics of the solved cases at a load; 1 if none was solved."""
-        load = self.load(frequency)
-        solved = self.column("state")[:, load] == State.CONVERGED
-        return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
+        load = self.find_load_index(frequency)
+        solved = self.get_column("state")[:, load] == State.CONVERGED
+        return int(self.get_column("harmonics")[solved, load].min()) if solved.any() else 1
 
-    def load(self, frequency: float) -> int:
+    def find_load_index(self, frequency: float) -> int:
         """Index of a load frequency [Hz] among those of the sweep, 0 for 0 Hz; InputError if there
         is none."""
-        loads = self.loads.frequencies
+        loads = self.swept_loads.frequencies
         if frequency == 0.0:
             return 0
         if frequency not in loads:
@@ -341,12 +353,12 @@ class Part:
         return loads.index(frequency)
 
     @cached_property
-    def basis(self) -> np.ndarray:
+    def scale_and_frequencies(self) -> np.ndarray:
         """Root of s, the bilinear frequencies [Hz], and those without the crack, at all nodes and
         loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan where there is no
         frequency."""
         tied, opened, breathing, bare = (
-            np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=2)
+            np.stack([self.get_natural_frequency(lips, mode) for mode in NUMBERED], axis=2)
             for lips in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -365,7 +377,7 @@ class Feature:
     """An interpolated quantity: a natural frequency at the speed of a load, 0 for the scene's own,
     or a harmonic of a point at a load."""
 
-    lips: str = ""
+    crack_state: str = ""
     mode: int = 0
     point: str = ""
     frequency: float = 0.0
@@ -382,36 +394,38 @@ class Feature:
         return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
 
     @property
-    def together(self) -> tuple[float, float, float]:
+    def error_group(self) -> tuple[float, float, float]:
         """Key of features with a common error: those of a mode, or of one contact."""
-        return (self.mode, 0.0 if self.natural else self.frequency, self.order)
+        return (self.mode, 0.0 if self.is_natural_frequency else self.frequency, self.order)
 
     @property
-    def uncracked(self) -> Feature:
+    def uncracked_feature(self) -> Feature:
         """The same natural frequency without the crack."""
-        return replace(self, lips="uncracked")
+        return replace(self, crack_state="uncracked")
 
-    def values(self, part: Part) -> np.ndarray:
+    def get_node_values(self, part: SolvedCases) -> np.ndarray:
         """Values at all nodes of a sweep: (n,), logarithms or complex numbers."""
-        if self.natural:
-            own = part.natural(self.lips, self.mode)[:, part.load(self.frequency)]
+        if self.is_natural_frequency:
+            own = part.get_natural_frequency(self.crack_state, self.mode)[
+                :, part.find_load_index(self.frequency)
+            ]
             return np.log(own).astype(complex)
-        return part.harmonic(self.point, self.frequency, self.order)
+        return part.get_harmonic(self.point, self.frequency, self.order)
 
     @property
-    def power(self) -> int:
+    def scale_power(self) -> int:
         """n of s^n, to which a harmonic is proportional."""
         return 1 + self.order % 2 if self.order > 1 else 0
 
     @property
-    def natural(self) -> bool:
+    def is_natural_frequency(self) -> bool:
         """True if it is a natural frequency."""
-        return bool(self.lips)
+        return bool(self.crack_state)
 
     @property
-    def of_crack(self) -> bool:
+    def is_cracked_frequency(self) -> bool:
         """True if it is a natural frequency that the crack changes."""
-        return self.lips in ("open", "tied", "bilinear")
+        return self.crack_state in ("open", "tied", "bilinear")
 
 
 def poles(
@@ -419,7 +433,7 @@ def poles(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes).
 
-    They follow from ratios of damping (m, 1), and :attr:`Part.basis` at the load of each feature
+    They follow from ratios of damping (m, 1), and :attr:`SolvedCases.scale_and_frequencies` at the load of each feature
     (m, f, 1 + 2 modes); 0 and 1 of natural frequencies and where there is no mode.
     """
     own = basis[..., NUMBERED]
@@ -446,8 +460,8 @@ def scales(
 ) -> np.ndarray:
     """Return factors that make the values smooth: (m, f), from :func:`poles` and sizes of the crack
     (m,)."""
-    powers = np.array([feature.power for feature in features])
-    changed = np.array([feature.of_crack for feature in features])
+    powers = np.array([feature.scale_power for feature in features])
+    changed = np.array([feature.is_cracked_frequency for feature in features])
     found = poles(features, damping, basis)[1].prod(axis=2) / basis[..., 0] ** (2 * powers)
     first = poles(driving(features), damping, basis)[1].prod(axis=2)
     found = found * np.exp(turned(np.log(first), features))

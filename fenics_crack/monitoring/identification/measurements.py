@@ -372,14 +372,14 @@ class Measurements(Tabular):
             deviations = arrivals.tip_radius * np.hypot(angle_deviations, angle_deviation)
         elif probe_means.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
-        elif np.isnan(deviation_factor := student(probe_means.within)):
+        elif np.isnan(variance_factor := student(probe_means.within)):
             arrivals_text = counted(int(n_arrivals.sum()), "arrival")
             probes_text = counted(len(n_arrivals), "probe")
             allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
             raise InputError("noise", None, allowed_text)
         else:
             displacement_variances = np.diag(probe_means.covariance) - place_deviation**2
-            deviations = np.sqrt(deviation_factor * displacement_variances + place_deviation**2)
+            deviations = np.sqrt(variance_factor * displacement_variances + place_deviation**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
         load_frequency = float(f"{order * rotor_speed / TURN:.9g}")
         displacements = -probe_means.values if against else probe_means.values

@@ -23,12 +23,17 @@ from fenics_crack.monitoring.identification.interpolation import (
     RESONANCE_STATES,
     Feature,
     Interpolation,
-    Part,
+    SolvedCases,
     poles,
     scales,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement
-from fenics_crack.monitoring.identification.nuisance import OF_SIZE, Since, Whole, crack_deviations
+from fenics_crack.monitoring.identification.nuisance import (
+    CRACK_SIZE_KEYS,
+    BaselineChanges,
+    UncrackedPlate,
+    compute_crack_deviations,
+)
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import scales_with_load
 from fenics_crack.sweep.file import NUMBERED
@@ -36,7 +41,7 @@ from fenics_crack.sweep.file import NUMBERED
 # --- displacements at probes ----------------------------------------------------------------------
 
 
-class Passages:
+class ProbeDisplacements:
     """Displacements of one point under one load of unknown size and phase.
 
     Under a steady load the blade tip is, at a phase theta of the load's period,
@@ -62,14 +67,16 @@ class Passages:
     def __init__(
         self, rows: Sequence[int], made: Sequence[Measurement], more: Sequence[Measurement]
     ) -> None:
-        self.rows, every = list(rows), (*made, *more)
-        own = [every[place] for place in self.rows if place < len(made)]
-        self._phases = np.array([every[place].phase for place in self.rows])
+        self.row_indices, every = list(rows), (*made, *more)
+        own = [every[place] for place in self.row_indices if place < len(made)]
+        self._phases = np.array([every[place].phase for place in self.row_indices])
         self._count, self._values = len(own), np.array([row.value for row in own])
         self._weights = 1.0 / np.array([row.deviation for row in own])
 
     @classmethod
-    def among(cls, made: Sequence[Measurement], more: Sequence[Measurement]) -> list[Passages]:
+    def group_measurements(
+        cls, made: Sequence[Measurement], more: Sequence[Measurement]
+    ) -> list[ProbeDisplacements]:
         """Group measurements by load and point."""
         groups: dict[tuple[float, str], list[int]] = {}
         for place, row in enumerate((*made, *more)):
@@ -77,13 +84,13 @@ class Passages:
                 groups.setdefault((row.frequency, row.point), []).append(place)
         return [cls(places, made, more) for places in groups.values()]
 
-    def together(self, orders: np.ndarray) -> np.ndarray:
+    def compute_harmonic_covariances(self, orders: np.ndarray) -> np.ndarray:
         """Covariance of the displacements by a harmonic of mean square 1 and any phase, of each of
         some orders (k,): (k, n, n)."""
         apart = self._phases[:, None] - self._phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(orders, apart)))
 
-    def aligned(self, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def fit_harmonics(self, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The displacements of harmonics U_k (m, K) [m], fitted to measured ones.
 
         All of them, also those that were not measured: (m, n) [m]; their slopes t (m, n, K) by the
@@ -142,7 +149,7 @@ class Passages:
 # --- the model ------------------------------------------------------------------------------------
 
 
-class Faces(NamedTuple):
+class FaceState(NamedTuple):
     """State of the crack faces at resonances: they breathe, stay open or stay closed.
 
     Attributes
@@ -163,18 +170,18 @@ class Faces(NamedTuple):
     weight: float = 1.0
 
 
-BREATHING = Faces("bilinear")
+BREATHING_FACES = FaceState("bilinear")
 """Open half of the period."""
 
 
-class Model:
+class ForwardModel:
     """Predictions of measurements, with their covariance.
 
     Parameters
     ----------
     scene : Scene
         For its damping, and its table ``[identify]``.
-    whole : Whole
+    whole : UncrackedPlate
         The plate without its crack.
     parts : (coarse, finer, between)
         The sweep; that of the finer mesh, or None; and that halfway between the nodes, or None.
@@ -183,49 +190,62 @@ class Model:
     """
 
     def __init__(
-        self, scene: Scene, whole: Whole, parts: Sequence[Part | None], *, fixed: Mapping[str, Any]
+        self,
+        scene: Scene,
+        whole: UncrackedPlate,
+        parts: Sequence[SolvedCases | None],
+        *,
+        fixed: Mapping[str, Any],
     ) -> None:
-        self.scene, self.table, self.whole = scene, scene.given("identify"), whole
-        coarse, self.finer, self.between = parts
+        self.scene, self.identify_table, self.uncracked_plate = (
+            scene,
+            scene.given("identify"),
+            whole,
+        )
+        coarse, self.finer_cases, self.halfway_cases = parts
         assert coarse is not None
-        self.coarse = coarse
-        self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
+        self.coarse_cases = coarse
+        self.word_by_key, self.unknown_keys, self.unknown_grid = (
+            dict(fixed),
+            coarse.unknown_keys,
+            coarse.unknown_grid,
+        )
 
-    def quantities(
+    def make_predictor(
         self, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
-    ) -> Quantities:
+    ) -> Predictor:
         """Predictor of some measurements, and of possible further ones."""
-        return Quantities(self, rows, more)
+        return Predictor(self, rows, more)
 
-    def damping(self, x: np.ndarray) -> np.ndarray:
+    def get_damping_ratios(self, x: np.ndarray) -> np.ndarray:
         """A ratio of damping at values (m, d) of the unknowns: (m, 1)."""
-        if "damping.ratio" in self.keys:
-            return x[:, [self.keys.index("damping.ratio")]]
+        if "damping.ratio" in self.unknown_keys:
+            return x[:, [self.unknown_keys.index("damping.ratio")]]
         ratio, damping = None, self.scene.damping
         if damping is not None:
             ratio = damping.ratios if damping.ratio is None else damping.ratio
         return np.full((len(x), 1), 0.01 if ratio is None else np.mean(ratio))  # of a matrix
 
-    def size(self, x: np.ndarray) -> np.ndarray:
+    def compute_crack_sizes(self, x: np.ndarray) -> np.ndarray:
         """Length of the crack over the longest, times the same of its depth, at values (m, d) of
         the unknowns: (m,); 1 if it is no unknown."""
-        places = [place for place, key in enumerate(self.keys) if key in OF_SIZE]
-        return np.asarray(np.prod(x[:, places] / self.cube.high[places], axis=1))
+        places = [place for place, key in enumerate(self.unknown_keys) if key in CRACK_SIZE_KEYS]
+        return np.asarray(np.prod(x[:, places] / self.unknown_grid.upper_bounds[places], axis=1))
 
-    def crack_deviations(self, x: np.ndarray) -> np.ndarray:
+    def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
         """Standard deviations (m, d) of a crack from the equivalent one, at values (m, d) of the
         unknowns."""
-        return crack_deviations(x, self.keys, self.scene)
+        return compute_crack_deviations(x, self.unknown_keys, self.scene)
 
-    def candidates(self) -> tuple[Measurement, ...]:
+    def list_candidates(self) -> tuple[Measurement, ...]:
         """List possible measurements: natural frequencies, ratios of harmonics at the points and
         load frequencies of the sweep."""
         kinds = ["frequency_open", "frequency_tied", "frequency_resonance"]
-        if self.coarse.bare is not None:
+        if self.coarse_cases.uncracked_cases is not None:
             kinds.append("frequency_uncracked")
         rows = [Measurement(k, 1.0, 1.0, mode + 1) for k in kinds for mode in range(FEW_MODES)]
-        loads, ratios = self.coarse.loads.frequencies, ("ratio_2_1", "ratio_3_1")
-        seen = ["", *self.coarse.sweep.scene.point_names]
+        loads, ratios = self.coarse_cases.swept_loads.frequencies, ("ratio_2_1", "ratio_3_1")
+        seen = ["", *self.coarse_cases.sweep_result.scene.point_names]
         for load, point, ratio in itertools.product(loads, seen, ratios):
             rows.append(Measurement(ratio, 1.0, 1.0, frequency=load, point=point))
         return tuple(rows)
@@ -248,11 +268,11 @@ class Prediction:
 
     values: np.ndarray
     covariance: np.ndarray
-    free: np.ndarray
-    known: np.ndarray
+    load_changes: np.ndarray
+    is_predictable: np.ndarray
 
 
-class Place(NamedTuple):
+class FeaturePrediction(NamedTuple):
     """Features at m values of the unknowns.
 
     Attributes
@@ -260,7 +280,7 @@ class Place(NamedTuple):
     damping : (m, 1)
         Ratios.
     basis : (m, f, 1 + 2 modes)
-        :attr:`Part.basis` there at the load of each feature.
+        :attr:`SolvedCases.scale_and_frequencies` there at the load of each feature.
     scale : (m, f)
         Factors that make features smooth.
     waves : (m, f)
@@ -272,77 +292,89 @@ class Place(NamedTuple):
     """
 
     damping: np.ndarray
-    basis: np.ndarray
+    scale_and_frequencies: np.ndarray
     scale: np.ndarray
     waves: np.ndarray
     unsure: np.ndarray
     covariance: np.ndarray
 
 
-class Quantities:
+class Predictor:
     """Predictions of some measurements, and of possible ``more``, by a model.
 
     Attributes
     ----------
     known : (q,) bool
         True where a measurement can be predicted.
-    changed : Since
+    changed : BaselineChanges
         Possible changes since there was no crack.
     """
 
     def __init__(
-        self, model: Model, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
+        self, model: ForwardModel, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
     ) -> None:
         self.model, self.rows = model, (*rows, *more)
-        features = [Feature.of(row, model.scene) for row in self.rows]
+        features = [Feature.list_for_measurement(row, model.scene) for row in self.rows]
         every = [one for found in features for one in found]
-        every += [one.uncracked for one in every if one.of_crack]
+        every += [one.uncracked_feature for one in every if one.is_cracked_frequency]
         self._features = tuple(dict.fromkeys(every))
         at = {feature: place for place, feature in enumerate(self._features)}
         self._places = [[at[feature] for feature in found] for found in features]
-        plain = [(at[one], at[one.uncracked]) for one in at if one.of_crack]
+        plain = [(at[one], at[one.uncracked_feature]) for one in at if one.is_cracked_frequency]
         self._own, self._plain = map(list, zip(*plain, strict=True)) if plain else ([], [])
-        self._passages = Passages.among(rows, more)
+        self._passages = ProbeDisplacements.group_measurements(rows, more)
         self._groups = _groups(self._features)
-        self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
-        basis = model.coarse.basis
-        self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
+        self._is_plain = np.array([one.crack_state == "uncracked" for one in self._features])
+        basis = model.coarse_cases.scale_and_frequencies
+        self._basis = Interpolation(model.unknown_grid, basis.reshape(len(basis), -1))
         self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
-        self._loads = [model.coarse.load(feature.frequency) for feature in self._features]
-        faster = model.coarse.loads.faster
-        self._changes = np.stack([model.whole.changes_at(one) for one in faster])[self._loads]
+        self._loads = [
+            model.coarse_cases.find_load_index(feature.frequency) for feature in self._features
+        ]
+        faster = model.coarse_cases.swept_loads.speed_ratios
+        self._changes = np.stack(
+            [model.uncracked_plate.compute_prior_sensitivities(one) for one in faster]
+        )[self._loads]
         of_rows = [faster[self._loads[places[0]]] for places in self._places]
-        self.changed = Since(self.rows, of_rows, model.whole)
-        self._higher, still = _stillness(model.coarse, self._features, self._loads)
-        self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
-        self._faces = _faces(model) if any(row.resonance for row in self.rows) else (BREATHING,)
+        self.baseline_changes = BaselineChanges(self.rows, of_rows, model.uncracked_plate)
+        self._higher, still = _stillness(model.coarse_cases, self._features, self._loads)
+        self._still = (
+            RegularGridInterpolator(model.unknown_grid.axes, still) if len(still) else None
+        )
+        self._faces = (
+            _faces(model) if any(row.resonance for row in self.rows) else (BREATHING_FACES,)
+        )
         self._is_free_at_rest = scales_with_load(model.scene.at_rest())
-        self._coarse = Interpolation(model.cube, self._smooth_features(model.coarse))
+        self._coarse = Interpolation(model.unknown_grid, self._smooth_features(model.coarse_cases))
         self._understated = self._missed()
-        harmonic = np.repeat([not one.natural for one in self._features], 2)
-        known = self._coarse.known & (self._coarse.between | ~harmonic)
+        harmonic = np.repeat([not one.is_natural_frequency for one in self._features], 2)
+        known = self._coarse.has_enough_nodes & (self._coarse.is_between_known | ~harmonic)
         # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
         # high order nothing: half of the former is added, and may be wrong.
         self._correction: Interpolation | None = None
-        finer = model.table.finer
+        finer = model.identify_table.finer
         self._left = 0.5 / max(finer - 1.0, 1.0 / finer - 1.0, 0.1)
-        if model.finer is not None:
-            fine = model.finer
-            difference = self._smooth_features(fine) - self._coarse.at(fine.cube.nodes)
-            self._correction = Interpolation(fine.cube, difference)
-            known &= self._correction.known & (self._correction.between | ~harmonic)
+        if model.finer_cases is not None:
+            fine = model.finer_cases
+            difference = self._smooth_features(fine) - self._coarse.interpolate(
+                fine.unknown_grid.nodes
+            )
+            self._correction = Interpolation(fine.unknown_grid, difference)
+            known &= self._correction.has_enough_nodes & (
+                self._correction.is_between_known | ~harmonic
+            )
         of_features = known.reshape(-1, 2).all(axis=1)
         of_features[self._own] &= of_features[self._plain]
-        self.known = np.array([bool(of_features[places].all()) for places in self._places])
+        self.is_predictable = np.array([bool(of_features[places].all()) for places in self._places])
 
-    def since(self, *, clamp: float, temperature: float) -> Quantities:
+    def with_change_factors(self, *, clamp_factor: float, temperature_factor: float) -> Predictor:
         """The same with the priors of how much the clamp and an unknown temperature have changed
         since there was no crack multiplied by factors."""
         found = copy(self)
-        found.changed = self.changed.scaled(clamp, temperature)
+        found.baseline_changes = self.baseline_changes.with_change_factors(clamp_factor, temperature_factor)
         return found
 
-    def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+    def iterate_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
         """Possible states of the crack faces under the loads at values (m, d) of the unknowns:
         places among them, (n,), where each is possible, its probability there, (n,), and the
         predictions.
@@ -355,7 +387,11 @@ class Quantities:
         """
         rests = np.zeros((len(x), 0))
         if self._still is not None:
-            rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
+            rests = self._still(
+                np.clip(
+                    x, self.model.unknown_grid.lower_bounds, self.model.unknown_grid.upper_bounds
+                )
+            )
         for chosen in itertools.product((False, True), repeat=rests.shape[1]):
             share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1)
             at = np.flatnonzero(share > 0.0)
@@ -366,22 +402,24 @@ class Quantities:
                 for faces in self._faces:
                     yield at, faces.weight * share[at], self._predicted(place, still, faces)
 
-    def _smooth_features(self, part: Part) -> np.ndarray:
+    def _smooth_features(self, part: SolvedCases) -> np.ndarray:
         """Smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary parts
         in turn."""
-        values = np.stack([feature.values(part) for feature in self._features], axis=1)
+        values = np.stack([feature.get_node_values(part) for feature in self._features], axis=1)
         values[:, self._own] -= values[:, self._plain]
-        return _pairs(values * self._scales(part.cube.nodes, self._basis_at(part.cube.nodes)))
+        return _pairs(
+            values * self._scales(part.unknown_grid.nodes, self._basis_at(part.unknown_grid.nodes))
+        )
 
     def _missed(self) -> np.ndarray:
         """Interpolation errors halfway between nodes over the estimated ones, at least 1: (2f,).
         Features with more waves than nodes, as of higher modes along the height, look smooth."""
-        part = self.model.between
+        part = self.model.halfway_cases
         if part is None:
             return np.ones(2 * len(self._features))
-        x = part.cube.nodes
-        missed = (self._smooth_features(part) - self._coarse.at(x)) ** 2
-        stated = np.sum(self._coarse.scatter(x) ** 2, axis=1)
+        x = part.unknown_grid.nodes
+        missed = (self._smooth_features(part) - self._coarse.interpolate(x)) ** 2
+        stated = np.sum(self._coarse.compute_weighted_errors(x) ** 2, axis=1)
         both = [np.nansum(one, axis=0).reshape(-1, 2).sum(axis=1) for one in (missed, stated)]
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(both[1] > 0.0, both[0] / both[1], 1.0)
@@ -389,20 +427,27 @@ class Quantities:
 
     def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Factors that make features smooth: (m, f), for both sweeps from the coarse one."""
-        return scales(self._features, self.model.damping(x), basis, self.model.size(x))
+        return scales(
+            self._features,
+            self.model.get_damping_ratios(x),
+            basis,
+            self.model.compute_crack_sizes(x),
+        )
 
     def _basis_at(self, x: np.ndarray) -> np.ndarray:
-        """:attr:`Part.basis` at the load of each feature, at values (m, d) of the unknowns:
+        """:attr:`SolvedCases.scale_and_frequencies` at the load of each feature, at values (m, d) of the unknowns:
         (m, f, 1 + 2 modes)."""
-        found = np.where(self._basis.known, self._basis.at(x), np.nan)
-        return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
+        found = np.where(self._basis.has_enough_nodes, self._basis.interpolate(x), np.nan)
+        return found.reshape(len(x), *self.model.coarse_cases.scale_and_frequencies.shape[1:])[
+            :, self._loads
+        ]
 
     def __call__(self, x: np.ndarray) -> Prediction:
         """Predictions at some values (m, d) of the unknowns, in the least certain state of the
         crack faces at resonances."""
         return self._predicted(self._place(x), None, self._faces[0])
 
-    def by_interpolation(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_interpolation_variances(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Variances of predictions at values (m, d) of the unknowns by interpolation along each
         unknown, (m, d, q), and in total, (m, q)."""
         place, none = self._place(x), np.zeros((len(x), 2 * len(self._features)))
@@ -413,66 +458,79 @@ class Quantities:
             return np.diagonal(predicted.covariance, axis1=1, axis2=2)
 
         rest, found = variances(np.zeros_like(place.covariance)), []
-        for scatter in self._coarse.along(x)[: x.shape[1]]:
+        for scatter in self._coarse.compute_weighted_errors_by_axis(x)[: x.shape[1]]:
             errors = self._errors(none, none, [self._understated * scatter])
             found.append(variances(errors @ errors.transpose(0, 2, 1)) - rest)
         return np.stack(found, axis=1), variances(place.covariance)
 
-    def _place(self, x: np.ndarray) -> Place:
+    def _place(self, x: np.ndarray) -> FeaturePrediction:
         """Features at some values (m, d) of the unknowns."""
-        smooth, scatter = self._coarse.at(x), [self._understated * self._coarse.scatter(x)]
+        smooth, scatter = (
+            self._coarse.interpolate(x),
+            [self._understated * self._coarse.compute_weighted_errors(x)],
+        )
         left = np.zeros_like(smooth)
         if self._correction is not None:
-            difference = self._correction.at(x)
+            difference = self._correction.interpolate(x)
             left = self._left * difference
             smooth = smooth + difference + left
-            scatter.append(self._correction.scatter(x))
-        damping, basis = self.model.damping(x), self._basis_at(x)
+            scatter.append(self._correction.compute_weighted_errors(x))
+        damping, basis = self.model.get_damping_ratios(x), self._basis_at(x)
         scale = self._scales(x, basis)
         waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
-        whole = self.model.whole
-        changes = whole.relative_changes(self._features, damping, basis, self._changes)
+        whole = self.model.uncracked_plate
+        changes = whole.compute_feature_sensitivities(self._features, damping, basis, self._changes)
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
         unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
         unknown = _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
         errors = np.concatenate([self._errors(smooth, left, scatter), unknown], axis=2)
-        return Place(damping, basis, scale, waves, unsure, errors @ errors.transpose(0, 2, 1))
+        return FeaturePrediction(
+            damping, basis, scale, waves, unsure, errors @ errors.transpose(0, 2, 1)
+        )
 
-    def _predicted(self, place: Place, still: np.ndarray | None, faces: Faces) -> Prediction:
+    def _predicted(
+        self, place: FeaturePrediction, still: np.ndarray | None, faces: FaceState
+    ) -> Prediction:
         """Predictions by features, some of which vanish, (f,), and the state of the crack faces at
         resonances."""
         damping, scale, waves, unsure = place.damping, place.scale, place.waves, place.unsure
         if still is not None:
             waves, unsure = (np.where(still, 0.0, one) for one in (waves, unsure))
         values, turns, common, rest = self._of_numbers(damping, waves, scale, faces)
-        values *= self.changed.factors
+        values *= self.baseline_changes.temperature_factors
         free = [np.zeros((*values.shape, 0))]
         left_out = np.zeros((len(waves), len(self.rows), len(self.rows)))
         for passages in self._passages:
-            at = self._places[passages.rows[0]]
-            values[:, passages.rows], slopes, changes, sizes = passages.aligned(waves[:, at])
+            at = self._places[passages.row_indices[0]]
+            values[:, passages.row_indices], slopes, changes, sizes = passages.fit_harmonics(
+                waves[:, at]
+            )
             squares = np.abs(waves[:, at]) ** 2 + unsure[:, at]
             above, square = self._left_out(
-                self._features[at[0]], squares, damping, place.basis[:, at[:1]]
+                self._features[at[0]], squares, damping, place.scale_and_frequencies[:, at[:1]]
             )
-            both = np.ix_(range(len(waves)), passages.rows, passages.rows)
+            both = np.ix_(range(len(waves)), passages.row_indices, passages.row_indices)
             size = sizes[:, None, None] ** 2
-            left_out[both] = size * np.tensordot(square, passages.together(above), axes=1)
-            turns[:, np.array(passages.rows)[:, None], at] = slopes / scale[:, None, at]
+            left_out[both] = size * np.tensordot(
+                square, passages.compute_harmonic_covariances(above), axes=1
+            )
+            turns[:, np.array(passages.row_indices)[:, None], at] = slopes / scale[:, None, at]
             moved = np.zeros((*values.shape, changes.shape[2]))
-            moved[:, passages.rows] = changes
+            moved[:, passages.row_indices] = changes
             free.append(moved)
-        turns[:, ~self.known] = 0.0
+        turns[:, ~self.is_predictable] = 0.0
         if still is not None:
             turns[..., still] = 0.0
         slopes = _pairs(turns.conj())
         total = slopes @ place.covariance @ slopes.transpose(0, 2, 1) + left_out
-        errors = np.concatenate([values[..., None] * self.changed.columns, common], axis=2)
+        errors = np.concatenate(
+            [values[..., None] * self.baseline_changes.all_changes, common], axis=2
+        )
         total += errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
-        values = np.where(self.known, values, np.nan)
-        return Prediction(values, total, np.concatenate(free, axis=2), self.known)
+        values = np.where(self.is_predictable, values, np.nan)
+        return Prediction(values, total, np.concatenate(free, axis=2), self.is_predictable)
 
     def _left_out(
         self, first: Feature, squares: np.ndarray, damping: np.ndarray, basis: np.ndarray
@@ -486,7 +544,7 @@ class Quantities:
         of the upper half of those that are known. Of 150 cracks under loads of 120 to 1500 Hz what
         twelve and six of 30 harmonics leave is 1.0 and 1.3 times this, in root mean square.
         """
-        kept, highest = self.model.coarse.harmonics(first.frequency), self._highest
+        kept, highest = self.model.coarse_cases.count_harmonics(first.frequency), self._highest
         kept = min(kept, squares.shape[1])
         last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
         every = [replace(first, order=order) for order in range(1, last + 1)]
@@ -499,7 +557,7 @@ class Quantities:
         return np.arange(kept + 1, last + 1), strength[:, None] * moved[:, kept:]
 
     def _of_numbers(
-        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, faces: Faces
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, faces: FaceState
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
         smooth forms S, ds = Re sum t dS, and errors of the state of the crack faces.
@@ -507,7 +565,7 @@ class Quantities:
         These errors are common to all and to each mode, (m, q, 1 + modes), and independent
         variances (m, q).
         """
-        natural = np.array([feature.natural for feature in self._features])
+        natural = np.array([feature.is_natural_frequency for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
             turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
@@ -515,11 +573,11 @@ class Quantities:
         values, rest = np.zeros((2, len(waves), len(self.rows)))
         common = np.zeros((*values.shape, 1 + FEW_MODES))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
-        table, off = self.model.table, self.model.table.resonance_deviation
+        table, off = self.model.identify_table, self.model.identify_table.resonance_deviation
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
-            if row.quantity == "displacement" or not self.known[place]:
+            if row.quantity == "displacement" or not self.is_predictable[place]:
                 continue
-            own = BREATHING if row.rpm == 0.0 and self._is_free_at_rest else faces
+            own = BREATHING_FACES if row.rpm == 0.0 and self._is_free_at_rest else faces
             state = RESONANCE_STATES.index(own.state) if row.resonance else 0
             values[:, place], weights = _together(row, sizes[:, at], state)
             turns[:, place, at] = weights * turned[:, at]
@@ -551,7 +609,7 @@ class Quantities:
             half * left[..., None],
             half * left[..., None] * self._groups,
         ]
-        uneven = self.model.table.harmonic_deviation
+        uneven = self.model.identify_table.harmonic_deviation
         if uneven:
             upper = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
             turned = np.stack([-smooth[:, 1::2], smooth[:, ::2]], axis=2).reshape(smooth.shape)
@@ -563,7 +621,7 @@ class Quantities:
 
 
 def _stillness(
-    part: Part, features: Sequence[Feature], loads: Sequence[int]
+    part: SolvedCases, features: Sequence[Feature], loads: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Loads at which the crack faces of some nodes touch or part, and those of others do not: the
     features that are higher harmonics there, (f,) bool each; and the nodes without such harmonics,
@@ -572,20 +630,20 @@ def _stillness(
     above = np.array([feature.order > 1 for feature in features], dtype=bool)
     for load in np.unique(np.array(loads)[above]):
         own = above & (np.array(loads) == load)
-        values = [features[place].values(part) for place in np.flatnonzero(own)]
+        values = [features[place].get_node_values(part) for place in np.flatnonzero(own)]
         moved = np.fmax.reduce(np.abs(values))
         rests = moved <= 1e-9 * np.fmax.reduce(moved)  # rounding
         if rests.any() and not rests.all():
             groups.append(own)
-            still.append(rests.reshape(part.cube.shape))
+            still.append(rests.reshape(part.unknown_grid.shape))
     return groups, np.moveaxis(np.array(still, dtype=float), 0, -1) if groups else np.zeros(0)
 
 
 def _groups(features: Sequence[Feature]) -> np.ndarray:
     """Groups of columns with a common error by the mesh, or by contact on it: (2f, groups), 0 or
     1."""
-    groups = list(dict.fromkeys(feature.together for feature in features))
-    own = [[float(feature.together == group) for group in groups] for feature in features]
+    groups = list(dict.fromkeys(feature.error_group for feature in features))
+    own = [[float(feature.error_group == group) for group in groups] for feature in features]
     return np.repeat(own, 2, axis=0)
 
 
@@ -594,23 +652,26 @@ def _pairs(values: np.ndarray) -> np.ndarray:
     return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)
 
 
-def _faces(model: Model) -> tuple[Faces, ...]:
+def _faces(model: ForwardModel) -> tuple[FaceState, ...]:
     """Possible states at resonances: breathing, and if that depends on the size of the motion, for
     any part of the period, open or closed, unless no solved case is."""
-    if is_free(model.scene):
-        return (BREATHING,)
-    off = model.table.resonance_deviation
-    closed = model.coarse.sweep["closed_share"][model.coarse.index]
+    if has_load_independent_shape(model.scene):
+        return (BREATHING_FACES,)
+    off = model.identify_table.resonance_deviation
+    closed = model.coarse_cases.sweep_result["closed_share"][model.coarse_cases.word_index]
     least, most = (one.reduce(closed, axis=None) for one in (np.fmin, np.fmax))
-    held = itertools.compress((Faces("open"), Faces("tied")), (least < 1.0, most > 0.0))
+    held = itertools.compress((FaceState("open"), FaceState("tied")), (least < 1.0, most > 0.0))
     # Breathing for another part of the period at each resonance, or for the same at all.
-    partly = Faces("bilinear", apart=off, weight=0.5), Faces("bilinear", common=off, weight=0.5)
-    every = (*partly, BREATHING, *held)
+    partly = (
+        FaceState("bilinear", apart=off, weight=0.5),
+        FaceState("bilinear", common=off, weight=0.5),
+    )
+    every = (*partly, BREATHING_FACES, *held)
     total = sum(one.weight for one in every)
     return tuple(one._replace(weight=one.weight / total) for one in every)
 
 
-def is_free(scene: Scene) -> bool:
+def has_load_independent_shape(scene: Scene) -> bool:
     """Return True if the shape of a motion does not depend on the size of the load."""
     return scales_with_load(scene) and not any(scene.excitation.force_mean)
 

@@ -58,13 +58,13 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
-OF_SIZE = ("crack.length", "crack.depth")
+CRACK_SIZE_KEYS = ("crack.length", "crack.depth")
 """Keys of a crack's size."""
-FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+FACTOR_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 """Numbers in these units over those in Hz."""
 
 
-class Whole:
+class UncrackedPlate:
     """The plate without its crack, or with a bonded one: natural frequencies and their
     sensitivities to the priors, found on this rank alone.
 
@@ -86,8 +86,8 @@ class Whole:
     def __init__(self, scene: Scene, table: Identify) -> None:
         if table.temperature_deviation is None:  # of a room; of blades that their gas or drag warms
             table = replace(table, temperature_deviation=25.0 if scene.speed else 10.0)
-        self.speed, self.table, modes = scene.speed, table, _modes(scene)
-        still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
+        self.rotor_speed, self.identify_table, modes = scene.speed, table, _solve_plate_modes(scene)
+        still = _solve_plate_modes(scene.at_rest()) if scene.speed > 0.0 else modes
         every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
         squares, vectors = eigh(every.T @ multiply(modes.structure.mass, every))
         kept = squares > np.sqrt(np.finfo(float).eps) * squares[-1]  # independent motions
@@ -95,32 +95,37 @@ class Whole:
         at_rest = multiply(still.structure.stiffness, basis)
         elastic = basis.T @ at_rest
         rotating = basis.T @ multiply(modes.structure.stiffness, basis) - elastic
-        rigid, self.turning = _held(modes)
-        self.stiffness, self.reactions = np.stack([elastic, rotating]), at_rest.T @ rigid
+        rigid, self.n_reaction_forces = _build_clamp_motions(modes)
+        self.stiffness_parts, self.clamp_reactions = (
+            np.stack([elastic, rotating]),
+            at_rest.T @ rigid,
+        )
 
     @cached_property
-    def frequencies(self) -> np.ndarray:
+    def natural_frequencies(self) -> np.ndarray:
         """Natural frequencies, with a bonded crack where it cannot be removed: (n,) [Hz]."""
-        return self.modes_at(1.0)[0] / TURN
+        return self.solve_modes_at(1.0)[0] / TURN
 
-    def modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    def solve_modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Natural frequencies (n,) [rad/s] and modes (r, n) at a speed over the rotor's, with a
         Young's modulus over the scene's."""
-        squares, modes = eigh(stiffer * self.stiffness[0] + faster**2 * self.stiffness[1])
+        squares, modes = eigh(
+            stiffer * self.stiffness_parts[0] + faster**2 * self.stiffness_parts[1]
+        )
         count = min(FEW_MODES, len(squares))
         return np.sqrt(np.maximum(squares[:count], 0.0)), modes[:, :count]
 
-    def elastic_at(self, faster: float) -> np.ndarray:
+    def compute_elastic_fractions(self, faster: float) -> np.ndarray:
         """Elastic part of the squares of frequencies at a speed over the rotor's: (n,)."""
-        omega, modes = self.modes_at(faster)
-        return np.asarray(np.sum(modes * (self.stiffness[0] @ modes), axis=0) / omega**2)
+        omega, modes = self.solve_modes_at(faster)
+        return np.asarray(np.sum(modes * (self.stiffness_parts[0] @ modes), axis=0) / omega**2)
 
-    def stiffened(self, faster: float, stiffer: float) -> np.ndarray:
+    def compute_stiffening_factors(self, faster: float, stiffer: float) -> np.ndarray:
         """Factors of frequencies at a speed over the rotor's by a factor of Young's modulus:
         (n,)."""
-        return self.modes_at(faster, stiffer)[0] / self.modes_at(faster)[0]
+        return self.solve_modes_at(faster, stiffer)[0] / self.solve_modes_at(faster)[0]
 
-    def by_clamp(self, faster: float) -> np.ndarray:
+    def compute_clamp_sensitivities(self, faster: float) -> np.ndarray:
         """Return relative changes of natural frequencies at a speed over the rotor's by a soft
         clamp.
 
@@ -128,33 +133,33 @@ class Whole:
         the rotor's speed by both. Where the clamp is not known, the same for all modes and by
         turning only, as of a slender beam.
         """
-        if not self.reactions.shape[1]:
-            return np.outer(self.elastic_at(faster), [1.0, 0.0])
+        if not self.clamp_reactions.shape[1]:
+            return np.outer(self.compute_elastic_fractions(faster), [1.0, 0.0])
 
         def taken(faster: float) -> np.ndarray:
-            omega, modes = self.modes_at(faster)
-            squares = (self.reactions.T @ modes) ** 2 / omega**2
-            turning, moving = squares[self.turning :], squares[: self.turning]
+            omega, modes = self.solve_modes_at(faster)
+            squares = (self.clamp_reactions.T @ modes) ** 2 / omega**2
+            turning, moving = squares[self.n_reaction_forces :], squares[: self.n_reaction_forces]
             return np.stack([turning.sum(axis=0), moving.sum(axis=0)])
 
         return np.asarray((taken(faster) / np.hypot(*taken(1.0)[:, 0])).T)
 
-    def changes_at(self, faster: float) -> np.ndarray:
+    def compute_prior_sensitivities(self, faster: float) -> np.ndarray:
         """Relative changes by a standard deviation of each prior at a speed over the rotor's:
         (n, s)."""
-        young, density, _ = self._widths
-        elastic = self.elastic_at(faster)
+        young, density, _ = self._prior_deviations
+        elastic = self.compute_elastic_fractions(faster)
         every = np.eye(len(elastic))
         return np.column_stack(
             [
                 np.outer(elastic, [0.5 * young, -0.5 * density, 0.0]),
-                -self.table.clamp_deviation * self.by_clamp(faster),
-                self.table.model_deviation * elastic * every,
-                0.5 * self.table.stiffening_deviation * (1.0 - elastic) * every,
+                -self.identify_table.clamp_deviation * self.compute_clamp_sensitivities(faster),
+                self.identify_table.model_deviation * elastic * every,
+                0.5 * self.identify_table.stiffening_deviation * (1.0 - elastic) * every,
             ]
         )
 
-    def relative_changes(
+    def compute_feature_sensitivities(
         self,
         features: Sequence[Feature],
         damping: np.ndarray,
@@ -171,14 +176,14 @@ class Whole:
         damping : (m, 1)
             Ratios.
         basis : (m, f, 1 + 2 n)
-            :attr:`Part.basis` there at the load of each feature.
+            :attr:`SolvedCases.scale_and_frequencies` there at the load of each feature.
         changes : (f, n, s)
             Of this plate at the speed of each feature, :meth:`changes_at`.
         """
-        table, count = self.table, changes.shape[1]
+        table, count = self.identify_table, changes.shape[1]
         natural, cracked = (
             np.array([getattr(feature, name) for feature in features])[:, None]
-            for name in ("natural", "of_crack")
+            for name in ("is_natural_frequency", "is_cracked_frequency")
         )
         modes = np.array([feature.mode for feature in features])[:, None]
         shape = len(basis), len(modes), count
@@ -188,14 +193,14 @@ class Whole:
             with np.errstate(invalid="ignore"):
                 bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
             shifts = np.nan_to_num(bilinear - plain)[..., :count]
-            slopes, by_ratio = _of_poles(features, damping, basis)
-            first, ratio = _of_poles(driving(features), damping, basis)
+            slopes, by_ratio = _differentiate_poles(features, damping, basis)
+            first, ratio = _differentiate_poles(driving(features), damping, basis)
             slopes = (slopes + turned(first, features))[..., :count]
             by_mode = np.where(natural, by_mode, slopes)
             by_crack = np.where(natural, by_crack, slopes * shifts)
             by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
         sizes = np.zeros(changes.shape[2])  # of harmonics
-        sizes[:3] = np.multiply(self._widths, (-1.0, 0.0, -1.0))
+        sizes[:3] = np.multiply(self._prior_deviations, (-1.0, 0.0, -1.0))
         own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
         known = any(axis.key == "damping.ratio" for axis in table.unknown)
         columns = [
@@ -206,15 +211,15 @@ class Whole:
         return np.concatenate(columns, axis=2)
 
     @property
-    def _widths(self) -> list[float]:
+    def _prior_deviations(self) -> list[float]:
         """Standard deviations of Young's modulus, density and thickness, 0 if it is an unknown."""
-        table, unknown = self.table, {axis.key for axis in self.table.unknown}
+        table, unknown = self.identify_table, {axis.key for axis in self.identify_table.unknown}
         keys = ("material.young", "material.density", "geometry.thickness")
         widths = (table.young_deviation, table.density_deviation, table.thickness_deviation)
         pairs = zip(keys, widths, strict=True)
         return [0.0 if key in unknown else width for key, width in pairs]
 
-    def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
+    def compute_baseline_sensitivities(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
         """Return relative changes at a speed over the rotor's between the plate before it had a
         crack and now.
 
@@ -222,16 +227,22 @@ class Whole:
         each mode by itself, a standard deviation each. (n, 1 + n): by a kelvin, and the uncertainty
         of that by rotation.
         """
-        table, elastic = self.table, self.elastic_at(faster)
+        table, elastic = self.identify_table, self.compute_elastic_fractions(faster)
         every = np.eye(len(elastic))
         clamp = np.column_stack(
-            [self.by_clamp(faster), 1.0 - elastic, table.before_scatter * elastic * every]
+            [
+                self.compute_clamp_sensitivities(faster),
+                1.0 - elastic,
+                table.before_scatter * elastic * every,
+            ]
         )
         kelvin = 0.5 * table.temperature_coefficient * elastic
         unsure = table.stiffening_deviation * (1.0 - elastic) * kelvin * every
         return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
 
-    def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
+    def check_units_and_modes(
+        self, measurements: Measurements, loads: Sequence[float], *, other: bool
+    ) -> None:
         """Raise InputError for frequencies that seem to be in another unit, or of another mode.
 
         Loads have those of the scene [Hz]. Natural ones may all be in rad/s, which is refused
@@ -240,16 +251,16 @@ class Whole:
         """
         for row in [row for row in measurements.rows if loads and not row.natural]:
             near = loads[int(np.abs(np.log(np.divide(loads, row.frequency))).argmin())]
-            if (unit := _unit(row.frequency / near)) in ("kHz", "mHz"):
+            if (unit := _guess_frequency_unit(row.frequency / near)) in ("kHz", "mHz"):
                 allowed = f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
-        rows = [row for row in rows if row.mode <= len(self.frequencies)]
-        speeds = [1.0 if np.isnan(row.rpm) else RPM * row.rpm / self.speed for row in rows]
-        known = [self.modes_at(faster)[0] / TURN for faster in speeds]
+        rows = [row for row in rows if row.mode <= len(self.natural_frequencies)]
+        speeds = [1.0 if np.isnan(row.rpm) else RPM * row.rpm / self.rotor_speed for row in rows]
+        known = [self.solve_modes_at(faster)[0] / TURN for faster in speeds]
         pairs = zip(rows, known, strict=True)
-        units = [_unit(row.value / there[row.mode - 1]) for row, there in pairs]
-        for unit in FACTORS:
+        units = [_guess_frequency_unit(row.value / there[row.mode - 1]) for row, there in pairs]
+        for unit in FACTOR_BY_UNIT:
             like = [one == unit for one in units]
             if rows and (all(like) if other and unit == "rad/s" else any(like)):
                 row, there = rows[like.index(True)], known[like.index(True)]
@@ -267,14 +278,14 @@ class Whole:
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed)
 
 
-def _unit(ratio: float) -> str:
+def _guess_frequency_unit(ratio: float) -> str:
     """Unit of a number by its ratio to that in Hz; empty: Hz, or none."""
     # No crack changes a frequency by a factor of exp(0.3).
-    near = (unit for unit, factor in FACTORS.items() if abs(np.log(ratio / factor)) < 0.3)
+    near = (unit for unit, factor in FACTOR_BY_UNIT.items() if abs(np.log(ratio / factor)) < 0.3)
     return next(near, "")
 
 
-class Since:
+class BaselineChanges:
     """Changes between the record before there was a crack and the one since, of q measurements: 0
     of those that are no natural frequency, and of modes that are not known.
 
@@ -290,56 +301,65 @@ class Since:
         The same of temperatures that are known: by the coefficient, the thermometer and rotation.
     """
 
-    def __init__(self, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> None:
+    def __init__(
+        self, rows: Sequence[Measurement], faster: Sequence[float], whole: UncrackedPlate
+    ) -> None:
         """Take measurements, each at a speed over the rotor's.
 
         Records since are at the mean of their stated temperatures, if any is; those before at the
         stated one, or at one that is not known.
         """
-        table, count = whole.table, len(whole.frequencies)
+        table, count = whole.identify_table, len(whole.natural_frequencies)
         before = np.array([row.quantity == "frequency_uncracked" for row in rows])
         stated = np.array([row.temperature for row in rows])
         now = stated[~before & np.isfinite(stated)]
         off = np.nan_to_num(stated - (now.mean() if len(now) else np.nan))
         measured = before & np.isfinite(stated) & (len(now) > 0)
-        self.factors, heat = np.ones(len(rows)), np.zeros((len(rows), 1 + count))
-        self.clamp = np.zeros((len(rows), 3 + count))
-        since = {speed: whole.since_at(speed) for speed in set(faster)}
+        self.temperature_factors, heat = np.ones(len(rows)), np.zeros((len(rows), 1 + count))
+        self.clamp_changes = np.zeros((len(rows), 3 + count))
+        since = {speed: whole.compute_baseline_sensitivities(speed) for speed in set(faster)}
         for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
             if row.natural and row.mode <= count:
                 by_clamp, by_kelvin = since[speed]
-                self.clamp[place] = before[place] * by_clamp[row.mode - 1]
+                self.clamp_changes[place] = before[place] * by_clamp[row.mode - 1]
                 heat[place] = by_kelvin[row.mode - 1]
                 stiffer = 1.0 + table.temperature_coefficient * off[place]
-                self.factors[place] = whole.stiffened(speed, stiffer)[row.mode - 1]
+                self.temperature_factors[place] = whole.compute_stiffening_factors(speed, stiffer)[
+                    row.mode - 1
+                ]
         unknown = (before & ~measured)[:, None]
-        self.temperature = -table.priors["temperature_deviation"] * unknown * heat
+        self.unknown_temperature_changes = -table.priors["temperature_deviation"] * unknown * heat
         of_known = [
             table.coefficient_deviation * off[:, None] * heat[:, :1],
             table.thermometer_deviation * measured[:, None] * heat[:, :1],
             off[:, None] * heat[:, 1:],
         ]
-        self.known = np.hstack(of_known)
+        self.known_temperature_changes = np.hstack(of_known)
 
     @property
-    def columns(self) -> np.ndarray:
+    def all_changes(self) -> np.ndarray:
         """All changes: (q, s)."""
-        return np.hstack([self.temperature, self.clamp, self.known])
+        return np.hstack(
+            [self.unknown_temperature_changes, self.clamp_changes, self.known_temperature_changes]
+        )
 
-    def scaled(self, clamp: float, temperature: float) -> Since:
+    def with_change_factors(self, clamp: float, temperature: float) -> BaselineChanges:
         """The same with the changes by the clamp and by an unknown temperature multiplied."""
         found = copy(self)
-        found.clamp, found.temperature = clamp * self.clamp, temperature * self.temperature
+        found.clamp_changes, found.unknown_temperature_changes = (
+            clamp * self.clamp_changes,
+            temperature * self.unknown_temperature_changes,
+        )
         return found
 
 
-def _modes(scene: Scene) -> Modes:
+def _solve_plate_modes(scene: Scene) -> Modes:
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
     few = min(FEW_MODES, structure.n_dofs - structure.n_pairs)
     return solve_modes(structure, few, lips="tied" if structure.n_pairs else "open")
 
 
-def _held(modes: Modes) -> tuple[np.ndarray, int]:
+def _build_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
     """Rigid motions about the clamp's middle, (n, d), translations first, times its radius of
     gyration, and the number of these; none where no node is clamped or the nodes are not known."""
     nodes = modes.structure.nodes
@@ -355,7 +375,7 @@ def _held(modes: Modes) -> tuple[np.ndarray, int]:
     return rigid, straight
 
 
-def _of_poles(
+def _differentiate_poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Slopes of logarithms of harmonics by those of natural frequencies and of the ratio of
@@ -365,11 +385,11 @@ def _of_poles(
     return found - 2.0 * r**2 / pole, -found
 
 
-def crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
+def compute_crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
     """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one, at
     values (m, d) of the unknowns."""
     table, deviations, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
-    for key in OF_SIZE:  # that of a part-through crack is its depth
+    for key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
         size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:
             size = x[:, keys.index(key)]

@@ -53,7 +53,7 @@ class Identified:
 def report_of_identification(found: Identified) -> Report:
     """Verdict, estimates with their intervals, and the fit."""
     from fenics_crack.monitoring.identification.result import (
-        FITTED,  # SciPy's optimize, interpolate
+        FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
     )
 
     values, rows = found.summary, []
@@ -76,7 +76,7 @@ def report_of_identification(found: Identified) -> Report:
         warnings=values["warnings"],
         tables={
             "Unknowns": table,
-            "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
+            "Measurements and predictions of the estimate": Table(FIT_COLUMN_NAMES, values["measurements"]),
         },
         remarks=values["remarks"],
     )

@@ -29,15 +29,15 @@ from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import Table, Tabular, counted
 from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
-from fenics_crack.monitoring.identification.model import Model, Passages, Quantities
-from fenics_crack.monitoring.identification.nuisance import OF_SIZE
+from fenics_crack.monitoring.identification.model import ForwardModel, Predictor, ProbeDisplacements
+from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
     Branch,
     Likelihood,
     Posterior,
-    scaled_covariance,
-    with_prior,
+    add_uniform_prior,
+    compute_scaled_covariance,
 )
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Identify
@@ -45,7 +45,7 @@ from fenics_crack.scene.words import key_in_words, value_in_words
 
 # --- where to measure -----------------------------------------------------------------------------
 
-FITTED = "measurement", "value", "deviation", "predicted", "of the model", "residual"
+FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the model", "residual"
 """Columns of the table of measurements and predictions."""
 
 
@@ -91,7 +91,7 @@ class Worth(Tabular):
         return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
 
 
-def worth_of(
+def rank_measurements(
     likelihood: Likelihood,
     x: np.ndarray,
     measurements: Sequence[Measurement] | None,
@@ -107,14 +107,14 @@ def worth_of(
     names = ("frequency_deviation", "harmonic_deviation")
     for name, deviation in zip(names, deviations, strict=True):
         check_number(name, deviation, 0.0, above=True)
-    model, made = likelihood.quantities.model, likelihood.quantities.rows
+    model, made = likelihood.predictor.model, likelihood.predictor.rows
     rows = tuple(measurements or ())
     for row in rows:
         row.check(model.scene)
     if measurements is None:
-        rows = (*model.candidates(), *_more_probes(made))
+        rows = (*model.list_candidates(), *_more_probes(made))
     count = len(made)
-    quantities = model.quantities(made, rows)
+    quantities = model.make_predictor(made, rows)
     values = quantities(x[None]).values[0]
     noise = np.array([row.deviation for row in rows])
     if measurements is None:
@@ -134,22 +134,22 @@ def worth_of(
             for at in best
         ),
         gains[best],
-        {key: np.array([each[at][1][key] for at in best]) for key in model.keys},
+        {key: np.array([each[at][1][key] for at in best]) for key in model.unknown_keys},
         now,
     )
 
 
-def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
+def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
     """Return in words the next measurements: missing frequencies of the plate before it had a
     crack, and the most informative other one; none that changes no printed digit."""
-    model, rows = likelihood.quantities.model, likelihood.quantities.rows
+    model, rows = likelihood.predictor.model, likelihood.predictor.rows
     measured = {row.mode for row in rows if row.natural} or {1, 2}
     known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
     found, relative = [], OPTIONS.advised_frequency_deviation
-    if model.coarse.bare is not None and (missing := sorted(measured - known)):
+    if model.coarse_cases.uncracked_cases is not None and (missing := sorted(measured - known)):
         more = [
             Measurement("frequency_uncracked", hertz, relative * hertz, mode=mode)
-            for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
+            for mode, hertz in enumerate(model.uncracked_plate.natural_frequencies.tolist(), 1)
             if mode in missing
         ]
         modes = f"{'ies' if len(missing) > 1 else 'y'} {', '.join(map(str, missing))}"
@@ -174,30 +174,32 @@ def _left_with(
     likelihood: Likelihood, x: np.ndarray, more: Sequence[Measurement]
 ) -> dict[str, float]:
     """Standard deviation of each unknown with some further measurements, all of them."""
-    model = likelihood.quantities.model
-    quantities = model.quantities(likelihood.quantities.rows, more)
+    model = likelihood.predictor.model
+    quantities = model.make_predictor(likelihood.predictor.rows, more)
     every = np.concatenate([likelihood.deviations, [row.deviation for row in more]])
     return _known(model, x, _seen(quantities, x, every), np.arange(len(every)))[1]
 
 
 def _known(
-    model: Model, x: np.ndarray, seen: tuple[np.ndarray, np.ndarray], places: np.ndarray
+    model: ForwardModel, x: np.ndarray, seen: tuple[np.ndarray, np.ndarray], places: np.ndarray
 ) -> tuple[float, dict[str, float]]:
     """log det F of some (n,) of the measurements, from the covariance and the derivatives of all;
     and the standard deviation of each unknown by them."""
     covariance, slopes = seen[0][np.ix_(places, places)], seen[1][places]
-    information = with_prior(slopes.T @ np.linalg.solve(covariance, slopes))
-    own = np.sqrt(np.diag(np.linalg.inv(information))) * (model.cube.high - model.cube.low)
-    left = np.hypot(own, model.crack_deviations(x[None])[0])
+    information = add_uniform_prior(slopes.T @ np.linalg.solve(covariance, slopes))
+    own = np.sqrt(np.diag(np.linalg.inv(information))) * (
+        model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
+    )
+    left = np.hypot(own, model.compute_crack_deviations(x[None])[0])
     volume = float(np.linalg.slogdet(information)[1])
-    return volume, dict(zip(model.keys, left.tolist(), strict=True))
+    return volume, dict(zip(model.unknown_keys, left.tolist(), strict=True))
 
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
     """Possible displacements of one more probe, at 24 phases of the period."""
     phases, probes = 2.0 * np.pi * np.arange(24) / 24, []
-    for passages in Passages.among(made, ()):
-        rows = [made[place] for place in passages.rows]
+    for passages in ProbeDisplacements.group_measurements(made, ()):
+        rows = [made[place] for place in passages.row_indices]
         deviation = float(np.median([row.deviation for row in rows]))
         one = replace(rows[0], value=0.0, deviation=deviation)
         probes += [replace(one, phase=phase) for phase in phases.tolist()]
@@ -205,15 +207,20 @@ def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
 
 
 def _seen(
-    quantities: Quantities, x: np.ndarray, deviations: np.ndarray
+    quantities: Predictor, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance (q, q) of measurements and predictions, over standard deviations (q,), and their
     derivatives by the unknowns over their ranges (q, d); 0 without a prediction."""
-    predicted, cube = quantities(x[None]), quantities.model.cube
-    covariance = scaled_covariance(predicted, np.nan_to_num(predicted.values[0]), deviations)[0]
-    steps = np.diag(1e-3 * (cube.high - cube.low))
-    above, below = np.minimum(x + steps, cube.high), np.maximum(x - steps, cube.low)
-    distance = np.diag(above - below) / (cube.high - cube.low)
+    predicted, cube = quantities(x[None]), quantities.model.unknown_grid
+    covariance = compute_scaled_covariance(
+        predicted, np.nan_to_num(predicted.values[0]), deviations
+    )[0]
+    steps = np.diag(1e-3 * (cube.upper_bounds - cube.lower_bounds))
+    above, below = (
+        np.minimum(x + steps, cube.upper_bounds),
+        np.maximum(x - steps, cube.lower_bounds),
+    )
+    distance = np.diag(above - below) / (cube.upper_bounds - cube.lower_bounds)
     difference = quantities(above).values - quantities(below).values
     slopes = (difference / distance[:, None]).T / deviations[:, None]
     slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
@@ -222,7 +229,7 @@ def _seen(
 
 # --- the result -----------------------------------------------------------------------------------
 
-NO_CRACK = "no crack"
+NO_CRACK_VERDICT = "no crack"
 
 
 @dataclass(frozen=True, repr=False)
@@ -255,7 +262,7 @@ class Identification(Tabular):
     @property
     def unknown(self) -> tuple[str, ...]:
         """The unknowns that are numbers."""
-        return self._at[0].likelihood.quantities.model.keys
+        return self._at[0].likelihood.predictor.model.unknown_keys
 
     @property
     def priors(self) -> dict[str, float]:
@@ -265,28 +272,32 @@ class Identification(Tabular):
     @property
     def _table(self) -> Identify:
         """The table ``[identify]`` with the standard deviation of the temperature."""
-        return next(iter(self.posterior.branches.values())).likelihood.quantities.model.whole.table
+        return next(
+            iter(self.posterior.branch_by_words.values())
+        ).likelihood.predictor.model.uncracked_plate.identify_table
 
     @cached_property
     def _parts(self) -> list[tuple[str, np.ndarray, float]]:
-        return self.posterior.parts(self._table.confidence, OPTIONS.min_part_probability)
+        return self.posterior.find_region_parts(
+            self._table.confidence, OPTIONS.min_part_probability
+        )
 
     @cached_property
     def _at(self) -> tuple[Branch, np.ndarray]:
         """The branch and the unknowns of the estimate."""
-        name, x = self._parts[0][:2] if self._parts else self.posterior.best
-        return self.posterior.branches[name], x
+        name, x = self._parts[0][:2] if self._parts else self.posterior.best_words_and_unknowns
+        return self.posterior.branch_by_words[name], x
 
     @property
     def estimate(self) -> dict[str, Any]:
         """Mean of the unknowns over the most probable part of the region, words too."""
         branch, x = self._at
-        return branch.values(x)
+        return branch.get_value_by_key(x)
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Interval of each unknown with the probability ``identify.confidence``."""
-        found, share = self.posterior.interval, self._table.confidence
+        found, share = self.posterior.compute_interval, self._table.confidence
         return {key: found(place, share) for place, key in enumerate(self.unknown)}
 
     @property
@@ -305,10 +316,10 @@ class Identification(Tabular):
     def conclusion(self) -> str:
         """The verdict in words: of no crack with the sizes, ends of :attr:`intervals`, up to which
         there may be one all the same."""
-        ends = [(key, end) for key, (_, end) in self.intervals.items() if key in OF_SIZE]
+        ends = [(key, end) for key, (_, end) in self.intervals.items() if key in CRACK_SIZE_KEYS]
         sizes = [f"{value_in_words(key, end)} of {key_in_words(key)}" for key, end in ends]
         above = f" above {' or '.join(sizes)}" if sizes else " of the scene's size"
-        return self.verdict + above * (self.verdict == NO_CRACK)
+        return self.verdict + above * (self.verdict == NO_CRACK_VERDICT)
 
     @property
     def reason(self) -> str:
@@ -334,7 +345,7 @@ class Identification(Tabular):
             return undecided, f"{why} ({factor}){_if_as_before(self)}"
         if ratio < -strong:
             unseen = f"{factor}; an undetected one would be at {_where(self)}"
-            return NO_CRACK, unseen + _if_as_before(self)
+            return NO_CRACK_VERDICT, unseen + _if_as_before(self)
         conditions = _if_alone(self) + _if_as_before(self)
         if ratio > strong:
             return "crack", factor + _if_warmer(self) + conditions
@@ -351,14 +362,14 @@ class Identification(Tabular):
         """The next measurements, in words: missing frequencies of the plate before it had a crack,
         and the most informative other one."""
         branch, x = self._at
-        return advice(branch.likelihood, x, self.where_to_measure())
+        return list_advice(branch.likelihood, x, self.where_to_measure())
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
         """Separate cracks that explain the measurements, best first, with probabilities; more than
         one cannot be distinguished."""
-        branches = self.posterior.branches
-        return [(branches[name].values(x), mass) for name, x, mass in self._parts]
+        branches = self.posterior.branch_by_words
+        return [(branches[name].get_value_by_key(x), mass) for name, x, mass in self._parts]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
         """Return True if given values of all unknowns are in the region with a probability, by
@@ -369,14 +380,18 @@ class Identification(Tabular):
         InputError
             An unknown is missing.
         """
-        for branch in self.posterior.branches.values():
-            model = branch.likelihood.quantities.model
-            missing = [key for key in (*model.keys, *model.fixed) if key not in values]
+        for branch in self.posterior.branch_by_words.values():
+            model = branch.likelihood.predictor.model
+            missing = [
+                key for key in (*model.unknown_keys, *model.word_by_key) if key not in values
+            ]
             if missing:
                 raise InputError("values", dict(values), f"with {', '.join(missing)}")
-            if all(values[key] == word for key, word in model.fixed.items()):
-                x = np.array([float(values[key]) for key in model.keys])
-                return branch.at(x) >= self.posterior.level(share or self._table.confidence)
+            if all(values[key] == word for key, word in model.word_by_key.items()):
+                x = np.array([float(values[key]) for key in model.unknown_keys])
+                return branch.interpolate_log_likelihood(x) >= self.posterior.find_region_level(
+                    share or self._table.confidence
+                )
         return False
 
     def where_to_measure(
@@ -404,7 +419,7 @@ class Identification(Tabular):
         """
         deviations = frequency_deviation, harmonic_deviation
         branch, x = self._at
-        return worth_of(branch.likelihood, x, measurements, deviations)
+        return rank_measurements(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
         """Write ``identify.json``, and ``identify.h5``, with it and the posterior (collective).
@@ -415,10 +430,10 @@ class Identification(Tabular):
             A file cannot be written.
         """
         parts: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
-        for number, (name, branch) in enumerate(self.posterior.branches.items()):
+        for number, (name, branch) in enumerate(self.posterior.branch_by_words.items()):
             parts[f"words_{number}"] = name
-            parts[f"log_likelihood_{number}"] = branch.height
-            parts[f"probability_{number}"] = self.posterior.mass[name]
+            parts[f"log_likelihood_{number}"] = branch.log_likelihood
+            parts[f"probability_{number}"] = self.posterior.mass_by_words[name]
             for key, axis in zip(self.unknown, branch.axes, strict=True):
                 parts[f"{key}_{number}"] = axis
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
@@ -457,7 +472,9 @@ class Identification(Tabular):
         return {
             "unknown": list(self.unknown),
             "estimate": [estimate[key] for key in self.unknown],
-            "deviation": [self.posterior.spread(place) for place in range(len(self.unknown))],
+            "deviation": [
+                self.posterior.compute_deviation(place) for place in range(len(self.unknown))
+            ],
             "low": [intervals[key][0] for key in self.unknown],
             "high": [intervals[key][1] for key in self.unknown],
             "unit": [unit_of(key) for key in self.unknown],
@@ -468,21 +485,21 @@ class Identification(Tabular):
         residual over both together."""
         branch, x = self._at
         likelihood = branch.likelihood
-        found = likelihood.likeliest(x)
+        found = likelihood.predict_most_probable(x)
         predicted = found.values[0]
-        spread = np.where(found.known, np.sqrt(np.diag(found.covariance[0])), np.inf)
+        spread = np.where(found.is_predictable, np.sqrt(np.diag(found.covariance[0])), np.inf)
         residuals = (likelihood.values - predicted) / np.hypot(likelihood.deviations, spread)
         columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
-        names = [row.name for row in likelihood.quantities.rows]
+        names = [row.name for row in likelihood.predictor.rows]
         rows = [list(row) for row in zip(names, *(c.tolist() for c in columns), strict=True)]
-        return Table(FITTED, rows)
+        return Table(FIT_COLUMN_NAMES, rows)
 
     @property
     def warnings(self) -> list[str]:
         """Points to be careful about: cases that failed, several cracks that fit, a misfit, a crack
         by one measurement alone, an interval that the bounds cut."""
         found, others = [*self.doubts, *_too_sure(self.measurements)], self.alternatives
-        if self.verdict == NO_CRACK:
+        if self.verdict == NO_CRACK_VERDICT:
             return found
         if len(others) > 1:
             cracks = [
@@ -492,7 +509,7 @@ class Identification(Tabular):
             ]
             found.append(f"these cracks cannot be distinguished: {'; '.join(cracks)}")
         found += _of_fit(self)
-        for place, beyond, bound in self.posterior.cut(self._table.confidence):
+        for place, beyond, bound in self.posterior.iterate_reached_bounds(self._table.confidence):
             key = self.unknown[place]
             where = f"{beyond} {value_in_words(key, bound)}"
             found.append(f"{key_in_words(key)} may be {where}, outside the bounds of the search")
@@ -502,11 +519,13 @@ class Identification(Tabular):
         parts = [self.conclusion]
         if not np.isnan(self.log_bayes_factor):
             parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
-        if self.verdict == NO_CRACK:
+        if self.verdict == NO_CRACK_VERDICT:
             return parts[0]
         for place, key in enumerate(self.unknown):
             value = value_in_words(key, self.estimate[key])
-            parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
+            parts.append(
+                f"{key} = {value} ± {value_in_words(key, self.posterior.compute_deviation(place))}"
+            )
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         parts += ["IF IT IS ONE CRACK"] * bool(_if_alone(self))
@@ -530,9 +549,9 @@ def _of_fit(found: Identification) -> list[str]:
     explains."""
     (total, chance), rows, said = found.misfit, found.measurements.rows, []
     least = 1.0 - found.priors["confidence"]
-    if found.posterior.unresolved > OPTIONS.min_part_probability:
+    if found.posterior.unresolved_probability > OPTIONS.min_part_probability:
         said.append(
-            f"the grid does not resolve {found.posterior.unresolved:.0%} of the probability: the "
+            f"the grid does not resolve {found.posterior.unresolved_probability:.0%} of the probability: the "
             "intervals may be far too small; use larger priors (identify.*_deviation), or measure "
             "more"
         )
@@ -540,12 +559,12 @@ def _of_fit(found: Identification) -> list[str]:
     if chance < least:
         misfit = f"chi^2 = {total:.3g} of {len(rows)}"
         if now > 1:
-            left = [one[0] for one in found.posterior.misfits_without_one]
+            left = [one[0] for one in found.posterior.misfits_without_measurement]
             at = int(np.argmin(left))
             misfit += f", {left[at]:.3g} without {rows[at].name}"
         said.append(f"no crack of this kind explains the measurements: {misfit}")
     if now > 1 and found.plain is not None and found.plain.misfit[1] < least:
-        pairs = zip(rows, found.plain.misfits_without_one, strict=True)
+        pairs = zip(rows, found.plain.misfits_without_measurement, strict=True)
         if names := [row.name for row, (_, without) in pairs if without >= least]:
             that = "these" if len(names) > 1 else "that"
             alone = f"a plate without a crack explains all but {' or '.join(names)}"
@@ -580,7 +599,7 @@ def _if_as_before(found: Identification) -> str:
     if plain is None or not known or stated == 0.0:
         return ""
     healthy = plain.misfit[1] >= least
-    if healthy and plain.misfit_since(temperature=0.0)[1] < least:
+    if healthy and plain.compute_misfit_with_changes(temperature=0.0)[1] < least:
         return (
             f"; {_modulus_change(found, plain)}, explains the measurements without a crack: "
             "measure the temperature, too, before and since (temperature), or open the clamp, "
@@ -590,7 +609,7 @@ def _if_as_before(found: Identification) -> str:
         0.0 if healthy else max(1.0, most / one) if one else 1.0
         for one in (table.before_deviation, heat)
     ]
-    other = plain.misfit_since(clamp=factors[0], temperature=factors[1])
+    other = plain.compute_misfit_with_changes(clamp=factors[0], temperature=factors[1])
     if (other[1] >= least) == healthy:
         return ""
     such = f", or {_modulus_change(found, plain)}," if healthy else ""
@@ -605,7 +624,10 @@ def _if_as_before(found: Identification) -> str:
 def _if_warmer(found: Identification) -> str:
     """The change of Young's modulus without which a crack does not explain the measurements, in
     words; else empty."""
-    if found.posterior.misfit_since(temperature=0.0)[1] >= 1.0 - found.priors["confidence"]:
+    if (
+        found.posterior.compute_misfit_with_changes(temperature=0.0)[1]
+        >= 1.0 - found.priors["confidence"]
+    ):
         return ""
     return f"; with {_modulus_change(found, found.posterior)}"
 
@@ -613,7 +635,7 @@ def _if_warmer(found: Identification) -> str:
 def _modulus_change(found: Identification, posterior: Posterior) -> str:
     """Posterior mean of the change of Young's modulus, in words: "a Young's modulus 1 % lower than
     before, as about 25 K more make it"."""
-    kelvin = found.priors["temperature_deviation"] * posterior.temperature_change
+    kelvin = found.priors["temperature_deviation"] * posterior.mean_temperature_change
     change = found.priors["temperature_coefficient"] * kelvin
     way = "lower" if change < 0.0 else "higher"
     how = f"as about {abs(kelvin):.2g} K {'more' if kelvin > 0.0 else 'less'} make it"
@@ -622,10 +644,12 @@ def _modulus_change(found: Identification, posterior: Posterior) -> str:
 
 def _where(found: Identification) -> str:
     """Intervals of the unknowns, in words, and sizes below the bounds of the search."""
-    cube = found.posterior.branches[found.posterior.best[0]].likelihood.quantities.model.cube
+    cube = found.posterior.branch_by_words[
+        found.posterior.best_words_and_unknowns[0]
+    ].likelihood.predictor.model.unknown_grid
     places = []
-    for (key, ends), least in zip(found.intervals.items(), cube.low, strict=True):
+    for (key, ends), least in zip(found.intervals.items(), cube.lower_bounds, strict=True):
         low, high = (value_in_words(key, end) for end in ends)
         shorter = f", or below {value_in_words(key, least)}, outside the bounds of the search"
-        places.append(f"{key_in_words(key)} {low} to {high}{shorter * (key in OF_SIZE)}")
+        places.append(f"{key_in_words(key)} {low} to {high}{shorter * (key in CRACK_SIZE_KEYS)}")
     return "; ".join(places)
