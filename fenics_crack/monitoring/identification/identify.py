@@ -133,7 +133,9 @@ def identify(
     whole = _whole(scene, comm)
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
     known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
-    whole.check_units_and_modes(measurements, [load for load in known if load > 0.0], other=others)
+    whole.check_units_and_modes(
+        measurements, [load for load in known if load > 0.0], may_be_other_plate=others
+    )
     closer: list[Axis] = []
     while True:
         more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}

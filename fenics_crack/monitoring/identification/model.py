@@ -24,8 +24,8 @@ from fenics_crack.monitoring.identification.interpolation import (
     Feature,
     Interpolation,
     SolvedCases,
-    poles,
-    scales,
+    compute_ratios_and_poles,
+    compute_smoothing_factors,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.nuisance import (
@@ -90,7 +90,9 @@ class ProbeDisplacements:
         apart = self._phases[:, None] - self._phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(orders, apart)))
 
-    def fit_harmonics(self, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def fit_harmonics(
+        self, waves: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The displacements of harmonics U_k (m, K) [m], fitted to measured ones.
 
         All of them, also those that were not measured: (m, n) [m]; their slopes t (m, n, K) by the
@@ -371,7 +373,9 @@ class Predictor:
         """The same with the priors of how much the clamp and an unknown temperature have changed
         since there was no crack multiplied by factors."""
         found = copy(self)
-        found.baseline_changes = self.baseline_changes.with_change_factors(clamp_factor, temperature_factor)
+        found.baseline_changes = self.baseline_changes.with_change_factors(
+            clamp_factor, temperature_factor
+        )
         return found
 
     def iterate_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
@@ -427,7 +431,7 @@ class Predictor:
 
     def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Factors that make features smooth: (m, f), for both sweeps from the coarse one."""
-        return scales(
+        return compute_smoothing_factors(
             self._features,
             self.model.get_damping_ratios(x),
             basis,
@@ -549,7 +553,9 @@ class Predictor:
         last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
         every = [replace(first, order=order) for order in range(1, last + 1)]
         soft = np.nan_to_num(basis[..., NUMBERED], nan=np.inf) ** -4.0
-        moved = np.sum(soft / np.abs(poles(every, damping, basis)[1]) ** 2, axis=2)
+        moved = np.sum(
+            soft / np.abs(compute_ratios_and_poles(every, damping, basis)[1]) ** 2, axis=2
+        )
         moved /= np.arange(1.0, last + 1.0) ** 2
         upper = slice(kept // 2, kept)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -76,7 +76,9 @@ def report_of_identification(found: Identified) -> Report:
         warnings=values["warnings"],
         tables={
             "Unknowns": table,
-            "Measurements and predictions of the estimate": Table(FIT_COLUMN_NAMES, values["measurements"]),
+            "Measurements and predictions of the estimate": Table(
+                FIT_COLUMN_NAMES, values["measurements"]
+            ),
         },
         remarks=values["remarks"],
     )

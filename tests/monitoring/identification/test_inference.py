@@ -70,7 +70,7 @@ def test_order_of_the_interpolation() -> None:
     assert 3.5 < order < 5.0
     for shape, power in (((4, 4), 3), ((5, 6), 3), ((4, 5, 3), 2)):
         cube = UnknownGrid(tuple(np.linspace(0.0, k + 1.0, n) for k, n in enumerate(shape)))
-        x = cube.high * np.random.default_rng(0).random((9, len(shape)))
+        x = cube.upper_bounds * np.random.default_rng(0).random((9, len(shape)))
         found = Interpolation(
             cube, (1.0 + cube.nodes**power).prod(axis=1, keepdims=True)
         ).interpolate(x)
@@ -366,10 +366,10 @@ def test_units_at_other_speeds() -> None:
     whole, fast = UncrackedPlate(plain, scene.given("identify")), hertz(rpm=9000.0)
     assert fast > 1.3 * whole.natural_frequencies[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
-    whole.check_units_and_modes(fc.Measurements((row,)), [], other=False)
+    whole.check_units_and_modes(fc.Measurements((row,)), [], may_be_other_plate=False)
     with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
         wrong = replace(row, value=2.0 * np.pi * fast)
-        whole.check_units_and_modes(fc.Measurements((wrong,)), [], other=False)
+        whole.check_units_and_modes(fc.Measurements((wrong,)), [], may_be_other_plate=False)
     young = 0.5 * scene.given("identify").young_deviation
     still, own, faster = (whole.compute_prior_sensitivities(one)[0, 0] for one in (0.0, 1.0, 3.0))
     assert still == pytest.approx(young)
