@@ -183,7 +183,9 @@ def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int)
     )  # fmt: skip
     met_reasons = [
         reason
-        for reason, event_growth_sums in zip(event_function_by_reason, ode_solution.t_events, strict=True)
+        for reason, event_growth_sums in zip(
+            event_function_by_reason, ode_solution.t_events, strict=True
+        )
         if len(event_growth_sums)
     ]
     end_reason: GrowthEnd = met_reasons[0] if met_reasons else "arrested"  # type: ignore[assignment]

@@ -455,10 +455,8 @@ def _validate_growth_scene(scene: Scene) -> Scene:
         raise InputError("growth.drive", law.drive, f"another one {NO_PEAK_SOUGHT}")
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
     allowed = "given with [growth], and crack.length: these are what changes"
-    start_size, max_size = (
-        crack.given(size_key, allowed),
-        getattr(scene.geometry, limit_key) or math.inf,
-    )
+    start_size = crack.given(size_key, allowed)
+    max_size = getattr(scene.geometry, limit_key) or math.inf
     if not start_size < law.until < max_size:
         allowed = (
             f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {max_size:g}"
@@ -644,10 +642,8 @@ def _describe_failed_ellipses(
         for size_index, (table_sizes, path_sizes) in zip(
             case_index, table_and_path_sizes, strict=True
         ):
-            smaller_size, larger_size = (
-                table_sizes[max(size_index - 1, 0)],
-                table_sizes[min(size_index + 1, N_ELLIPSE_SIZES_PER_AXIS - 1)],
-            )
+            smaller_size = table_sizes[max(size_index - 1, 0)]
+            larger_size = table_sizes[min(size_index + 1, N_ELLIPSE_SIZES_PER_AXIS - 1)]
             is_near_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
         if np.any(is_near_case):
             raise ConvergenceError(
@@ -977,10 +973,8 @@ def _reduce_load_levels(
     (k,) [rad/s]
         Load frequency of the level with most growth.
     """
-    effective_ranges, equivalent_ranges = (
-        levels_by_column["delta_K_effective"],
-        levels_by_column["delta_K_equivalent"],
-    )
+    effective_ranges = levels_by_column["delta_K_effective"]
+    equivalent_ranges = levels_by_column["delta_K_equivalent"]
     column_by_name = {
         column_name: levels_by_column[column_name].max(axis=1)
         for column_name in ("K_max", "delta_K_effective")
@@ -1035,11 +1029,9 @@ def _solve_lengths(
     first_length, last_length = scene.given("crack").length, law.until
     level_omega, level_cycles = _list_load_levels(law)
     # Five are the fewest of which a spline through every other one can be made.
-    next_lengths, life_error, interval_errors = (
-        np.linspace(first_length, last_length, 5),
-        np.inf,
-        np.zeros(0),
-    )
+    next_lengths = np.linspace(first_length, last_length, 5)
+    life_error = np.inf
+    interval_errors = np.zeros(0)
     length_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
     for round_number in range(1, 7):  # 129 lengths are as close as meshes are similar
         sweep_path = None if folder is None else folder / f"growth_{round_number}.h5"
@@ -1047,10 +1039,8 @@ def _solve_lengths(
             {"excitation.omega": level_omega} if len(level_omega) else {}
         )
         sweep_result = _sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
-        previous_path, length_path = (
-            length_path,
-            length_path.with_sweep(sweep_result, law, level_cycles),
-        )
+        previous_path = length_path
+        length_path = length_path.with_sweep(sweep_result, law, level_cycles)
         if round_number == 1:
             if length_path.failures:
                 failed_length, failure_text = length_path.failures[0]
@@ -1059,10 +1049,8 @@ def _solve_lengths(
                 column_name: column[::2]
                 for column_name, column in length_path.column_by_name.items()
             }
-            previous_path, interval_errors = (
-                LengthPath(length_path.lengths[::2], coarse_column_by_name, ()),
-                np.zeros(len(length_path.lengths) // 2),
-            )
+            previous_path = LengthPath(length_path.lengths[::2], coarse_column_by_name, ())
+            interval_errors = np.zeros(len(length_path.lengths) // 2)
         interval_errors = _estimate_interval_errors(previous_path, length_path, interval_errors)
         integration_lengths, integration_cycles, _ = _integrate_cycles(length_path, law)
         interval_cycles = np.diff(
@@ -1147,10 +1135,8 @@ def _estimate_interval_errors(
         return np.abs(np.log(driving_range / previous_driving_range))
 
     # Halved, a spline's error falls by 16, and here by 4 at least.
-    end_errors, is_new_length = (
-        log_range_difference(length_path.lengths) / 4.0,
-        ~np.isin(length_path.lengths, previous_path.lengths),
-    )
+    end_errors = log_range_difference(length_path.lengths) / 4.0
+    is_new_length = ~np.isin(length_path.lengths, previous_path.lengths)
     middle_lengths = 0.5 * (length_path.lengths[1:] + length_path.lengths[:-1])
     inherited_errors = previous_errors[np.searchsorted(previous_path.lengths, middle_lengths) - 1]
     kept_interval_errors = np.maximum(inherited_errors, log_range_difference(middle_lengths))

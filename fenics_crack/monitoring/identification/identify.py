@@ -546,5 +546,5 @@ def _models(
         for sweep, plain in zip(sweeps, bare or (None,) * 3, strict=True):
             under = None if plain is None else SolvedCases(plain, loads, (), fixed)
             parts.append(None if sweep is None else SolvedCases(sweep, loads, meshes, fixed, under))
-        models[", ".join(chosen)] = ForwardModel(scene, whole, parts, fixed=fixed)
+        models[", ".join(chosen)] = ForwardModel(scene, whole, parts, word_by_key=fixed)
     return models

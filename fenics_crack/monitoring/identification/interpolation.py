@@ -344,11 +344,9 @@ class SolvedCases:
         uncracked_cases: SolvedCases | None = None,
     ) -> None:
         """Take a sweep, the axes of its meshes' numbers, and the chosen word by key."""
-        self.sweep_result, self.swept_loads, self.uncracked_cases = (
-            sweep_result,
-            swept_loads,
-            uncracked_cases,
-        )
+        self.sweep_result = sweep_result
+        self.swept_loads = swept_loads
+        self.uncracked_cases = uncracked_cases
         number_axes: list[Axis] = []
         word_index: list[Any] = []
         for axis in sweep_result.axes[:-1]:
@@ -358,10 +356,8 @@ class SolvedCases:
         self.unknown_grid = UnknownGrid(
             tuple(np.array(axis.values, dtype=float) for axis in number_axes)
         )
-        self.unknown_keys, self.word_index = (
-            tuple(axis.key for axis in number_axes),
-            tuple(word_index),
-        )
+        self.unknown_keys = tuple(axis.key for axis in number_axes)
+        self.word_index = tuple(word_index)
 
     def get_column(self, column_name: str) -> np.ndarray:
         """Return a column at all nodes and loads: (n, n_loads)."""

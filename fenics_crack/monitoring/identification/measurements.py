@@ -577,13 +577,11 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
         if unit and unit not in (allowed_units := UNITS_BY_COLUMN.get(column_name, ())):
             allowed_text = f"in {' or '.join(allowed_units)}" if allowed_units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell}", allowed_text)
-    factor_by_column, measurements = (
-        {
-            column_name: factor
-            for column_name, (_, factor) in zip(column_names, headings_in_si, strict=True)
-        },
-        [],
-    )
+    factor_by_column = {
+        column_name: factor
+        for column_name, (_, factor) in zip(column_names, headings_in_si, strict=True)
+    }
+    measurements = []
     for line_number, cells in table_lines:
         try:
             measurements.append(

@@ -98,11 +98,9 @@ class UncrackedPlate:
             identify_table = replace(
                 identify_table, temperature_deviation=25.0 if scene.speed else 10.0
             )
-        self.rotor_speed, self.identify_table, modes = (
-            scene.speed,
-            identify_table,
-            _solve_plate_modes(scene),
-        )
+        self.rotor_speed = scene.speed
+        self.identify_table = identify_table
+        modes = _solve_plate_modes(scene)
         modes_at_rest = _solve_plate_modes(scene.at_rest()) if scene.speed > 0.0 else modes
         mode_shapes = (
             np.hstack([modes_at_rest.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
@@ -123,10 +121,8 @@ class UncrackedPlate:
             - elastic_stiffness
         )
         rigid_motions_at_clamp, self.n_reaction_forces = _build_clamp_motions(modes)
-        self.stiffness_parts, self.clamp_reactions = (
-            np.stack([elastic_stiffness, rotation_stiffness]),
-            rest_stiffness_basis.T @ rigid_motions_at_clamp,
-        )
+        self.stiffness_parts = np.stack([elastic_stiffness, rotation_stiffness])
+        self.clamp_reactions = rest_stiffness_basis.T @ rigid_motions_at_clamp
 
     @cached_property
     def natural_frequencies(self) -> np.ndarray:
@@ -175,10 +171,8 @@ class UncrackedPlate:
         def clamp_reductions(speed_ratio: float) -> np.ndarray:
             omega, mode_vectors = self.solve_modes_at(speed_ratio)
             squared_reactions = (self.clamp_reactions.T @ mode_vectors) ** 2 / omega**2
-            moment_parts, force_parts = (
-                squared_reactions[self.n_reaction_forces :],
-                squared_reactions[: self.n_reaction_forces],
-            )
+            moment_parts = squared_reactions[self.n_reaction_forces :]
+            force_parts = squared_reactions[: self.n_reaction_forces]
             return np.stack([moment_parts.sum(axis=0), force_parts.sum(axis=0)])
 
         return np.asarray(
@@ -238,10 +232,8 @@ class UncrackedPlate:
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (modes == 1 + np.arange(n_modes)), shape
         )
-        slopes_by_crack, slopes_by_damping = (
-            slopes_by_mode * is_cracked_frequency,
-            np.zeros((*shape[:2], 1)),
-        )
+        slopes_by_crack = slopes_by_mode * is_cracked_frequency
+        slopes_by_damping = np.zeros((*shape[:2], 1))
         if not is_natural_frequency.all():
             with np.errstate(invalid="ignore"):
                 log_bilinear, log_uncracked = np.split(
@@ -284,10 +276,8 @@ class UncrackedPlate:
 
         That of an unknown is 0.
         """
-        identify_table, unknown_keys = (
-            self.identify_table,
-            {axis.key for axis in self.identify_table.unknown},
-        )
+        identify_table = self.identify_table
+        unknown_keys = {axis.key for axis in self.identify_table.unknown}
         keys = ("material.young", "material.density", "geometry.thickness")
         deviations = (
             identify_table.young_deviation,
@@ -310,10 +300,8 @@ class UncrackedPlate:
         (n, 1 + n)
             Changes by a kelvin, and their uncertainty due to rotation.
         """
-        identify_table, elastic_fractions = (
-            self.identify_table,
-            self.compute_elastic_fractions(speed_ratio),
-        )
+        identify_table = self.identify_table
+        elastic_fractions = self.compute_elastic_fractions(speed_ratio)
         identity = np.eye(len(elastic_fractions))
         clamp_changes = np.column_stack(
             [
@@ -374,10 +362,8 @@ class UncrackedPlate:
             if rows and (
                 all(has_unit) if may_be_other_plate and unit_name == "rad/s" else any(has_unit)
             ):
-                row, plate_frequencies = (
-                    rows[has_unit.index(True)],
-                    frequencies_by_row[has_unit.index(True)],
-                )
+                row = rows[has_unit.index(True)]
+                plate_frequencies = frequencies_by_row[has_unit.index(True)]
                 modes_text = "" if all(has_unit) and len(rows) > 1 else ", or of another mode"
                 allowed_text = (
                     f"in Hz; of this plate it is about {plate_frequencies[row.mode - 1]:.4g} "
@@ -436,10 +422,8 @@ class BaselineChanges:
 
         Records since the crack are at the mean of their stated temperatures, if any is stated.
         Records before it are at the stated temperature, or at an unknown one."""
-        identify_table, n_modes = (
-            uncracked_plate.identify_table,
-            len(uncracked_plate.natural_frequencies),
-        )
+        identify_table = uncracked_plate.identify_table
+        n_modes = len(uncracked_plate.natural_frequencies)
         is_baseline = np.array([row.quantity == "frequency_uncracked" for row in rows])
         stated_temperatures = np.array([row.temperature for row in rows])
         current_temperatures = stated_temperatures[~is_baseline & np.isfinite(stated_temperatures)]
@@ -450,10 +434,8 @@ class BaselineChanges:
         has_known_offset = (
             is_baseline & np.isfinite(stated_temperatures) & (len(current_temperatures) > 0)
         )
-        self.temperature_factors, kelvin_changes = (
-            np.ones(len(rows)),
-            np.zeros((len(rows), 1 + n_modes)),
-        )
+        self.temperature_factors = np.ones(len(rows))
+        kelvin_changes = np.zeros((len(rows), 1 + n_modes))
         self.clamp_changes = np.zeros((len(rows), 3 + n_modes))
         sensitivities_by_ratio = {
             speed_ratio: uncracked_plate.compute_baseline_sensitivities(speed_ratio)
@@ -499,9 +481,9 @@ class BaselineChanges:
     ) -> BaselineChanges:
         """Return a copy with the changes by clamp and unknown temperature multiplied."""
         scaled_changes = copy(self)
-        scaled_changes.clamp_changes, scaled_changes.unknown_temperature_changes = (
-            clamp_factor * self.clamp_changes,
-            temperature_factor * self.unknown_temperature_changes,
+        scaled_changes.clamp_changes = clamp_factor * self.clamp_changes
+        scaled_changes.unknown_temperature_changes = (
+            temperature_factor * self.unknown_temperature_changes
         )
         return scaled_changes
 
@@ -556,11 +538,9 @@ def compute_crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -
 
     They are for values x (m, d) of the unknowns.
     """
-    identify_table, deviations, crack_reaches = (
-        scene.given("identify"),
-        np.zeros_like(x),
-        np.zeros(len(x)),
-    )
+    identify_table = scene.given("identify")
+    deviations = np.zeros_like(x)
+    crack_reaches = np.zeros(len(x))
     for key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
         crack_sizes = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:

@@ -182,10 +182,8 @@ class Branch:
         d = len(cube.axes)
         self.axes: tuple[np.ndarray, ...] = ()
         if d == 0:
-            self.log_likelihood, self.prior_mass = (
-                likelihood(np.zeros((1, 0))).reshape(()),
-                np.ones(()),
-            )
+            self.log_likelihood = likelihood(np.zeros((1, 0))).reshape(())
+            self.prior_mass = np.ones(())
             self.optima = [Optimum(np.zeros(0), float(self.log_likelihood), np.zeros((0, 0)))]
             return
         first = _even(cube)

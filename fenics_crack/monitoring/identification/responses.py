@@ -101,10 +101,8 @@ def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]
         is_response = dataset_line[:6].strip() == b"58"
         heading_lines = [dataset_line, *(file.readline().rstrip() for _ in range(11 * is_response))]
         if is_response and dataset_line[6:7].lower() == b"b":
-            byte_order, n_bytes = (
-                {1: "<", 2: ">"}[int(dataset_line[7:13])],
-                int(dataset_line[31:43].strip() or 0),
-            )
+            byte_order = {1: "<", 2: ">"}[int(dataset_line[7:13])]
+            n_bytes = int(dataset_line[31:43].strip() or 0)
             if (number_type := int(heading_lines[7][:10])) in NUMPY_TYPE_BY_CODE and int(
                 heading_lines[7][20:30]
             ):
@@ -221,10 +219,8 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         frequency, frequency_deviation, damping_ratio = wide_fit
         frequency_deviation = float(np.hypot(frequency_deviation, frequency - narrow_fit[0]))
         # Peaks of noise do not give a frequency to a tenth of the width.
-        peak_width, peak_distance = (
-            damping_ratio * frequency,
-            abs(frequency - omega[peak_index] / TURN),
-        )
+        peak_width = damping_ratio * frequency
+        peak_distance = abs(frequency - omega[peak_index] / TURN)
         if frequency_deviation < 0.1 * peak_width and peak_distance < peak_width:
             mode_rows.append((frequency, frequency_deviation, damping_ratio))
     if not mode_rows:
@@ -237,10 +233,8 @@ def _lines_around_peak(power: np.ndarray, peak_index: int, min_power: float) -> 
     """Return the slice of lines around a peak with at least a given power, and at most the
     peak's."""
     outside_indices = np.flatnonzero((power < min_power) | (power > power[peak_index]))
-    outside_before, outside_after = (
-        outside_indices[outside_indices < peak_index],
-        outside_indices[outside_indices > peak_index],
-    )
+    outside_before = outside_indices[outside_indices < peak_index]
+    outside_after = outside_indices[outside_indices > peak_index]
     return slice(
         outside_before[-1] + 1 if len(outside_before) else 0,
         outside_after[0] if len(outside_after) else len(power),

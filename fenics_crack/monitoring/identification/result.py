@@ -216,10 +216,8 @@ def _seen(
         predicted, np.nan_to_num(predicted.values[0]), deviations
     )[0]
     steps = np.diag(1e-3 * (cube.upper_bounds - cube.lower_bounds))
-    above, below = (
-        np.minimum(x + steps, cube.upper_bounds),
-        np.maximum(x - steps, cube.lower_bounds),
-    )
+    above = np.minimum(x + steps, cube.upper_bounds)
+    below = np.maximum(x - steps, cube.lower_bounds)
     distance = np.diag(above - below) / (cube.upper_bounds - cube.lower_bounds)
     difference = quantities(above).values - quantities(below).values
     slopes = (difference / distance[:, None]).T / deviations[:, None]
