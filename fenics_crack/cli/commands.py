@@ -194,7 +194,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search  # SciPy
-    from fenics_crack.monitoring.identification.report import Identified
+    from fenics_crack.monitoring.identification.report import IdentificationOutput
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
@@ -221,6 +221,6 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     console.table(found.table())
     names = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
     console.note(f"{folder / 'identify.h5'}, .json; {names}", replaced)
-    report = report_of(Identified(scene, found.summary(), folder / "posterior.png"))
+    report = report_of(IdentificationOutput(scene, found.summary(), folder / "posterior.png"))
     remarks = [*report.remarks, *remarks_on_scene(scene)]
     return say(replace(report, remarks=remarks, done=not found.doubts), console)

@@ -69,7 +69,7 @@ KINDS = {
     "identification": Kind(
         "identify", "Identification",
         "monitoring.identification.report:report_of_identification",
-        "monitoring.identification.report:Identified.of", "cli.pictures:draw_identified",
+        "monitoring.identification.report:IdentificationOutput.of", "cli.pictures:draw_identified",
     ),
     "verification": Kind(
         "verify", "Convergence study", "cli.studies:report_of_verification",

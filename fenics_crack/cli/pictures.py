@@ -31,7 +31,7 @@ from fenics_crack.fatigue.growth import Growth
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.monitoring.identification.report import Identified
+from fenics_crack.monitoring.identification.report import IdentificationOutput
 from fenics_crack.monitoring.timing import Timing, largest_blade
 from fenics_crack.runs.conclusion import describe_error, frequency_in_words
 from fenics_crack.runs.run import Run
@@ -351,7 +351,7 @@ def draw_timing(found: Timing, file: Drawn) -> None:
         plot_study.draw_tip_fit(fit, found.arrivals[largest], path=file("timing", words))
 
 
-def draw_identified(found: Identified, file: Drawn) -> None:
+def draw_identified(found: IdentificationOutput, file: Drawn) -> None:
     """Take the picture that ``identify`` has drawn, which may be written to its own place."""
     path = file("posterior", "Probability of cracks, given the measurements.")
     source = found.picture.with_suffix(path.suffix)

@@ -179,7 +179,8 @@ def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int)
     max_growth_sum = np.ptp(table.depths) + np.ptp(table.lengths)
     ode_solution = solve_ivp(
         state_slope, (0.0, max_growth_sum), start_state, "LSODA", rtol=1e-8, atol=1e-12,
-        max_step=max_growth_sum / N_PATH_ROWS, events=list(event_function_by_reason.values()), dense_output=True,
+        max_step=max_growth_sum / N_PATH_ROWS,
+        events=list(event_function_by_reason.values()), dense_output=True,
     )  # fmt: skip
     met_reasons = [
         reason

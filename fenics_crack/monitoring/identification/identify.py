@@ -1,10 +1,10 @@
 """From measurements to the crack: one call.
 
-The forward model is solved by sweeps over the unknowns, each in a file from which a killed run goes
-on: of the scene, or of a coarser mesh; of a finer one at a few of the same values, which corrects
-the first; of the first again at a few values halfway between, where the interpolation is tested;
-and these of the plate without its crack. A :class:`Model` interpolates between their cases.
-Nuisance parameters have priors, and change the predictions to first order
+The forward model is solved by sweeps over the unknowns; a killed run continues from their files.
+They are sweeps of the scene or a coarser mesh; of a finer mesh at a few of the same values, which
+corrects the first; of the first mesh at a few values halfway between, which tests the
+interpolation; and the same of the plate without its crack. A :class:`ForwardModel` interpolates
+between their cases. Nuisance parameters have priors, and change the predictions to first order
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
@@ -51,9 +51,9 @@ from fenics_crack.scene.tables import MIN_VALUES, Identify, Sweep
 from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
-IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")
-"""Tables that do not matter to a sweep of the forward model."""
-Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
+IRRELEVANT_SCENE_TABLES = ("sweep", "curve", "integration", "identify", "tip_timing")
+"""Tables of a scene that do not matter to a sweep of the forward model."""
+ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
 """Sweeps of all cases, of a finer mesh, and halfway between the cases."""
 
 
@@ -69,16 +69,18 @@ def identify(
     """Find a crack, or other keys of a scene, from measurements (collective).
 
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
-    at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
-    frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
-    steady load or a clearance the grid gets denser where cracks between meet a resonance, and
-    around cracks that explain the measurements where interpolation is a large part of an error.
-    The interpolation has an error of its own, by cross-validation and a few cases halfway between
-    the others, which is added to that of the measurements. So is the remaining error of the mesh:
-    where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the correction
-    d, too (of an error of first order d / (f - 1) is left, of one of high order nothing). Least
-    squares from several starts find the estimate, a posterior on a grid its regions, and its
-    integral over the prior decides whether there is a crack.
+    at a few points; files in ``folder`` keep both, and a killed run continues from them. Natural
+    frequencies of a rotor may be at several speeds, each of which is solved. Under a steady load or
+    a clearance, the grid becomes denser where cracks between its points meet a resonance. It also
+    becomes denser around cracks that explain the measurements if interpolation is a large part of
+    an error.
+
+    Cross-validation and a few cases halfway between the others estimate the error of interpolation,
+    which is added to that of the measurements. So is the remaining error of the mesh: if a mesh
+    finer by f changes a quantity by d, it is d / (2 f - 2). This is added to the correction d, too:
+    an error of first order leaves d / (f - 1), one of high order nothing. Least squares from
+    several starts find the estimate, and a posterior on a grid its regions. The integral of the
+    posterior over the prior decides whether there is a crack.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def identify(
         Replaces the table ``[identify.unknown]``: keys of the scene with the values at which it is
         solved. Their ends are the bounds, between which the prior is uniform.
     folder : path
-        For the files of the sweeps.
+        Folder of the sweeps' files.
     comm : MPI.Comm
         Ranks over which they are spread.
     progress : bool
@@ -115,42 +117,58 @@ def identify(
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
     if unknown is not None:
-        table = scene.identify or Identify.from_mapping({"unknown": unknown})
-        changed = replace(table, unknown=Identify.checked("unknown", unknown))
-        scene = replace(scene, identify=changed)
+        identify_table = scene.identify or Identify.from_mapping({"unknown": unknown})
+        changed_table = replace(identify_table, unknown=Identify.checked("unknown", unknown))
+        scene = replace(scene, identify=changed_table)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with the unknowns")
-    words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
-    if words and not scene.identify.meshes:
+    has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
+    if has_only_words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
     if not isinstance(measurements, Measurements):
         path = measurements
         measurements = on_root(comm, lambda: Measurements.read(path))
     measurements.check(scene)
     rows = measurements.rows
-    shaken = [row.frequency for row in rows if not row.natural]
-    further = [load for row in rows if row.natural and (load := row.load(scene))]
-    whole = _whole(scene, comm)
-    others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
-    known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
-    whole.check_units_and_modes(
-        measurements, [load for load in known if load > 0.0], may_be_other_plate=others
+    load_frequencies = [row.frequency for row in rows if not row.natural]
+    speed_loads = [
+        load_frequency for row in rows if row.natural and (load_frequency := row.load(scene))
+    ]
+    uncracked_plate = _solve_uncracked_plate(scene, comm)
+    has_other_unknowns = any(
+        not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
     )
-    closer: list[Axis] = []
+    known_loads = (scene.excitation.omega / TURN, *scene.identify.frequencies)
+    uncracked_plate.check_units_and_modes(
+        measurements,
+        [load_frequency for load_frequency in known_loads if load_frequency > 0.0],
+        may_be_other_plate=has_other_unknowns,
+    )
+    refined_axes: list[Axis] = []
     while True:
-        more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}
-        forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
+        solve_arguments: dict[str, Any] = {
+            "speed_loads": speed_loads,
+            "uncracked_plate": uncracked_plate,
+            "refined_axes": refined_axes,
+        }
+        forward = solve_forward(
+            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_arguments
+        )
         begin("inference")
         identification = infer_unknowns(forward, measurements)
-        if (worst := _interpolated(identification)) is None:
+        if (
+            interpolated_measurement := _find_most_interpolated_measurement(identification)
+        ) is None:
             return identification
-        name, share, cracks = worst
-        if (axis := _closer(forward, identification, share, cracks)) is None:
+        measurement_name, share_by_unknown, explaining_x = interpolated_measurement
+        if (
+            axis := _refine_axis_by_share(forward, identification, share_by_unknown, explaining_x)
+        ) is None:
             break
-        closer.append(axis)
+        refined_axes.append(axis)
     remark = (
-        f"interpolation between the solved cases has {share.sum():.0%} of the variance of "
-        f"{name}: more values in identify.unknown make regions narrower"
+        f"interpolation between the solved cases has {share_by_unknown.sum():.0%} of the variance "
+        f"of {measurement_name}: more values in identify.unknown make regions narrower"
     )
     return replace(identification, remarks=(*identification.remarks, remark))
 
@@ -166,107 +184,148 @@ def infer_unknowns(forward: SolvedForwardModels, measurements: Measurements) -> 
         Too few cases of the model were solved for any measurement of the plate as it is.
     """
     measurements.check(forward.scene)
-    measurements, doubts = _predicted(forward, measurements)
+    measurements, doubts = _select_predictable_rows(forward, measurements)
     rows = measurements.rows
     values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
-    branches, plain = (
+    branch_by_words, uncracked_branch_by_words = (
         {
-            name: Branch(Likelihood(values, deviations, model.make_predictor(rows)))
-            for name, model in models.items()
+            words: Branch(Likelihood(values, deviations, model.make_predictor(rows)))
+            for words, model in model_by_words.items()
         }
-        for models in (forward.cracked_model_by_words, forward.uncracked_model_by_words)
+        for model_by_words in (forward.cracked_model_by_words, forward.uncracked_model_by_words)
     )
     remarks = (
         *list_measurement_remarks(forward.scene, measurements),
-        *_unresolved(forward, measurements),
+        *_describe_unresolved_resonances(forward, measurements),
     )
-    both = Posterior(branches), Posterior(plain) if plain else None
-    return Identification(forward.scene, measurements, *both, remarks, doubts)
+    posteriors = (
+        Posterior(branch_by_words),
+        Posterior(uncracked_branch_by_words) if uncracked_branch_by_words else None,
+    )
+    return Identification(forward.scene, measurements, *posteriors, remarks, doubts)
 
 
-def _predicted(
+def _select_predictable_rows(
     forward: SolvedForwardModels, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """Measurements that every model predicts, with a crack and without; and in words the failed
-    cases that were needed, and the measurements that are not used for that.
+    """Select the measurements that every model predicts, with a crack and without.
 
     A measurement that one hypothesis cannot predict would count against the other alone.
+
+    Returns
+    -------
+    Measurements
+        Predictable measurements.
+    tuple of str
+        Failed cases that were needed, and measurements that are therefore not used.
     """
     models = [*forward.cracked_model_by_words.values(), *forward.uncracked_model_by_words.values()]
     rows = measurements.rows
-    known = np.all([model.make_predictor(rows).is_predictable for model in models], axis=0)
-    parts = (part for model in models for part in (model.coarse_cases, model.finer_cases) if part)
-    sweeps = {part.sweep_result.path: part for part in parts}
-    loads = {row.frequency for row in rows}
+    is_predictable = np.all([model.make_predictor(rows).is_predictable for model in models], axis=0)
+    case_sets = (
+        solved_cases
+        for model in models
+        for solved_cases in (model.coarse_cases, model.finer_cases)
+        if solved_cases
+    )
+    cases_by_path = {solved_cases.sweep_result.path: solved_cases for solved_cases in case_sets}
+    load_frequencies = {row.frequency for row in rows}
     doubts = []
-    for path, part in sweeps.items():
-        sweep, solved = part.sweep_result, part.swept_loads.frequencies
-        failed = [
-            (at, why)
-            for at, why in sweep.failed
-            if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
+    for path, solved_cases in cases_by_path.items():
+        sweep_result = solved_cases.sweep_result
+        swept_frequencies = solved_cases.swept_loads.frequencies
+        failures = [
+            (case_index, reason_text)
+            for case_index, reason_text in sweep_result.failed
+            if swept_frequencies[case_index[-1]] in load_frequencies
+            or np.isnan(sweep_result["omega_open_1"][case_index])
         ]
-        doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
-    used = list(itertools.compress(rows, known))
-    if all(row.quantity == "frequency_uncracked" for row in used):
-        why = "; ".join(doubts) or "no case has the measured quantities"
-        raise ConvergenceError(f"identification, no measurement can be predicted: {why}")
-    why = "too few cases have it, or only those on one side of what failed"
-    doubts += [f"{row.name} is not used: {why}" for row in itertools.compress(rows, ~known)]
-    return Measurements(tuple(used)), tuple(doubts)
+        doubts += [f"{path.name}: {text}" for text in by_reason(sweep_result, failures, "failed")]
+    used_rows = list(itertools.compress(rows, is_predictable))
+    if all(row.quantity == "frequency_uncracked" for row in used_rows):
+        reason_text = "; ".join(doubts) or "no case has the measured quantities"
+        raise ConvergenceError(f"identification, no measurement can be predicted: {reason_text}")
+    reason_text = "too few cases have it, or only those on one side of what failed"
+    doubts += [
+        f"{row.name} is not used: {reason_text}"
+        for row in itertools.compress(rows, ~is_predictable)
+    ]
+    return Measurements(tuple(used_rows)), tuple(doubts)
 
 
 def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """Return limits of measurements that do not depend on their values."""
-    table = scene.given("identify")
-    crack, rows, found = scene.crack, measurements.rows, []
-    given = not any(axis.key == "crack.edge" for axis in table.unknown)
-    if given and crack is not None and crack.edge and all(row.natural for row in rows):
-        other = {"left": "right", "right": "left"}[crack.edge]
-        found.append(
-            f"a crack from the {other} edge has the same natural frequencies: they do not "
+    identify_table = scene.given("identify")
+    crack, rows, remarks = scene.crack, measurements.rows, []
+    is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
+    if is_edge_given and crack is not None and crack.edge and all(row.natural for row in rows):
+        other_edge = {"left": "right", "right": "left"}[crack.edge]
+        remarks.append(
+            f"a crack from the {other_edge} edge has the same natural frequencies: they do not "
             "distinguish the edges"
         )
-    if table.meshes:
-        found.append(
+    if identify_table.meshes:
+        remarks.append(
             "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
         )
     if any(row.shape for row in rows) and not has_load_independent_shape(scene):
-        found.append(
+        remarks.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
         )
-    return tuple(found)
+    return tuple(remarks)
 
 
-def _unresolved(forward: SolvedForwardModels, measurements: Measurements) -> Iterator[str]:
-    """SweptLoads, under which a crack between the solved cases vibrates much more than in any of them,
-    where steady loads let it breathe there as in none of them; in words."""
+def _describe_unresolved_resonances(
+    forward: SolvedForwardModels, measurements: Measurements
+) -> Iterator[str]:
+    """Describe loads with much larger vibration between the solved cases.
+
+    Steady loads let the crack breathe there as in no solved case.
+    """
     if has_load_independent_shape(forward.scene):
         return
-    places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
-    for model, (load, point) in itertools.product(forward.cracked_model_by_words.values(), places):
-        larger, where = _larger_between(model, load, point)
-        if larger > OPTIONS.allowed_vibration_ratio:
-            near = ", ".join(
-                f"{key} = {one:.4g}" for key, one in zip(model.unknown_keys, where, strict=True)
+    loads_and_points = dict.fromkeys(
+        (row.frequency, row.point) for row in measurements.rows if row.shape
+    )
+    for model, (load_frequency, point_name) in itertools.product(
+        forward.cracked_model_by_words.values(), loads_and_points
+    ):
+        vibration_ratio, x = _find_largest_vibration_between(model, load_frequency, point_name)
+        if vibration_ratio > OPTIONS.allowed_vibration_ratio:
+            place_text = ", ".join(
+                f"{key} = {x_value:.4g}" for key, x_value in zip(model.unknown_keys, x, strict=True)
             )
             yield (
-                f"between the solved cases, near {near}, the vibration at {load:.6g} Hz is up to "
-                f"{larger:.2g} times that at any of them, and steady loads let the crack breathe "
-                "there as in none of these: add values there, or measure farther from resonance"
+                f"between the solved cases, near {place_text}, the vibration at "
+                f"{load_frequency:.6g} Hz is up to {vibration_ratio:.2g} times that at any of "
+                "them, and steady loads let the crack breathe there as in none of these: add values "
+                "there, or measure farther from resonance"
             )
 
 
-def _larger_between(model: ForwardModel, load: float, point: str) -> tuple[float, np.ndarray]:
-    """Maximum vibration of a point at a load [Hz] between the cases of a model over that at any of
-    them, 0 where none is known; and its values (d,) of the unknowns."""
-    first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
-    places = list_first_grid_points(model.unknown_grid)
-    between = np.nan_to_num(model.make_predictor([first])(places).values[:, 0])
-    solved = np.fmax.reduce(np.abs(model.coarse_cases.get_harmonic(point, load, 1)))
-    most = int(np.argmax(between))
-    return float(between[most] / solved) if solved > 0.0 else 0.0, places[most]
+def _find_largest_vibration_between(
+    model: ForwardModel, load_frequency: float, point_name: str
+) -> tuple[float, np.ndarray]:
+    """Find the largest vibration of a point at a load [Hz] between the solved cases.
+
+    Returns
+    -------
+    float
+        Vibration over that of any solved case; 0 if none is known.
+    (d,)
+        Values of the unknowns there.
+    """
+    first_harmonic = Measurement("harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name)
+    points = list_first_grid_points(model.unknown_grid)
+    amplitudes = np.nan_to_num(model.make_predictor([first_harmonic])(points).values[:, 0])
+    max_solved_amplitude = np.fmax.reduce(
+        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+    )
+    largest_index = int(np.argmax(amplitudes))
+    return float(
+        amplitudes[largest_index] / max_solved_amplitude
+    ) if max_solved_amplitude > 0.0 else 0.0, points[largest_index]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
@@ -282,10 +341,10 @@ class SolvedForwardModels:
         With its table ``[identify]``.
     axes : sequence of Axis
         The unknowns, with the solved values.
-    cracked : dict of str to Model
+    cracked_model_by_words : dict of str to ForwardModel
         A model for each combination of the unknowns that are words: "" or "right".
-    uncracked : dict of str to Model
-        The same without the crack; empty where that cannot be taken away.
+    uncracked_model_by_words : dict of str to ForwardModel
+        The same without the crack; empty if that cannot be taken away.
     """
 
     scene: Scene
@@ -294,23 +353,25 @@ class SolvedForwardModels:
     uncracked_model_by_words: dict[str, ForwardModel]
 
 
-def _whole(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
-    """The plate of a scene without its crack, on every rank (collective)."""
-    table = scene.given("identify")
-    plain = scene.replace(dict.fromkeys(IRRELEVANT) | (list_crack_removal_changes(scene) or {}))
+def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
+    """Solve the plate of a scene without its crack for every rank (collective)."""
+    identify_table = scene.given("identify")
+    plain_scene = scene.replace(
+        dict.fromkeys(IRRELEVANT_SCENE_TABLES) | (list_crack_removal_changes(scene) or {})
+    )
     begin("plate without its crack")
-    return on_root(comm, lambda: UncrackedPlate(plain, table))
+    return on_root(comm, lambda: UncrackedPlate(plain_scene, identify_table))
 
 
 def solve_forward(
     scene: Scene,
-    frequencies: Sequence[float],
+    load_frequencies: Sequence[float],
     folder: Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    further: Sequence[float] = (),
-    whole: UncrackedPlate | None = None,
-    closer: Sequence[Axis] = (),
+    speed_loads: Sequence[float] = (),
+    uncracked_plate: UncrackedPlate | None = None,
+    refined_axes: Sequence[Axis] = (),
     progress: bool = False,
 ) -> SolvedForwardModels:
     """Solve, or read, the cases of the forward model (collective).
@@ -319,17 +380,17 @@ def solve_forward(
     ----------
     scene : Scene
         With its table ``[identify]``.
-    frequencies : sequence of float
-        Of the load [Hz]; the scene's further ones are added.
+    load_frequencies : sequence of float
+        Load frequencies [Hz]; the further ones of the table are added.
     folder : path
         Folder of the files of the sweeps; their names depend on the scene and the frequencies.
     comm : MPI.Comm
         The ranks over which the cases are spread.
-    further : sequence of float
-        SweptLoads, [Hz] at whose speeds of the rotor only natural frequencies are needed.
-    whole : UncrackedPlate, optional
+    speed_loads : sequence of float
+        Loads [Hz] at whose speeds of the rotor only natural frequencies are needed.
+    uncracked_plate : UncrackedPlate, optional
         The plate without its crack, if it is known already.
-    closer : sequence of Axis
+    refined_axes : sequence of Axis
         Unknowns with further values, one after another.
     progress : bool
         Show bars.
@@ -341,210 +402,345 @@ def solve_forward(
     ConvergenceError
         Ctrl-C has stopped a sweep.
     """
-    whole = whole or _whole(scene, comm)
-    table = scene.given("identify")
-    wanted = (*frequencies, *further, *table.frequencies)
-    loads = SweptLoads(scene, [float(one) for one in wanted])
-    shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
-    alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
-    plain = scene.replace(dict.fromkeys(IRRELEVANT))
-    coarse, fine = _meshes(plain, table.finer)
+    uncracked_plate = uncracked_plate or _solve_uncracked_plate(scene, comm)
+    identify_table = scene.given("identify")
+    all_frequencies = (*load_frequencies, *speed_loads, *identify_table.frequencies)
+    swept_loads = SweptLoads(scene, [float(frequency) for frequency in all_frequencies])
+    vibration_frequencies = (
+        *load_frequencies,
+        *identify_table.frequencies,
+        swept_loads.frequencies[0],
+    )
+    frequency_only_indices = [
+        load_index
+        for load_index, frequency in enumerate(swept_loads.frequencies)
+        if frequency not in vibration_frequencies
+    ]
+    plain_scene = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLES))
+    coarse_scene, fine_scene = _list_coarse_and_fine_scenes(plain_scene, identify_table.finer)
 
-    def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
-        swept = replace(of, sweep=Sweep(over=(*axes, loads.sweep_axis)))
-        digest = hashlib.sha256(f"{scene_text(swept)}{alone or ''}".encode()).hexdigest()[:8]
-        path = folder / f"{name}_{digest}.h5"
-        with StopRequest() as stop:
-            sweep = run_sweep(
-                swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
+    def run_case_sweep(sweep_name: str, case_scene: Scene, axes: Sequence[Axis]) -> SweepResult:
+        swept_scene = replace(case_scene, sweep=Sweep(over=(*axes, swept_loads.sweep_axis)))
+        digest = hashlib.sha256(
+            f"{scene_text(swept_scene)}{frequency_only_indices or ''}".encode()
+        ).hexdigest()[:8]
+        path = folder / f"{sweep_name}_{digest}.h5"
+        with StopRequest() as stop_request:
+            sweep_result = run_sweep(
+                swept_scene,
+                path,
+                comm,
+                progress=progress,
+                verdicts=False,
+                judged=False,
+                natural=frequency_only_indices,
             )
-        if stop.asked(comm):
+        if stop_request.asked(comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
-        return sweep
+        return sweep_result
 
-    numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
-    meshes = [Axis(MESH_AXIS_KEY, table.mesh_files)] if table.meshes else []
+    n_numbers = sum(not isinstance(axis.values[0], str) for axis in identify_table.unknown)
+    n_axis_values = MIN_VALUES - (n_numbers > 2)  # values of the finer sweep and of that between
+    mesh_axes = [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
 
-    def others(
-        name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
-    ) -> Sweeps:
-        own, keys = coarse.replace(changes), [axis.key for axis in axes]
-        first = [axis for axis in (*meshes, *table.unknown) if axis.key in keys]
-        few = _thinned(first, count)
-        finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
-        halfway = [Axis(axis.key, _halfway(axis) or axis.values) for axis in axes]
-        between = None if table.meshes else run(name, own, _thinned(halfway, count))
-        return every, finer, between
+    def run_check_sweeps(
+        sweep_name: str, scene_changes: dict[str, Any], axes: Sequence[Axis], all_cases: SweepResult
+    ) -> ForwardSweeps:
+        changed_scene = coarse_scene.replace(scene_changes)
+        axis_keys = [axis.key for axis in axes]
+        check_axes = [
+            axis for axis in (*mesh_axes, *identify_table.unknown) if axis.key in axis_keys
+        ]
+        few_axes = _thin_axes(check_axes, n_axis_values)
+        finer_sweep = (
+            None
+            if fine_scene is None
+            else run_case_sweep(f"{sweep_name}_finer", fine_scene.replace(scene_changes), few_axes)
+        )
+        halfway_axes = [Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in axes]
+        halfway_sweep = (
+            None
+            if identify_table.meshes
+            else run_case_sweep(sweep_name, changed_scene, _thin_axes(halfway_axes, n_axis_values))
+        )
+        return all_cases, finer_sweep, halfway_sweep
 
-    axes, left = list(table.unknown), [*closer]
-    every = run("forward", coarse, [*meshes, *axes])
+    axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
+    sweep_result = run_case_sweep("forward", coarse_scene, [*mesh_axes, *axes])
     while True:
-        models = _models(scene, whole, loads, (every, None, None))
-        axis = _denser(scene, models.values(), frequencies, axes)
-        if axis is None and not left:
+        model_by_words = _build_models(
+            scene, uncracked_plate, swept_loads, (sweep_result, None, None)
+        )
+        axis = _refine_axis_at_resonance(scene, model_by_words.values(), load_frequencies, axes)
+        if axis is None and not remaining_axes:
             break
-        axis = axis or left.pop(0)
-        place = [one.key for one in axes].index(axis.key)
-        added = tuple(value for value in axis.values if value not in axes[place].values)
-        new = [*meshes, *axes[:place], Axis(axis.key, added), *axes[place + 1 :]]
-        every = _joined(every, run("forward", coarse, new), len(meshes) + place)
-        axes[place] = axis
-    cracked = others("forward", {}, [*meshes, *axes], every)
-    changes = list_crack_removal_changes(scene)
-    if changes is None:
-        return SolvedForwardModels(scene, axes, _models(scene, whole, loads, cracked), {})
-    kept = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
-    plain = coarse.replace(changes)
-    bare = others("uncracked", changes, kept, run("uncracked", plain, kept))
-    found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
-    return SolvedForwardModels(scene, axes, *found)
+        axis = axis or remaining_axes.pop(0)
+        axis_index = [solved_axis.key for solved_axis in axes].index(axis.key)
+        added_axis_values = tuple(
+            value for value in axis.values if value not in axes[axis_index].values
+        )
+        new_axes = [
+            *mesh_axes,
+            *axes[:axis_index],
+            Axis(axis.key, added_axis_values),
+            *axes[axis_index + 1 :],
+        ]
+        sweep_result = _join_sweeps(
+            sweep_result,
+            run_case_sweep("forward", coarse_scene, new_axes),
+            len(mesh_axes) + axis_index,
+        )
+        axes[axis_index] = axis
+    cracked_sweeps = run_check_sweeps("forward", {}, [*mesh_axes, *axes], sweep_result)
+    removal_changes = list_crack_removal_changes(scene)
+    if removal_changes is None:
+        return SolvedForwardModels(
+            scene, axes, _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps), {}
+        )
+    uncracked_axes = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
+    uncracked_scene = coarse_scene.replace(removal_changes)
+    uncracked_sweeps = run_check_sweeps(
+        "uncracked",
+        removal_changes,
+        uncracked_axes,
+        run_case_sweep("uncracked", uncracked_scene, uncracked_axes),
+    )
+    model_maps = (
+        _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
+        _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
+    )
+    return SolvedForwardModels(scene, axes, *model_maps)
 
 
-def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
-    """The cases of two sweeps whose values on the axis at a place differ."""
-    values = [*one.axes[place].values, *other.axes[place].values]
-    order = np.argsort(values)
-    columns = {
-        name: np.concatenate([values, other[name]], axis=place).take(order, axis=place)
-        for name, values in one.columns.items()
+def _join_sweeps(
+    first_sweep: SweepResult, second_sweep: SweepResult, axis_index: int
+) -> SweepResult:
+    """Join the cases of two sweeps whose values differ on one axis."""
+    axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
+    value_order = np.argsort(axis_values)
+    column_by_name = {
+        column_name: np.concatenate([column, second_sweep[column_name]], axis=axis_index).take(
+            value_order, axis=axis_index
+        )
+        for column_name, column in first_sweep.columns.items()
     }
-    axes = list(one.axes)
-    axes[place] = Axis(axes[place].key, tuple(values[at] for at in order))
-    return replace(one, scene=replace(one.scene, sweep=Sweep(over=tuple(axes))), columns=columns)
+    axes = list(first_sweep.axes)
+    axes[axis_index] = Axis(
+        axes[axis_index].key, tuple(axis_values[value_index] for value_index in value_order)
+    )
+    return replace(
+        first_sweep,
+        scene=replace(first_sweep.scene, sweep=Sweep(over=tuple(axes))),
+        columns=column_by_name,
+    )
 
 
-def _most(scene: Scene) -> int:
-    """Maximum number of solved cases."""
-    unknown = scene.given("identify").unknown
-    return OPTIONS.max_case_ratio * math.prod(len(axis.values) for axis in unknown)
+def _compute_max_cases(scene: Scene) -> int:
+    """Return the maximum number of solved cases."""
+    unknown_axes = scene.given("identify").unknown
+    return OPTIONS.max_case_ratio * math.prod(len(axis.values) for axis in unknown_axes)
 
 
-def _denser(
-    scene: Scene, models: Iterable[ForwardModel], loads: Sequence[float], axes: Sequence[Axis]
+def _refine_axis_at_resonance(
+    scene: Scene,
+    models: Iterable[ForwardModel],
+    load_frequencies: Sequence[float],
+    axes: Sequence[Axis],
 ) -> Axis | None:
-    """The unknown along which the vibration changes most, with further values between; None where
-    no crack between vibrates much more than the solved ones, where that does not matter, and where
-    it would be too many cases."""
-    seen = itertools.product(models, loads, scene.point_names or ("",))
-    places = (
+    """Refine the unknown along which the vibration changes most.
+
+    None if no crack between vibrates much more than the solved ones, if that does not matter, or if
+    the cases would be too many."""
+    models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
+    vibrations = (
         []
         if has_load_independent_shape(scene)
-        else [(_larger_between(*one)[0], *one) for one in seen]
+        else [
+            (_find_largest_vibration_between(*model_load_point)[0], *model_load_point)
+            for model_load_point in models_loads_points
+        ]
     )
-    if not places or max(place[0] for place in places) <= OPTIONS.allowed_vibration_ratio:
+    if (
+        not vibrations
+        or max(vibration[0] for vibration in vibrations) <= OPTIONS.allowed_vibration_ratio
+    ):
         return None
-    larger, model, load, point = max(places, key=lambda place: place[0])
-    sizes = np.log(np.abs(model.coarse_cases.get_harmonic(point, load, 1))).reshape(
-        model.unknown_grid.shape
+    vibration_ratio, model, load_frequency, point_name = max(
+        vibrations, key=lambda vibration: vibration[0]
     )
-    steps = {
-        key: np.fmax.reduce(np.abs(np.diff(sizes, axis=place)), axis=None)
-        for place, key in enumerate(model.unknown_keys)
+    log_amplitudes = np.log(
+        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+    ).reshape(model.unknown_grid.shape)
+    max_step_by_key = {
+        key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
+        for axis_index, key in enumerate(model.unknown_keys)
     }
-    cases = math.prod(len(axis.values) for axis in axes)
-    numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
-    for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
-        count = len(axis.values)
-        most = (_most(scene) * count // cases - 1) // (count - 1)
-        parts = min(math.ceil(larger / OPTIONS.allowed_vibration_ratio), most)
-        if parts > 1:
-            at = np.arange((count - 1) * parts + 1) / parts
-            between = np.interp(at, np.arange(count), axis.values).tolist()
-            return Axis(axis.key, tuple(between))
+    n_cases = math.prod(len(axis.values) for axis in axes)
+    number_axes = [axis for axis in axes if axis.key in max_step_by_key and _is_divisible(axis)]
+    for axis in sorted(number_axes, key=lambda axis: -max_step_by_key[axis.key]):
+        n_values = len(axis.values)
+        max_parts = (_compute_max_cases(scene) * n_values // n_cases - 1) // (n_values - 1)
+        n_parts = min(math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), max_parts)
+        if n_parts > 1:
+            value_coordinates = np.arange((n_values - 1) * n_parts + 1) / n_parts
+            refined_axis_values = np.interp(
+                value_coordinates, np.arange(n_values), axis.values
+            ).tolist()
+            return Axis(axis.key, tuple(refined_axis_values))
     return None
 
 
-def _interpolated(found: Identification) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """The measurement in whose variance interpolation between cases has the largest share, on
-    average over the cracks that explain the measurements: the posterior falls as such an error
-    grows, and excludes some of them.
+def _find_most_interpolated_measurement(
+    identification: Identification,
+) -> tuple[str, np.ndarray, np.ndarray] | None:
+    """Find the measurement with the largest share of interpolation in its variance.
 
-    Its name, its shares by the interpolation along each unknown, (d,), and those cracks, (m, d);
-    None if the share is small.
+    The share is a mean over the cracks that explain the measurements. The posterior alone would not
+    do: it falls as such an error grows, and excludes some of these cracks.
+
+    Returns
+    -------
+    tuple or None
+        Its name, its shares by the interpolation along each unknown (d,), and those cracks (m, d).
+        None if the share is small.
     """
-    seen = [
-        branch.compute_interpolation_shares() for branch in found.posterior.branch_by_words.values()
+    branch_shares = [
+        branch.compute_interpolation_shares()
+        for branch in identification.posterior.branch_by_words.values()
     ]
-    x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
+    x, shares = (np.vstack(one) for one in zip(*branch_shares, strict=True))
     if not shares.size:
         return None
-    mean = shares.mean(axis=0)
-    at = int(mean.sum(axis=0).argmax())
-    share = mean[:, at]
-    few = share.sum() <= OPTIONS.allowed_interpolation_share
-    return None if few else (found.measurements.rows[at].name, share, x)
+    mean_shares = shares.mean(axis=0)
+    worst_row = int(mean_shares.sum(axis=0).argmax())
+    share_by_unknown = mean_shares[:, worst_row]
+    is_small = share_by_unknown.sum() <= OPTIONS.allowed_interpolation_share
+    return (
+        None
+        if is_small
+        else (identification.measurements.rows[worst_row].name, share_by_unknown, x)
+    )
 
 
-def _closer(
-    forward: SolvedForwardModels, found: Identification, share: np.ndarray, x: np.ndarray
+def _refine_axis_by_share(
+    forward: SolvedForwardModels,
+    identification: Identification,
+    share_by_unknown: np.ndarray,
+    x: np.ndarray,
 ) -> Axis | None:
-    """The unknown along which interpolation adds most to the error of a measurement, with further
-    values halfway between those around the cracks that explain the measurements; None where it
-    would be too many cases, or has none between."""
-    axes = {axis.key: axis for axis in forward.axes}
-    for place in np.argsort(-share):
-        axis = axes.get(found.unknown[place])
+    """Refine the unknown along which interpolation adds most to an error.
+
+    Further values are halfway between those around the cracks x (m, d) that explain the
+    measurements. None if the cases would be too many, or if no unknown has values between."""
+    axis_by_key = {axis.key: axis for axis in forward.axes}
+    for unknown_index in np.argsort(-share_by_unknown):
+        axis = axis_by_key.get(identification.unknown[unknown_index])
         if axis is not None and _is_divisible(axis):
-            between = _halfway(axis, x[:, place].min(), x[:, place].max())
-            halved = Axis(axis.key, tuple(sorted({*axis.values, *between})))
-            cases = math.prod(len(one.values) for one in (axes | {axis.key: halved}).values())
-            return halved if cases <= _most(forward.scene) else None
+            halfway_values = _list_halfway_values(
+                axis, x[:, unknown_index].min(), x[:, unknown_index].max()
+            )
+            refined_axis = Axis(axis.key, tuple(sorted({*axis.values, *halfway_values})))
+            n_cases = math.prod(
+                len(solved_axis.values)
+                for solved_axis in (axis_by_key | {axis.key: refined_axis}).values()
+            )
+            return refined_axis if n_cases <= _compute_max_cases(forward.scene) else None
     return None
 
 
-def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
-    """The scene of all cases, and that of a few on a finer mesh; None where there is no such."""
-    changes: dict[str, Any] = {}
-    if scene.harmonic_balance.tolerance is None and factor > 1.0:
-        harmonics = min(100, math.ceil(factor * scene.harmonic_balance.harmonics))
-        changes = {"harmonic_balance.harmonics": harmonics, "harmonic_balance.samples": None}
-    other = None if factor == 1.0 else finer_mesh(scene, factor)
-    if other is None and not changes:
+def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
+    """Return the scene of all cases, and that of a few on a finer mesh.
+
+    The second is None without a finer mesh.
+    """
+    finer_changes: dict[str, Any] = {}
+    if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
+        n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
+        finer_changes = {
+            "harmonic_balance.harmonics": n_harmonics,
+            "harmonic_balance.samples": None,
+        }
+    other_scene = None if mesh_ratio == 1.0 else finer_mesh(scene, mesh_ratio)
+    if other_scene is None and not finer_changes:
         return scene, None
-    return (scene, (other or scene).replace(changes)) if factor > 1.0 else (other or scene, scene)
+    return (
+        (scene, (other_scene or scene).replace(finer_changes))
+        if mesh_ratio > 1.0
+        else (other_scene or scene, scene)
+    )
 
 
-def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
-    """Some of the values of each unknown, its ends among them; all words."""
-    found = []
+def _thin_axes(axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
+    """Return some of the values of each unknown, its ends among them; words are all kept."""
+    thinned_axes = []
     for axis in axes:
-        places = np.unique(np.linspace(0, len(axis.values) - 1, count).round().astype(int))
-        few = tuple(axis.values[at] for at in places)
-        found.append(axis if isinstance(axis.values[0], str) else Axis(axis.key, few))
-    return tuple(found)
+        value_indices = np.unique(
+            np.linspace(0, len(axis.values) - 1, n_values).round().astype(int)
+        )
+        kept_axis_values = tuple(axis.values[value_index] for value_index in value_indices)
+        thinned_axes.append(
+            axis if isinstance(axis.values[0], str) else Axis(axis.key, kept_axis_values)
+        )
+    return tuple(thinned_axes)
 
 
 def _is_divisible(axis: Axis) -> bool:
-    """True if there are values between those of an unknown; not of words and whole numbers."""
+    """Return True if an unknown has values between; not for words and whole numbers."""
     return any(isinstance(value, float) for value in axis.values)
 
 
-def _halfway(axis: Axis, low: float = -np.inf, high: float = np.inf) -> tuple[float, ...]:
-    """Values halfway between those of an unknown around some numbers; none between words and whole
-    numbers."""
-    pairs = itertools.pairwise(axis.values) if _is_divisible(axis) else ()
-    return tuple(0.5 * (a + b) for a, b in pairs if a < high and b > low)
+def _list_halfway_values(
+    axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
+) -> tuple[float, ...]:
+    """Return values halfway between those of an unknown, around some limits.
+
+    Words and whole numbers have none.
+    """
+    value_pairs = itertools.pairwise(axis.values) if _is_divisible(axis) else ()
+    return tuple(
+        0.5 * (lower_axis_value + upper_axis_value)
+        for lower_axis_value, upper_axis_value in value_pairs
+        if lower_axis_value < upper_limit and upper_axis_value > lower_limit
+    )
 
 
-def _models(
+def _build_models(
     scene: Scene,
-    whole: UncrackedPlate,
-    loads: SweptLoads,
-    sweeps: Sweeps,
-    bare: Sweeps | None = None,
+    uncracked_plate: UncrackedPlate,
+    swept_loads: SweptLoads,
+    cracked_sweeps: ForwardSweeps,
+    uncracked_sweeps: ForwardSweeps | None = None,
 ) -> dict[str, ForwardModel]:
-    """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
-    without its crack, by their values of the unknowns that are words."""
-    meshes = scene.given("identify").mesh_axes
-    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH_AXIS_KEY)]
-    words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
-    models = {}
-    for chosen in itertools.product(*words.values()):
-        fixed = dict(zip(words, chosen, strict=True))
-        parts: list[SolvedCases | None] = []
-        for sweep, plain in zip(sweeps, bare or (None,) * 3, strict=True):
-            under = None if plain is None else SolvedCases(plain, loads, (), fixed)
-            parts.append(None if sweep is None else SolvedCases(sweep, loads, meshes, fixed, under))
-        models[", ".join(chosen)] = ForwardModel(scene, whole, parts, word_by_key=fixed)
-    return models
+    """Build models of sweeps by their values of the unknowns that are words.
+
+    The sweeps include those of a finer mesh and halfway between, if any, and of the plate without
+    its crack.
+    """
+    mesh_axes = scene.given("identify").mesh_axes
+    axes = [
+        axis
+        for axis in cracked_sweeps[0].axes[:-1]
+        if not (mesh_axes and axis.key == MESH_AXIS_KEY)
+    ]
+    words_by_key = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
+    model_by_words = {}
+    for chosen_words in itertools.product(*words_by_key.values()):
+        word_by_key = dict(zip(words_by_key, chosen_words, strict=True))
+        case_sets: list[SolvedCases | None] = []
+        for sweep_result, uncracked_sweep in zip(
+            cracked_sweeps, uncracked_sweeps or (None,) * 3, strict=True
+        ):
+            uncracked_cases = (
+                None
+                if uncracked_sweep is None
+                else SolvedCases(uncracked_sweep, swept_loads, (), word_by_key)
+            )
+            case_sets.append(
+                None
+                if sweep_result is None
+                else SolvedCases(sweep_result, swept_loads, mesh_axes, word_by_key, uncracked_cases)
+            )
+        model_by_words[", ".join(chosen_words)] = ForwardModel(
+            scene, uncracked_plate, case_sets, word_by_key=word_by_key
+        )
+    return model_by_words

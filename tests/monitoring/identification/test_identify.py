@@ -20,7 +20,10 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.monitoring.identification.report import Identified, report_of_identification
+from fenics_crack.monitoring.identification.report import (
+    IdentificationOutput,
+    report_of_identification,
+)
 from fenics_crack.scene.words import value_in_words
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
@@ -193,7 +196,7 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     least = f"no crack above {longest} of crack length"
     assert sound.conclusion == least and f"({least} (" in repr(sound) and "mm," not in repr(sound)
     assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
-    closing = report_of_identification(Identified(scene, sound.summary(), folder)).closing
+    closing = report_of_identification(IdentificationOutput(scene, sound.summary(), folder)).closing
     assert sound.summary()["conclusion"] == least and closing.startswith(f"{least}; log")
 
 
