@@ -165,13 +165,13 @@ def _measured_by(
 
     blades, run = timing.arrivals_of_blades(scene, source, console.comm)
     [times] = blades.values()
-    console.remark(*([] if run else timing.remarks_on_arrivals(times)))
+    console.remark(*([] if run else timing.list_arrival_remarks(times)))
     key = "--before" if before else "arrivals"
     if timing.is_run_up(times, run):
         with console.stage("resonances"):
             blade = scene.replace(list_crack_removal_changes(scene) or {}) if before else scene
-            found = timing.modes_passed(blade, times)
-        console.note(*(timing.passed_in_words(*one) for one in found))
+            found = timing.find_passed_modes(blade, times)
+        console.note(*(timing.describe_passage(*one) for one in found))
         fits, modes, _ = zip(*found, strict=True) if found else ((), (), ())
         if not any(modes):
             allowed = "of a constant speed, or a run-up through a resonance of the blade"
@@ -185,8 +185,8 @@ def _measured_by(
         seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
         allowed = f"at {own}, the speed of [rotation], unless the load is an excitation.order"
         raise InputError(key, seen, allowed)
-    order = timing.engine_order(scene.given("tip_timing"), scene)
-    tip, against = timing.probed_displacement(scene)
+    order = timing.get_engine_order(scene.given("tip_timing"), scene)
+    tip, against = timing.find_probed_displacement(scene)
     return Measurements.from_arrivals(times, order, tip, against=against)
 
 

@@ -32,7 +32,7 @@ from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import IdentificationOutput
-from fenics_crack.monitoring.timing import Timing, largest_blade
+from fenics_crack.monitoring.timing import Timing, find_largest_blade
 from fenics_crack.runs.conclusion import describe_error, frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
@@ -344,7 +344,7 @@ def draw_timing(found: Timing, file: Drawn) -> None:
             words = "Amplitudes over the load's frequency, with their standard errors."
             in_hertz = found.scene is not None and found.scene.in_hertz
             plot_study.draw_tip_track(fit, path=file(name, words), in_hertz=in_hertz)
-    if largest := largest_blade(found):
+    if largest := find_largest_blade(found):
         words = f"Blade {largest}: arrivals over the period, the fit, the orders that were tried."
         fit = found.fits[largest]
         assert isinstance(fit, TipFit)

@@ -87,7 +87,7 @@ def _write_arrivals(
         f"arrivals of {_size_in_words(arrivals)}, {speed_range}: {path}, .{console.pictures}"
     )
     if run is not None:
-        console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
+        console.note(scene_timing.describe_tip(scene.given("tip_timing"), run))
 
 
 def _fit_blades(
@@ -113,7 +113,7 @@ def _size_in_words(arrivals: ArrivalTimes) -> str:
 def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
-        yield from scene_timing.remarks_on_arrivals(arrivals)
+        yield from scene_timing.list_arrival_remarks(arrivals)
         speeds = arrivals.mean_speed, scene.speed
         if scene.speed > 0.0 and not 0.5 <= speeds[0] / speeds[1] <= 2.0:
             record_speed, scene_speed = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
@@ -127,7 +127,7 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
         scene_timing.describe_run_up_end(scene, run),
     )
     yield from filter(None, doubts)
-    if scene_timing.curve_of(run) is None:
+    if scene_timing.get_curve(run) is None:
         result = run.result
         yield from of_error(run.scene, result.report, result.harmonics)
         yield from of_stability(run.scene, run, result.stability)
@@ -161,5 +161,5 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
         "tip_radius": first_blade.tip_radius,
     }
     fits = _fit_blades(TipTiming(**record_values | table_values), blades, console)
-    doubts = tuple(scene_timing.remarks_on_arrivals(first_blade))
+    doubts = tuple(scene_timing.list_arrival_remarks(first_blade))
     return _report(Timing(None, blades, fits, doubts), folder, console)

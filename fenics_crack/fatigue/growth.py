@@ -1,4 +1,4 @@
-"""Growth of a crack under vibration of its plate, and the change of the vibration.
+"""Growth of a crack under vibration, and the change in the vibration.
 
 At each length a the vibration is periodic and settled, since a crack grows very little in a cycle.
 With the effective ranges delta K_i of K_I and their ratios R_i, closing faces included,
@@ -248,7 +248,7 @@ NOT_STABLE_TEXT = "the vibration is unstable or irregular, or its stability unde
 UNKNOWN_VIBRATION_TEXT = "the error of the vibration is unknown"
 """Remark without an error estimate of the vibration."""
 N_ELLIPSE_SIZES_PER_AXIS = 5
-"""Number of depths, and of lengths, of half-ellipses, in equal ratios.
+"""Number of depths, and number of lengths, for half-ellipses, in equal ratios.
 
 With five the cycles are right to 0.8 % for the K of Newman and Raju, in equal steps to 6 %
 (tests/fatigue/test_ellipse.py).
@@ -300,7 +300,7 @@ def grow(
     to ``growth.life_tolerance``. Ranks share the lengths. For a crack through a solid,
     :math:`\Delta K_i` is the largest along the front, and the front stays straight. A half-ellipse
     grows from ``crack.depth`` to ``growth.until`` by the range at its deepest point, and along the
-    face by the mean range at its ends: 5 x 5 shapes are solved.
+    face by the mean range at its ends. Here 5 x 5 shapes are solved.
 
     Parameters
     ----------
@@ -1123,8 +1123,8 @@ def _estimate_interval_errors(
     """Return the spline's error of ln delta K in each interval between lengths: (k - 1,).
 
     In new intervals it is the error of the previous spline at their ends. In other intervals it is
-    the previous error or, if larger, the difference of both splines in the middle: a resonance
-    inside an interval shows around it, too.
+    the previous error or, if larger, the difference between both splines in the middle. A resonance
+    inside an interval shows around the interval, too.
     """
 
     def log_range_difference(lengths: np.ndarray) -> np.ndarray:

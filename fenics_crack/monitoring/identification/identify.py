@@ -1,10 +1,10 @@
 """From measurements to the crack: one call.
 
 The forward model is solved by sweeps over the unknowns; a killed run continues from their files.
-They are sweeps of the scene or a coarser mesh; of a finer mesh at a few of the same values, which
-corrects the first; of the first mesh at a few values halfway between, which tests the
-interpolation; and the same of the plate without its crack. A :class:`ForwardModel` interpolates
-between their cases. Nuisance parameters have priors, and change the predictions to first order
+The first sweep has all values, on the scene's mesh or a coarser one. A second one, on a finer mesh
+at a few values, corrects it. A third one, at a few values halfway between, tests the interpolation.
+All are repeated for the plate without its crack. A :class:`ForwardModel` interpolates between their
+cases. Nuisance parameters have priors, and change the predictions to first order
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
@@ -69,16 +69,16 @@ def identify(
     """Find a crack, or other keys of a scene, from measurements (collective).
 
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
-    at a few points; files in ``folder`` keep both, and a killed run continues from them. Natural
+    at a few points. Files in ``folder`` keep both, and a killed run continues from them. Natural
     frequencies of a rotor may be at several speeds, each of which is solved. Under a steady load or
     a clearance, the grid becomes denser where cracks between its points meet a resonance. It also
     becomes denser around cracks that explain the measurements if interpolation is a large part of
     an error.
 
-    Cross-validation and a few cases halfway between the others estimate the error of interpolation,
-    which is added to that of the measurements. So is the remaining error of the mesh: if a mesh
-    finer by f changes a quantity by d, it is d / (2 f - 2). This is added to the correction d, too:
-    an error of first order leaves d / (f - 1), one of high order nothing. Least squares from
+    Cross-validation and a few cases halfway between the grid points estimate the interpolation
+    error. The measurement error is increased by it. So is the remaining error of the mesh: if a
+    mesh finer by f changes a quantity by d, it is d / (2 f - 2). This is added to the correction d,
+    too: an error of first order leaves d / (f - 1), one of high order nothing. Least squares from
     several starts find the estimate, and a posterior on a grid its regions. The integral of the
     posterior over the prior decides whether there is a crack.
 
@@ -210,7 +210,7 @@ def _select_predictable_rows(
 ) -> tuple[Measurements, tuple[str, ...]]:
     """Select the measurements that every model predicts, with a crack and without.
 
-    A measurement that one hypothesis cannot predict would count against the other alone.
+    A measurement without a prediction by one hypothesis would count against the other alone.
 
     Returns
     -------
@@ -299,8 +299,8 @@ def _describe_unresolved_resonances(
             yield (
                 f"between the solved cases, near {place_text}, the vibration at "
                 f"{load_frequency:.6g} Hz is up to {vibration_ratio:.2g} times that at any of "
-                "them, and steady loads let the crack breathe there as in none of these: add values "
-                "there, or measure farther from resonance"
+                "them, and steady loads let the crack breathe there as in none of these: add "
+                "values there, or measure farther from resonance"
             )
 
 
@@ -550,7 +550,8 @@ def _refine_axis_at_resonance(
     """Refine the unknown along which the vibration changes most.
 
     None if no crack between vibrates much more than the solved ones, if that does not matter, or if
-    the cases would be too many."""
+    the cases would be too many.
+    """
     models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
     vibrations = (
         []
@@ -595,8 +596,8 @@ def _find_most_interpolated_measurement(
 ) -> tuple[str, np.ndarray, np.ndarray] | None:
     """Find the measurement with the largest share of interpolation in its variance.
 
-    The share is a mean over the cracks that explain the measurements. The posterior alone would not
-    do: it falls as such an error grows, and excludes some of these cracks.
+    The share is a mean over the cracks that explain the measurements. The posterior does not serve
+    here: it falls as an interpolation error grows, and excludes some cracks.
 
     Returns
     -------
@@ -631,7 +632,8 @@ def _refine_axis_by_share(
     """Refine the unknown along which interpolation adds most to an error.
 
     Further values are halfway between those around the cracks x (m, d) that explain the
-    measurements. None if the cases would be too many, or if no unknown has values between."""
+    measurements. None if the cases would be too many, or if no unknown has values between.
+    """
     axis_by_key = {axis.key: axis for axis in forward.axes}
     for unknown_index in np.argsort(-share_by_unknown):
         axis = axis_by_key.get(identification.unknown[unknown_index])
@@ -671,7 +673,7 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
 
 def _thin_axes(axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
-    """Return some of the values of each unknown, its ends among them; words are all kept."""
+    """Thin the values of each unknown to a few, with its ends; keep all words."""
     thinned_axes = []
     for axis in axes:
         value_indices = np.unique(
@@ -711,10 +713,9 @@ def _build_models(
     cracked_sweeps: ForwardSweeps,
     uncracked_sweeps: ForwardSweeps | None = None,
 ) -> dict[str, ForwardModel]:
-    """Build models of sweeps by their values of the unknowns that are words.
+    """Build a model of the sweeps for each combination of words.
 
-    The sweeps include those of a finer mesh and halfway between, if any, and of the plate without
-    its crack.
+    Sweeps on a finer mesh, halfway between the values, and without the crack are optional.
     """
     mesh_axes = scene.given("identify").mesh_axes
     axes = [

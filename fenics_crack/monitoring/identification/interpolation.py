@@ -3,22 +3,22 @@
 A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
 without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
 
-The error along each axis is estimated by leaving out one node. It is the difference between an
-inner node and the spline through all others on its line, the error of twice the spacing. That is
-16 times too large for a smooth quantity, and 4/3 times if meshes make it uneven; 0.3 of it is
-taken. The errors at the nodes around a point, of all quantities together, are the covariance of
-predictions there.
+The error along each axis is estimated by leaving out one node. An inner node differs from the
+spline through all other nodes on the line by the error of twice the spacing. This is 16 times too
+large for a smooth quantity, and 4/3 times if meshes make the quantity uneven; 30 % are taken. The
+errors at the nodes around a point, of all quantities together, are the covariance of predictions
+there.
 
 A thin plate through the other cases replaces a failed case. At least half of the nodes must be
 known, and one more than a quadratic polynomial needs: of four none may fail. The error there is the
 difference between the nearest known node and a plate without it, in full. That holds between known
 nodes; beyond them a pole of a harmonic is missed.
 
-Smooth forms are interpolated. They are the logarithms of natural frequencies without the crack; its
-additions to them, over its size if that is unknown; and harmonics as complex numbers, a - i b for
-a cos + b sin. The amplitudes alone have kinks where they vanish. Both have poles, which move with
-the crack, where k times the load's frequency W meets a natural frequency w_j of the breathing
-crack with damping ratio z.
+Smooth forms are interpolated. First, the logarithms of natural frequencies without the crack.
+Second, their changes by the crack, over the crack size if the size is unknown. Third, harmonics as
+complex numbers, a - i b for a cos + b sin. The amplitudes alone have kinks where they vanish. Both
+have poles, which move with the crack, where k times the load's frequency W meets a natural
+frequency w_j of the breathing crack with damping ratio z.
 
 The first harmonic moves the crack faces, which make the other harmonics. These have the poles of
 the first harmonic, too, once in size and k times in phase, as if a whole motion is larger and
@@ -30,7 +30,7 @@ without p_1 for the first harmonic. The bilinear frequencies w_j are those of th
 split s sums over the modes the relative difference between frequencies with the crack bonded and
 open, times its static compliance relative to the first mode, 1 / w_j^2. It measures how much the
 load bends the plate at the crack, and the crack the plate. It is small for a short crack, which
-closes in half of each period. That makes even harmonics of first order, n = 1, and odd ones of
+closes in half of each period. Therefore even harmonics are of first order, n = 1, odd harmonics of
 second order, n = 2.
 """
 
@@ -110,7 +110,8 @@ def compute_leave_one_out_errors(axis: np.ndarray, node_values: np.ndarray) -> n
     """Return the error of the spline at each node (n, ...) if that node is left out.
 
     The values (n, ...) are on an axis (n,). The ends are never left out; they have the errors of
-    their neighbours."""
+    their neighbours.
+    """
     errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis) - 1):
         is_other_node = np.arange(len(axis)) != node_index
@@ -330,7 +331,7 @@ class SweptLoads:
 
 
 class SolvedCases:
-    """Solved cases of a sweep for one choice of the words, and those without the crack.
+    """Solved cases of a sweep for one choice of words, and of the plate without its crack.
 
     The last axis of the sweep is that of the loads.
     """
@@ -368,7 +369,8 @@ class SolvedCases:
         """Return a natural frequency at all nodes and loads [Hz]: (n, n_loads).
 
         Without the crack ("uncracked") it is the same for all cracks, and that of a bonded crack if
-        the crack cannot be removed."""
+        the crack cannot be removed.
+        """
         if crack_state == "uncracked":
             if self.uncracked_cases is None:
                 return self.get_natural_frequency("tied", mode)
@@ -438,7 +440,8 @@ class SolvedCases:
         """Collect the data of poles at all nodes and loads: (n, n_loads, 1 + 2 modes).
 
         They are the root of s (1 without a crack), the bilinear frequencies [Hz], and those without
-        the crack; nan for a missing frequency."""
+        the crack; nan for a missing frequency.
+        """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack([self.get_natural_frequency(crack_state, mode) for mode in NUMBERED], axis=2)
             for crack_state in ("tied", "open", "bilinear", "uncracked")
@@ -500,7 +503,7 @@ class Feature:
 
     @property
     def error_group(self) -> tuple[float, float, float]:
-        """Return the key of features with a common error: of a mode, or of a harmonic at a load."""
+        """Return the key of features with a common error: a mode, or a harmonic at a load."""
         return (self.mode, 0.0 if self.is_natural_frequency else self.frequency, self.order)
 
     @property
@@ -561,7 +564,7 @@ def apply_first_harmonic_logs(
 ) -> np.ndarray:
     """Return the parts of logarithms of the first harmonic in each feature (m, f, ...).
 
-    A higher harmonic has its size once, and its phase as often as its order. Other features have 0.
+    A higher harmonic of order k has the size once and the phase k times. Other features have 0.
     """
     orders = np.array([feature.order if feature.order > 1 else 0 for feature in features])
     orders = orders.reshape(-1, *np.ones(first_harmonic_logs.ndim - 2, dtype=int))

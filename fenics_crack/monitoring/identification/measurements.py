@@ -61,7 +61,7 @@ UNITS_BY_COLUMN = {
     "temperature": ("K", "°C", "C"),
     "rpm": ("rpm",),
 }
-"""Units that headings may name in brackets; others are converted to these."""
+"""Units in the brackets of headings, after conversion."""
 UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
 """Suffixes of universal files."""
 
@@ -180,7 +180,8 @@ class Measurement:
         """Return the orders of its harmonics.
 
         A ratio has the numerator first. Natural frequencies have none, and displacements, made of
-        all harmonics, too."""
+        all harmonics, too.
+        """
         return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
 
     @property

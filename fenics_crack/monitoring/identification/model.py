@@ -1,9 +1,9 @@
 """The forward model: predictions of measurements from the unknowns, and their covariance.
 
 Errors of predictions are not independent, since all of them come from one sweep. Their covariance
-is a sum of three. That of the interpolation comes from leave-one-out errors of all quantities at
-once. That of the mesh comes from the changes by a finer one, with half of the variance common to
-all quantities. The third is that of the priors
+is a sum of three. The interpolation's part comes from leave-one-out errors in all quantities at
+once. The mesh's part comes from the changes by a finer mesh, with half the variance common to all
+quantities. The third part comes from the priors
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
@@ -43,17 +43,17 @@ from fenics_crack.sweep.file import NUMBERED
 
 
 class ProbeDisplacements:
-    """Displacements of one point under one load of unknown size and phase.
+    """Displacements of a point under a load with unknown size and phase.
 
     Under a steady load the blade tip is, at a phase theta of the load's period,
 
         u = A Re sum_k U_k exp(i k (theta - psi)) + c,
 
     with the harmonics U_k of the model and three unknowns of a blade in operation. These are the
-    size A and the phase psi of the load, and a constant c, of the probes' angles and of the steady
-    forces. For each value of the unknowns the three are fitted to the displacements, by all
-    harmonics of the model. The predictions are the fit; the likelihood gets their derivatives by
-    the three as common errors of all displacements.
+    load's size A and phase psi, and a constant c due to probe angles and steady forces. For each
+    value of the unknowns the three are fitted to the displacements, by all harmonics of the model.
+    The predictions are the fit; the likelihood gets their derivatives by the three as common errors
+    of all displacements.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ class FeaturePrediction(NamedTuple):
 
 
 class Predictor:
-    """Predictions of some measurements, and of candidates for further ones, by a model.
+    """Predictions of measurements, and of candidates for further measurements, by a model.
 
     Attributes
     ----------
@@ -779,10 +779,10 @@ class Predictor:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the harmonics that not all cases have, as far as modes resonate there.
 
-        Harmonics of the contact force fall like 1 / k and act on modes of static compliances 1 /
-        w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the mean
-        over the upper half of the known harmonics. For 150 cracks under loads of 120 to 1500 Hz,
-        what twelve and six of 30 harmonics omit is 1.0 and 1.3 times this, in root mean square.
+        Harmonics of the contact force fall like 1 / k. They act on modes with static compliances 1
+        / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the
+        mean over the upper half of the known harmonics. For 150 cracks under loads of 120 to 1500
+        Hz, what twelve and six of 30 harmonics omit is 1.0 and 1.3 times this, in root mean square.
 
         Parameters
         ----------
@@ -1013,8 +1013,9 @@ def _split_complex_columns(complex_columns: np.ndarray) -> np.ndarray:
 def _list_face_states(model: ForwardModel) -> tuple[FaceState, ...]:
     """List possible states of the crack faces at resonances, with weights that sum to 1.
 
-    They breathe. If that depends on the size of the motion, they breathe for any part of the
-    period, or stay open or closed, unless no solved case does."""
+    The faces breathe. If the motion's shape depends on the load's size, they breathe for any part
+    of the period. They may also stay open or closed, if any solved case does.
+    """
     if has_load_independent_shape(model.scene):
         return (BREATHING_FACES,)
     resonance_deviation = model.identify_table.resonance_deviation

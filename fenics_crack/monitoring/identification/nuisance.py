@@ -9,12 +9,12 @@ relative a_j, and the size of harmonics by a relative b. Through their poles
 
 and by the change of the first harmonic, which drives the k-th. Here W is the load frequency, w_j a
 natural frequency and z the damping ratio. Nothing is solved again. These changes are common errors
-of all predictions: of the plate with its crack, without it, and before it had one. Measurements
-before the crack therefore calibrate the plate.
+of all predictions: with the crack, without it, and before the crack existed. Measurements before
+the crack therefore calibrate the plate.
 
-An inclined crack acts like a straight one at the height of its crack tip (0.87 to 1.11 of that, for
-ten edge cracks inclined by 10 degrees). A wider or softer crack acts like a sharp one that is
-longer or shorter. Measurements determine this equivalent crack; the real crack has a larger
+An inclined crack acts like a straight crack at the height of the crack tip (0.87 to 1.11 times as
+much, for ten edge cracks inclined by 10 degrees). A wider or softer crack acts like a longer or
+shorter sharp crack. Measurements determine this equivalent crack; the real crack has a larger
 standard deviation (:func:`compute_crack_deviations`).
 
 Young's modulus E and density change the elastic part e_j of w_j^2, not the part by rotation:
@@ -25,18 +25,18 @@ with the stiffness K_0 at rest and the mode phi_j at its speed. A soft clamp tak
 
     m_j^2 times its softness to turning and (m_x^2 + m_y^2) times that to pushing,
 
-with m = R^T K_0 phi_j, the moment and the forces that hold the mode in rigid motions R about the
-clamp's middle (at rest w_j^2 R^T M phi_j, Rayleigh's quotient). The two are independent: a loose
-bolt lets the clamp turn, slipping jaws let it move. Their ratio is that of a clamp of uniform
-softness, q^2, with the radius of gyration q about its middle. Their size is by what both take from
-the first mode.
+with m = R^T K_0 phi_j, the moment and the forces at the clamp in the mode. R are rigid motions
+about the clamp's middle; at rest m = w_j^2 R^T M phi_j (Rayleigh's quotient). The two are
+independent: a loose bolt lets the clamp turn, slipping jaws let it move. Their ratio is q^2, as for
+a uniformly soft clamp with the radius of gyration q about its middle. Their size is by what both
+take from the first mode.
 
 Modes at other speeds or with another modulus are those of a K_0 + s (K - K_0). Here a is the factor
-of the modulus and s the square of the speed over the scene's; the space is that of the modes at
-rest and at the scene's speed. Temperature and clamp change between the record before there was a
-crack and the one since, and so move each mode at each speed. The stiffening by rotation may change,
-too, by the blade's seat or the measured speed. Together with a temperature it can change all
-frequencies by the same ratio.
+of the modulus and s the squared speed over the scene's. The modes at rest and at the scene's speed
+span the space. Temperature and clamp change between the record before there was a crack and the one
+since, and so move each mode at each speed. The stiffening by rotation may change, too, by the
+blade's seat or the measured speed. Together with a temperature it can change all frequencies by the
+same ratio.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ FACTOR_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 
 
 class UncrackedPlate:
-    """The plate without its crack, or with a bonded one, and its sensitivities to the priors.
+    """The plate without a crack, or with a bonded crack, and the sensitivities to the priors.
 
     It is solved on this rank alone.
 
@@ -162,9 +162,10 @@ class UncrackedPlate:
     def compute_clamp_sensitivities(self, speed_ratio: float) -> np.ndarray:
         """Return relative changes of natural frequencies by a soft clamp, at a relative speed.
 
-        (n, 2): by a clamp that turns and one that moves, over the change of the first frequency at
+        (n, 2): by a turning clamp and by a moving clamp, over the change of the first frequency at
         the rotor's speed by both. If the clamp is unknown, they are the same for all modes and by
-        turning only, as of a slender beam."""
+        turning only, as of a slender beam.
+        """
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
 
@@ -333,7 +334,8 @@ class UncrackedPlate:
         Load frequencies must not seem to be in kHz or mHz by those of the scene [Hz]. Natural
         frequencies must not seem to be in rad/s, kHz or mHz. If the plate may be another one, rad/s
         is refused only for all of them together. Otherwise a frequency without the crack must be
-        nearest to its own mode."""
+        nearest to its own mode.
+        """
         for row in [row for row in measurements.rows if load_frequencies and not row.natural]:
             nearest_load = load_frequencies[
                 int(np.abs(np.log(np.divide(load_frequencies, row.frequency))).argmin())
@@ -421,7 +423,8 @@ class BaselineChanges:
         """Take measurements, each at a speed relative to the rotor's.
 
         Records since the crack are at the mean of their stated temperatures, if any is stated.
-        Records before it are at the stated temperature, or at an unknown one."""
+        Records before it are at the stated temperature, or at an unknown one.
+        """
         identify_table = uncracked_plate.identify_table
         n_modes = len(uncracked_plate.natural_frequencies)
         is_baseline = np.array([row.quantity == "frequency_uncracked" for row in rows])

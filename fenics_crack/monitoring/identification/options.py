@@ -28,7 +28,7 @@ class Options:
 
     # Interpolation.
     leave_one_out_fraction: float = 0.3
-    """Interpolation error relative to the leave-one-out error, which is that of twice the spacing.
+    """Interpolation error relative to the leave-one-out error, at twice the spacing.
 
     The ratio is 1/16 for smooth quantities, and 3/4 if meshes make them uneven.
     """

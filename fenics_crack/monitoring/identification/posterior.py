@@ -38,9 +38,9 @@ from fenics_crack.monitoring.identification.model import Prediction, Predictor
 from fenics_crack.monitoring.identification.options import OPTIONS
 
 FIRST_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
-"""Number of values of each unknown in the first grid, by the number of unknowns; of more, 9."""
+"""Values per unknown in the first grid, by the number of unknowns; 9 for more."""
 REFINED_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
-"""Number of further values around each optimum, by the number of unknowns; of more, 7."""
+"""Further values around each optimum, by the number of unknowns; 7 for more."""
 
 
 def add_uniform_prior(information: np.ndarray) -> np.ndarray:
@@ -72,7 +72,8 @@ class Likelihood:
 
         The first q are L^-1 (m - s) / e with V = diag(e) L L^T diag(e); their squares sum to chi^2.
         The last is the root of log(det L L^T / p^2). All are in the most probable state of the
-        crack faces, with its probability p."""
+        crack faces, with its probability p.
+        """
         residual_rows = np.full((len(x), len(self.values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
             is_more_probable = np.sum(state_residuals**2, axis=1) < np.sum(
@@ -535,7 +536,7 @@ class Posterior:
     ) -> tuple[float, float]:
         """Return chi^2 and its p-value at the same x with larger changes since the baseline.
 
-        The factors multiply the priors of changes of the clamp and of an unknown temperature.
+        The factors multiply the prior changes by the clamp and by an unknown temperature.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         predictor = likelihood.predictor.with_change_factors(
@@ -557,7 +558,8 @@ class Posterior:
         """Return the probability that the grid does not resolve.
 
         At such points log L falls by more than 2, two standard deviations, to both neighbours along
-        an unknown, as on a thin ridge."""
+        an unknown, as on a thin ridge.
+        """
         probability = 0.0
         for words, branch in self.branch_by_words.items():
             is_unresolved = np.zeros(branch.log_likelihood.shape, dtype=bool)
@@ -630,9 +632,11 @@ class Posterior:
     ) -> list[tuple[str, np.ndarray, float]]:
         """Return the separate parts of the region with a probability, largest first.
 
-        Each has its words, its middle (d,) and its mass; parts with less than ``min_probability``
-        are left out. The middle is the mean or, if a bent part does not hold its mean, the part's
-        nearest point."""
+        Each part is a tuple of words, middle (d,) and mass. Parts with less mass than
+        ``min_probability`` are left out. The middle is the mean or, if a bent part does not hold
+        its mean, the part's
+        nearest point.
+        """
         level = self.find_region_level(probability)
         parts = []
         for words, branch in self.branch_by_words.items():

@@ -397,7 +397,7 @@ class Identification(Tabular):
 
     @property
     def log_bayes_factor(self) -> float:
-        """Return the log of the evidence of a crack over that of none.
+        """Return the log ratio of the evidences, crack over no crack.
 
         nan without a plate without a crack.
         """
@@ -417,7 +417,8 @@ class Identification(Tabular):
         """Return the verdict in words.
 
         No crack has the sizes, ends of :attr:`intervals`, up to which a crack may exist all the
-        same."""
+        same.
+        """
         upper_ends = [
             (key, upper_end)
             for key, (_, upper_end) in self.intervals.items()
@@ -439,8 +440,8 @@ class Identification(Tabular):
     def _verdict_and_reason(self) -> tuple[str, str]:
         """Return verdict and reason.
 
-        They follow from the misfits of both hypotheses, the logarithm of the ratio of their
-        evidences, and the intervals of a crack."""
+        They follow from both hypotheses' misfits, the log Bayes factor, and the intervals.
+        """
         undecided, priors = "undecided", self.priors
         if self.plain is None:
             return undecided, "there is no plate without a crack to compare with"
@@ -482,7 +483,7 @@ class Identification(Tabular):
     def misfit(self) -> tuple[float, float]:
         """Return chi^2 at the largest likelihood, and its p-value.
 
-        The degrees of freedom are the measurements less the unknowns (and three of the load of
+        The degrees of freedom are the measurements less the unknowns (and three for the load behind
         displacements).
         """
         return self.posterior.misfit
@@ -653,8 +654,9 @@ class Identification(Tabular):
     def warnings(self) -> list[str]:
         """Return warnings in words.
 
-        They are about failed cases, several cracks that fit, a misfit, a crack by one measurement
-        alone, and an interval that reaches the bounds."""
+        Reasons are failed cases, several possible cracks, a misfit, a crack by a single
+        measurement, and an interval up to the bounds.
+        """
         warning_texts = [*self.doubts, *_warn_of_small_deviations(self.measurements)]
         alternatives = self.alternatives
         if self.verdict == NO_CRACK_VERDICT:
@@ -710,9 +712,10 @@ def _warn_of_small_deviations(measurements: Measurements) -> list[str]:
 def _warn_of_misfit(identification: Identification) -> list[str]:
     """Return warnings of the fit.
 
-    They are of a posterior that the grid does not resolve; of measurements that no crack explains,
-    with the one without which chi^2 is smallest; and of measurements that alone speak against a
-    plate without a crack."""
+    One warns if the grid does not resolve the posterior. One warns if no crack explains the
+    measurements, and names the worst measurement by chi^2. One warns if single measurements alone
+    contradict a plate without a crack.
+    """
     (chi_square, p_value) = identification.misfit
     rows = identification.measurements.rows
     warning_texts = []
@@ -754,10 +757,11 @@ def _warn_of_misfit(identification: Identification) -> list[str]:
 
 
 def _describe_single_crack_condition(identification: Identification) -> str:
-    """Return the condition that there is one crack, in words; else empty.
+    """Return the condition of a single crack in words; else empty.
 
-    It holds if two cracks have as many unknowns as there are measured modes, or more, so that no
-    misfit excludes two."""
+    The condition applies if two cracks have at least as many unknowns as modes were measured: then
+    no misfit excludes two cracks.
+    """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     number_keys = [
         axis.key for axis in identify_table.unknown if not isinstance(axis.values[0], str)
@@ -776,8 +780,9 @@ def _describe_single_crack_condition(identification: Identification) -> str:
 def _describe_unchanged_plate_condition(identification: Identification) -> str:
     """Return the condition that the plate has not changed since the baseline, in words; else empty.
 
-    It holds if a plate without a crack does not explain the measurements, but would with changes as
-    large as a clamp can make. It also holds if it does, but only by the prior of such changes.
+    The condition applies if a plate without a crack does not explain the measurements, but would
+    with changes as large as a clamp can make. It also applies if the plate does explain them, but
+    only by the prior of changes.
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain

@@ -34,7 +34,7 @@ from fenics_crack.monitoring.identification.model import Prediction, ProbeDispla
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate, compute_crack_deviations
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
 from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
-from fenics_crack.monitoring.scene_timing import mode_of, passed_in_words
+from fenics_crack.monitoring.scene_timing import describe_passage, match_mode
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -413,9 +413,9 @@ def test_modes_of_resonances(
     fit = replace(PASSED, **changes)
     both = 1500.0 * np.array([opened, tied])
     diagram: Any = SimpleNamespace(between=lambda speed: both)
-    mode, said = mode_of(fit, diagram)
+    mode, said = match_mode(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
-    words = passed_in_words(fit, mode, said)
+    words = describe_passage(fit, mode, said)
     where = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
     assert words == (f"not used: {where} ({said})" if why else f"mode 1: {where}")
 
@@ -441,7 +441,7 @@ def test_resonances_in_doubt(changes: dict[str, Any], deviation: float, why: str
     [row] = fc.Measurements.from_passages([fit, PASSED], [1, 0]).rows
     assert row.deviation == pytest.approx(deviation / (2.0 * np.pi))
     assert row.value == pytest.approx(1500.0 / (2.0 * np.pi))
-    assert passed_in_words(fit, 1, "").endswith(f"Hz, engine order 5 at 2864.79 rpm ({why})")
+    assert describe_passage(fit, 1, "").endswith(f"Hz, engine order 5 at 2864.79 rpm ({why})")
 
 
 # --- displacements at probes ----------------------------------------------------------------------
