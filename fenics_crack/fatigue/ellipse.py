@@ -1,7 +1,7 @@
 """Growth of a crack shaped as half or a quarter of an ellipse, in depth and along the face.
 
-Let delta K_a be the range of K_I at the deepest point and delta K_c that at the ends, on the face
-of the solid. The depth a and the half axis c along the face grow in a cycle by
+Let delta K_a be the range of K_I at the deepest point, and delta K_c the range at the ends, on the
+solid's face. The depth a and the half axis c along the face grow in a cycle by
 
     da/dN = C delta K_a^m,      dc/dN = C delta K_c^m.
 
@@ -148,7 +148,7 @@ def compute_growth_per_cycle(
 def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int) -> EllipsePath:
     """Integrate the growth from the first size of a table to its end.
 
-    The variable s is the growth of depth a plus that of length l. Then da/ds and dl/ds are
+    The variable s is the sum of the growth in depth a and length l. Then da/ds and dl/ds are
     bounded, and dN/ds = 1 / (da/dN + dl/dN). A depth that stops growing causes no difficulty.
     """
     from scipy.integrate import solve_ivp

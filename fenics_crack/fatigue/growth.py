@@ -65,7 +65,7 @@ END_TEXT_BY_REASON: dict[GrowthEnd, str] = {
     "broken": "there it breaks: K_max is growth.toughness",
     "side": "there its ends come near to the sides",
 }
-"""Descriptions of the end of growth, by its reason."""
+"""Descriptions of the end of growth, by reason."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -260,7 +260,7 @@ MAX_ELLIPSE_LENGTH_FRACTION = 0.9
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Gauss-Legendre quadrature of the integral over each step of the table."""
 MAX_LOG_RANGE_ERROR = 0.05
-"""Allowed error of ln delta K of an interval, even if few cycles pass in it.
+"""Allowed error of ln delta K in an interval, even if few cycles pass there.
 
 An interval with a larger error is halved, so that the peak of a resonance inside is met.
 """
@@ -551,8 +551,8 @@ def _grow_ellipse(
 def _find_max_ellipse_length(scene: Scene) -> float:
     """Return the maximum length [m] of a half-ellipse in the table.
 
-    Around a point the distance to the sides is unknown. There the length is that of a crack growing
-    three times as fast along the face.
+    Around a point the distance to the sides is unknown. There the length is a crack's with three
+    times the growth along the face.
     """
     crack, law = scene.given("crack"), scene.given("growth")
     if crack.point is not None:
@@ -1122,9 +1122,10 @@ def _estimate_interval_errors(
 ) -> np.ndarray:
     """Return the spline's error of ln delta K in each interval between lengths: (k - 1,).
 
-    In new intervals it is the error of the previous spline at their ends. In other intervals it is
-    the previous error or, if larger, the difference between both splines in the middle. A resonance
-    inside an interval shows around the interval, too.
+    In new intervals it is the previous spline's error at the interval ends, a quarter of the
+    largest difference. In other intervals it is the previous error or, if larger, the difference
+    between both splines in the middle. A resonance inside an interval shows around the interval,
+    too.
     """
 
     def log_range_difference(lengths: np.ndarray) -> np.ndarray:

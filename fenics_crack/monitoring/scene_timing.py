@@ -333,7 +333,7 @@ def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
 def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[int, float]:
     """Return the factor of each dof in the tangential tip displacement (collective).
 
-    For a wheel it is the displacement of one blade: the watched blade if ``blade`` is 0.
+    For a wheel it is a blade's displacement: the watched blade's if ``blade`` is 0.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Arrival times of a blade tip, from a periodic solution or response curve.
 
-The tip's angle is the rotor's angle alpha plus that of the vibration (Heath and Imregun,
+The tip's angle is the rotor's angle alpha plus the vibration's angle (Heath and Imregun,
 International Journal of Mechanical Sciences 38, 1996, 1047, solve this for arrival times):
 
     theta(alpha) = alpha + u(alpha) / R,     u(alpha) = Re sum_k U_k exp(i k q alpha)
@@ -171,7 +171,7 @@ def _build_motion(
 ) -> _TipMotion:
     """Return the motion of the blade tip (collective).
 
-    Raise InputError unless exactly one of ``speed`` and ``order`` is given; of a curve, ``order``.
+    Raise InputError unless either ``speed`` or ``order`` is given; for a curve, ``order``.
     """
     if order is not None:
         check_count("order", order, 1)
@@ -253,8 +253,8 @@ def _find_jumped_points(
     """Find points before folds that a jump leaves out: (n,) bool.
 
     ``signed_omega``: the frequency, negative in a run-down; ``is_passed``: points of the run-up;
-    ``is_doubtful``: points not known to be stable. The motion jumps before the row of doubtful
-    points that ends at a fold, if they are near.
+    ``is_doubtful``: points not known to be stable. If doubtful points lead up to a nearby fold, the
+    motion jumps before them.
     """
     is_jumped = np.zeros(len(signed_omega), dtype=bool)
     for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):

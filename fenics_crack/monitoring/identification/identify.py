@@ -52,7 +52,7 @@ from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
 IRRELEVANT_SCENE_TABLES = ("sweep", "curve", "integration", "identify", "tip_timing")
-"""Tables of a scene that do not matter to a sweep of the forward model."""
+"""Scene tables without effect on a sweep of the forward model."""
 ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
 """Sweeps of all cases, of a finer mesh, and halfway between the cases."""
 
@@ -69,11 +69,11 @@ def identify(
     """Find a crack, or other keys of a scene, from measurements (collective).
 
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
-    at a few points. Files in ``folder`` keep both, and a killed run continues from them. Natural
-    frequencies of a rotor may be at several speeds, each of which is solved. Under a steady load or
-    a clearance, the grid becomes denser where cracks between its points meet a resonance. It also
-    becomes denser around cracks that explain the measurements if interpolation is a large part of
-    an error.
+    at a few points. Files in ``folder`` keep both, and a killed run continues from them. A rotor's
+    natural frequencies may be at several speeds; all are solved. Under a steady load or a
+    clearance, the grid becomes denser where cracks between its points meet a resonance. If
+    interpolation is a large part of an error, the grid also becomes denser around cracks with a
+    good fit.
 
     Cross-validation and a few cases halfway between the grid points estimate the interpolation
     error. The measurement error is increased by it. So is the remaining error of the mesh: if a
@@ -254,7 +254,7 @@ def _select_predictable_rows(
 
 
 def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """Return limits of measurements that do not depend on their values."""
+    """Return limits of measurements, whatever their values are."""
     identify_table = scene.given("identify")
     crack, rows, remarks = scene.crack, measurements.rows, []
     is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
@@ -515,7 +515,7 @@ def solve_forward(
 def _join_sweeps(
     first_sweep: SweepResult, second_sweep: SweepResult, axis_index: int
 ) -> SweepResult:
-    """Join the cases of two sweeps whose values differ on one axis."""
+    """Join the cases of two sweeps with different values on one axis."""
     axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
     value_order = np.argsort(axis_values)
     column_by_name = {
@@ -651,7 +651,7 @@ def _refine_axis_by_share(
 
 
 def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
-    """Return the scene of all cases, and that of a few on a finer mesh.
+    """Return the scene for all cases, and a scene for a few cases on a finer mesh.
 
     The second is None without a finer mesh.
     """
@@ -694,7 +694,7 @@ def _is_divisible(axis: Axis) -> bool:
 def _list_halfway_values(
     axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
 ) -> tuple[float, ...]:
-    """Return values halfway between those of an unknown, around some limits.
+    """Return values halfway between an unknown's values, within limits.
 
     Words and whole numbers have none.
     """

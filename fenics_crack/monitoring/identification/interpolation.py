@@ -1,24 +1,23 @@
 """Smooth interpolation of many quantities over a few unknowns, with its error.
 
-A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
-without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
+Quantities on a grid of unknowns are interpolated by tensor products of cubic splines, without knots
+next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
 
 The error along each axis is estimated by leaving out one node. An inner node differs from the
 spline through all other nodes on the line by the error of twice the spacing. This is 16 times too
 large for a smooth quantity, and 4/3 times if meshes make the quantity uneven; 30 % are taken. The
-errors at the nodes around a point, of all quantities together, are the covariance of predictions
-there.
+errors at the nodes around a point, in all quantities together, give the covariance there.
 
-A thin plate through the other cases replaces a failed case. At least half of the nodes must be
-known, and one more than a quadratic polynomial needs: of four none may fail. The error there is the
-difference between the nearest known node and a plate without it, in full. That holds between known
-nodes; beyond them a pole of a harmonic is missed.
+A thin plate through the other cases replaces a failed case. At least half the nodes must be known,
+and one more than a quadratic polynomial needs: with four nodes none may fail. The error there is
+the difference between the nearest known node and a plate without it, in full. That holds between
+known nodes; beyond them a pole of a harmonic is missed.
 
 Smooth forms are interpolated. First, the logarithms of natural frequencies without the crack.
 Second, their changes by the crack, over the crack size if the size is unknown. Third, harmonics as
-complex numbers, a - i b for a cos + b sin. The amplitudes alone have kinks where they vanish. Both
-have poles, which move with the crack, where k times the load's frequency W meets a natural
-frequency w_j of the breathing crack with damping ratio z.
+complex numbers, a - i b for a cos + b sin. Amplitudes alone have kinks at zeros. Amplitudes and
+complex harmonics have poles, which move with the crack. A pole lies where k times the load
+frequency W meets the breathing crack's natural frequency w_j with damping ratio z.
 
 The first harmonic moves the crack faces, which make the other harmonics. These have the poles of
 the first harmonic, too, once in size and k times in phase, as if a whole motion is larger and
@@ -29,9 +28,9 @@ later. With the displacement U_k of the k-th harmonic, the smooth form is
 without p_1 for the first harmonic. The bilinear frequencies w_j are those of the same nodes. The
 split s sums over the modes the relative difference between frequencies with the crack bonded and
 open, times its static compliance relative to the first mode, 1 / w_j^2. It measures how much the
-load bends the plate at the crack, and the crack the plate. It is small for a short crack, which
-closes in half of each period. Therefore even harmonics are of first order, n = 1, odd harmonics of
-second order, n = 2.
+load bends the plate at the crack, and the crack the plate. The split is small for a short crack,
+which is closed for half a period. Therefore even harmonics are of first order, n = 1, odd harmonics
+of second order, n = 2.
 """
 
 from __future__ import annotations
@@ -109,8 +108,8 @@ def _fit_spline(axis: np.ndarray, node_values: np.ndarray) -> Any:
 def compute_leave_one_out_errors(axis: np.ndarray, node_values: np.ndarray) -> np.ndarray:
     """Return the error of the spline at each node (n, ...) if that node is left out.
 
-    The values (n, ...) are on an axis (n,). The ends are never left out; they have the errors of
-    their neighbours.
+    The values (n, ...) are on an axis (n,). The ends are never left out, and take their neighbours'
+    errors.
     """
     errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis) - 1):
@@ -287,10 +286,10 @@ MESH_AXIS_KEY = "mesh.file"
 
 
 class SweptLoads:
-    """Loads of a forward model, the last axis of its sweeps.
+    """Loads in the sweeps of a forward model, on their last axis.
 
-    If the load is an engine order, each load has its rotor speed. The first has that of the scene,
-    the default of natural frequencies.
+    If the load is an engine order, each load has its rotor speed. The first load has the scene's
+    speed, the default for natural frequencies.
 
     Attributes
     ----------
@@ -331,9 +330,9 @@ class SweptLoads:
 
 
 class SolvedCases:
-    """Solved cases of a sweep for one choice of words, and of the plate without its crack.
+    """Solved cases of a sweep for one choice of words, also without the crack.
 
-    The last axis of the sweep is that of the loads.
+    The sweep's last axis has the loads.
     """
 
     def __init__(
@@ -368,8 +367,8 @@ class SolvedCases:
     def get_natural_frequency(self, crack_state: str, mode: int) -> np.ndarray:
         """Return a natural frequency at all nodes and loads [Hz]: (n, n_loads).
 
-        Without the crack ("uncracked") it is the same for all cracks, and that of a bonded crack if
-        the crack cannot be removed.
+        Without the crack ("uncracked") all cracks have the same; if the crack cannot be removed, a
+        bonded crack replaces the missing plate.
         """
         if crack_state == "uncracked":
             if self.uncracked_cases is None:
@@ -439,8 +438,8 @@ class SolvedCases:
     def scale_and_frequencies(self) -> np.ndarray:
         """Collect the data of poles at all nodes and loads: (n, n_loads, 1 + 2 modes).
 
-        They are the root of s (1 without a crack), the bilinear frequencies [Hz], and those without
-        the crack; nan for a missing frequency.
+        Columns are the root of s (1 without a crack), the bilinear frequencies [Hz], and the
+        uncracked frequencies [Hz]; nan for a missing frequency.
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack([self.get_natural_frequency(crack_state, mode) for mode in NUMBERED], axis=2)

@@ -73,17 +73,14 @@ class Measurement:
     Attributes
     ----------
     quantity : str
-        Name of the measured quantity.
-
-        A natural frequency of mode ``mode`` [Hz]: "frequency_open", "frequency_tied",
-        "frequency_bilinear" by its formula; "frequency_resonance", the resonance of the breathing
-        crack, near that formula; or "frequency_uncracked" of the same plate before it had a crack,
-        which calibrates the others of its mode.
-
-        Under the scene's load at ``frequency``, as in :class:`Indicators`: "harmonic_1" to
-        "harmonic_3" [m], "ratio_2_1" or "ratio_3_1" of a point. Or a "displacement" [m] of the
-        point at ``phase``, as probes see it. All displacements of a point at a frequency are
-        compared up to the load's size, its phase, and a constant.
+        Natural frequencies of mode ``mode`` [Hz] are "frequency_open", "frequency_tied" and
+        "frequency_bilinear" by its formula; "frequency_resonance", at which the breathing crack
+        resonates, near that formula; and "frequency_uncracked" of the same plate before it had a
+        crack, which calibrates the others of its mode. Quantities of a point under the scene's load
+        at ``frequency`` are, as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m],
+        "ratio_2_1" and "ratio_3_1". A "displacement" [m] of the point is at ``phase``, as probes
+        see it. All displacements of a point at a frequency are compared up to the load's size, its
+        phase, and a constant.
     value, deviation : float
         The number, and its standard deviation > 0, in the same unit.
     mode : int
@@ -172,7 +169,7 @@ class Measurement:
 
     @property
     def shape(self) -> bool:
-        """Return True for a quantity that depends on the shape of a motion, not its size."""
+        """Return True for a quantity by a motion's shape, not by its size."""
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
@@ -186,7 +183,7 @@ class Measurement:
 
     @property
     def name(self) -> str:
-        """Return its name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
+        """Return the name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
             speed_text = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
             return f"{self.quantity} of mode {self.mode}{speed_text}"
@@ -195,7 +192,7 @@ class Measurement:
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def load(self, scene: Scene) -> float:
-        """Return the load frequency [Hz] of a scene at which it was measured.
+        """Return the scene's load frequency [Hz] in the measurement.
 
         For a natural frequency it is the load at the rotor's speed, and 0 at the scene's own speed.
         """
@@ -327,8 +324,8 @@ class Measurements(Tabular):
 
         Let alpha be the rotor's angle at an arrival, with the blade tip displaced by u
         (:class:`ArrivalTimes`). The load is then at the phase p alpha of its period. No harmonic is
-        fitted here; the model has them. The means are those of :func:`fit_order`: single wrong
-        arrivals have no weight, and vibrations that follow no order are taken out.
+        fitted here; the model has them. The means are as in :func:`fit_order`: single wrong
+        arrivals have no weight, and vibrations without an order are taken out.
 
         Parameters
         ----------
@@ -456,7 +453,7 @@ class Measurements(Tabular):
     ) -> Measurements:
         """Fit natural frequencies to the frequency responses of a universal file.
 
-        Datasets 58 and 58b of one structure at the same frequencies (.uff, .unv), over the force or
+        Datasets 58 and 58b for a structure at equal frequencies (.uff, .unv), over the force or
         another excitation, are fitted around their peaks, all together. The standard deviation
         includes the scatter, and the change of the fit if less of a peak is fitted.
 
@@ -536,7 +533,7 @@ class Measurements(Tabular):
 
 
 def list_crack_removal_changes(scene: Scene) -> dict[str, Any] | None:
-    """Return changes of a scene, by key, that remove its crack; None if impossible."""
+    """Return scene changes, by key, that remove the crack; None if impossible."""
     value_by_key: dict[str, Any] = dict.fromkeys(
         ("crack", "cracks", "contact", "output.quantities")
     )
@@ -602,7 +599,7 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
 def _parse_measurement(
     cell_by_column: Mapping[str, str], factor_by_column: Mapping[str, float]
 ) -> Measurement:
-    """Return the measurement of a table's line, each cell times the factor of its column.
+    """Parse a measurement from a table's line, each cell times its column's factor.
 
     Raises InputError.
     """

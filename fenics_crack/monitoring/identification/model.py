@@ -1,6 +1,6 @@
 """The forward model: predictions of measurements from the unknowns, and their covariance.
 
-Errors of predictions are not independent, since all of them come from one sweep. Their covariance
+Prediction errors are not independent, since a single sweep makes all predictions. Their covariance
 is a sum of three. The interpolation's part comes from leave-one-out errors in all quantities at
 once. The mesh's part comes from the changes by a finer mesh, with half the variance common to all
 quantities. The third part comes from the priors
@@ -265,7 +265,7 @@ class ForwardModel:
     def make_predictor(
         self, rows: Sequence[Measurement], candidate_rows: Sequence[Measurement] = ()
     ) -> Predictor:
-        """Return the predictor of measurements, and of candidates for further ones."""
+        """Make a predictor for measurements, and for candidates."""
         return Predictor(self, rows, candidate_rows)
 
     def get_damping_ratios(self, x: np.ndarray) -> np.ndarray:
@@ -477,7 +477,7 @@ class Predictor:
     def with_change_factors(self, *, clamp_factor: float, temperature_factor: float) -> Predictor:
         """Return a copy with the priors of changes since the baseline multiplied.
 
-        The factors are those of the clamp and of an unknown temperature.
+        The factors are for the clamp and for an unknown temperature.
         """
         predictor = copy(self)
         predictor.baseline_changes = self.baseline_changes.with_change_factors(
@@ -1046,7 +1046,7 @@ def has_load_independent_shape(scene: Scene) -> bool:
 def _combine_features(
     row: Measurement, feature_sizes: np.ndarray, state_index: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a quantity (m,) of its features' sizes (m, k), and its slopes by them (m, k).
+    """Combine feature sizes (m, k) to a quantity (m,), and its slopes by them (m, k).
 
     A resonance is near the frequency with the state's index.
     """

@@ -9,8 +9,8 @@ relative a_j, and the size of harmonics by a relative b. Through their poles
 
 and by the change of the first harmonic, which drives the k-th. Here W is the load frequency, w_j a
 natural frequency and z the damping ratio. Nothing is solved again. These changes are common errors
-of all predictions: with the crack, without it, and before the crack existed. Measurements before
-the crack therefore calibrate the plate.
+in all predictions: with the crack, without the crack, and before the crack. Measurements before the
+crack therefore calibrate the plate.
 
 An inclined crack acts like a straight crack at the height of the crack tip (0.87 to 1.11 times as
 much, for ten edge cracks inclined by 10 degrees). A wider or softer crack acts like a longer or
@@ -31,7 +31,7 @@ independent: a loose bolt lets the clamp turn, slipping jaws let it move. Their 
 a uniformly soft clamp with the radius of gyration q about its middle. Their size is by what both
 take from the first mode.
 
-Modes at other speeds or with another modulus are those of a K_0 + s (K - K_0). Here a is the factor
+Modes at other speeds or with another modulus follow from a K_0 + s (K - K_0). Here a is the factor
 of the modulus and s the squared speed over the scene's. The modes at rest and at the scene's speed
 span the space. Temperature and clamp change between the record before there was a crack and the one
 since, and so move each mode at each speed. The stiffening by rotation may change, too, by the
@@ -386,7 +386,7 @@ class UncrackedPlate:
 
 
 def _guess_frequency_unit(frequency_ratio: float) -> str:
-    """Return the unit of a number by its ratio to that in Hz; empty for Hz or no match."""
+    """Guess a number's unit by the ratio to the number in Hz; empty for Hz or no match."""
     # No crack changes a frequency by a factor of exp(0.3).
     matching_units = (
         unit_name
@@ -397,7 +397,7 @@ def _guess_frequency_unit(frequency_ratio: float) -> str:
 
 
 class BaselineChanges:
-    """Changes of q measurements between the record before there was a crack and the one since.
+    """Changes in q measurements between the record before the crack and the record since.
 
     They are 0 for measurements other than natural frequencies, and for unknown modes.
 
@@ -527,9 +527,9 @@ def _build_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
 def _differentiate_poles(
     features: Sequence[Feature], damping_ratios: np.ndarray, scale_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return slopes of logarithms of harmonics through their poles: (m, f, modes) each.
+    """Differentiate logarithms of harmonics through their poles: (m, f, modes) each.
 
-    The first are by logarithms of natural frequencies, the second by that of the damping ratio.
+    The first slopes are by ln w_j, the second by the logarithm of the damping ratio.
     """
     r, pole_factors = compute_ratios_and_poles(features, damping_ratios, scale_and_frequencies)
     damping_slopes = 2j * damping_ratios[..., None] * r / pole_factors

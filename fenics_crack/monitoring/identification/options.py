@@ -19,12 +19,12 @@ class Options:
     Above it cases are added if a steady load or a clearance makes the motion depend on it.
     """
     allowed_interpolation_share: float = 0.2
-    """Allowed share of interpolation in the variance of a measurement (1.12 times its deviation).
+    """Allowed share of interpolation in a measurement's variance (1.12 times its deviation).
 
     Above it cases are added.
     """
     max_case_ratio: int = 8
-    """Maximum number of solved cases, relative to those of ``[identify.unknown]``."""
+    """Maximum number of solved cases over the number in ``[identify.unknown]``."""
 
     # Interpolation.
     leave_one_out_fraction: float = 0.3
@@ -41,13 +41,13 @@ class Options:
     max_least_squares_starts: int = 8
     """Maximum number of starts of least squares."""
     refined_half_width: float = 5.0
-    """Half width of the refined grid around an optimum [standard deviations]."""
+    """Half width [standard deviations] for the refined grid around an optimum."""
     allowed_optimum_drop: float = 8.0
     """Optima further below the maximum of log L are neglected."""
     allowed_grid_drop: float = 300.0
     """Grid points further below the maximum of log L are not evaluated again."""
     batch_size: int = 500
-    """Number of points in one evaluation of the likelihood, to bound memory."""
+    """Number of points per evaluation of the likelihood, to bound memory."""
     min_part_probability: float = 0.03
     """Minimum probability of a separate part of the region in reports."""
     advised_frequency_deviation: float = 1e-3

@@ -9,8 +9,8 @@ Since det V is at least det diag(e^2), both terms are squares, and least squares
 a crack may breathe or not, L is the sum over both, each with its probability
 (:meth:`fenics_crack.monitoring.identification.model.Predictor.iterate_states`).
 
-The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp one:
-L is convolved on the grid with the distribution of that difference
+The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
+crack. L is convolved on the grid with the distribution of the difference
 (:func:`fenics_crack.monitoring.identification.nuisance.compute_crack_deviations`). Regions hold a
 share of the posterior's mass, the densest parts first. The integral of L over the prior is the
 evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms,
@@ -136,7 +136,7 @@ class Likelihood:
     def compute_temperature_change(self, x: np.ndarray) -> float:
         """Return the posterior mean of the unknown temperature change since the baseline.
 
-        It is at x (d,), in standard deviations of its prior.
+        The mean is at x (d,), in standard deviations of the prior.
         """
         prediction = self.predict_most_probable(x)
         temperature_slopes = (
@@ -226,7 +226,7 @@ class Optimum:
 
 
 class Branch:
-    """The posterior for one choice of the words, on a grid that is denser around optima.
+    """The posterior for a choice of words, on a grid with more points around optima.
 
     Attributes
     ----------
@@ -362,7 +362,7 @@ def _convolve_crack_deviations(
 ) -> np.ndarray:
     """Return log L on a grid, convolved along the axes with normal distributions.
 
-    Their standard deviations (n, d) are those of the crack.
+    The standard deviations (n, d) are the crack's.
     """
     max_log_likelihood = log_likelihood.max()
     likelihood = np.exp(log_likelihood - max_log_likelihood)
@@ -493,7 +493,7 @@ class Posterior:
             words: np.exp(branch.log_likelihood - log_evidence_sum) * branch.prior_mass
             for words, branch in self.branch_by_words.items()
         }
-        """Probability of each point of the grids; their sum is 1."""
+        """Probability of each grid point; the sum is 1."""
         self._log_likelihoods = np.concatenate(
             [branch.log_likelihood.ravel() for branch in self.branch_by_words.values()]
         )
@@ -548,7 +548,7 @@ class Posterior:
     def mean_temperature_change(self) -> float:
         """Return the posterior mean of the temperature change since the baseline at the largest L.
 
-        It is in standard deviations of its prior.
+        The mean is in standard deviations of the prior.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_temperature_change(x)

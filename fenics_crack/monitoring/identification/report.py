@@ -1,4 +1,4 @@
-"""Report of an identification, from the summary that its file has, too."""
+"""Report on an identification, from the summary, as also stored in a file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class IdentificationOutput:
-    """Result of ``identify`` and the files that it has written."""
+    """Result of ``identify`` with the written files."""
 
     KIND: ClassVar[str] = IDENTIFICATION
     scene: Scene

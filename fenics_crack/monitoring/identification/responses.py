@@ -5,8 +5,8 @@ Dataset 58b has the same eleven lines, then binary numbers (Structural Dynamics 
 Laboratory, University of Cincinnati, keeps SDRC's description of the format). All functions of
 type 4, frequency response functions, are read; other datasets are left out.
 
-Let H_j be the receptances, displacements over a force. Around each peak of all responses together,
-a mode and the residuals p_j, q_j of its neighbours are fitted by least squares,
+Let H_j be the receptances, displacements over a force. Around each peak in the sum over all
+responses, a mode and its neighbours' residuals p_j, q_j are fitted by least squares,
 
     H_j(w) (a + i b r - r^2) = p_j + q_j (r - 1),        r = w / w_peak.
 
@@ -15,8 +15,8 @@ K. Sanathanan and J. Koerner, IEEE Transactions on Automatic Control 8, 1963, 56
 last denominator).
 
 With a breathing crack, the first harmonic over the force is the response of a nonlinear structure.
-Without clearance or a steady load it does not depend on the force. Near a resonance it is nearly
-that of a linear mode with the resonance frequency. The difference shows if less of the peak is
+Without clearance or a steady load it does not depend on the force. Near a resonance the response is
+nearly a linear mode's with the resonance frequency. The difference shows if less of the peak is
 fitted, and counts as an error.
 """
 
@@ -38,11 +38,11 @@ from fenics_crack.basics.untrusted_files import MOST_BYTES, content_of
 DATASET_BORDER_LINE = b"-1"
 """Line at the beginning and the end of each dataset."""
 NUMPY_TYPE_BY_CODE = {5: "f4", 6: "f8"}
-"""NumPy types of the parts of complex numbers, single and double, by their codes."""
+"""NumPy types for the parts of complex numbers, single and double, by code."""
 FORTRAN_NUMBER_PATTERN = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
 """Number in text; Fortran leaves out the E of an exponent with three digits."""
 DERIVATIVE_ORDER_BY_CODE = {8: 0, 11: 1, 12: 2}
-"""Time derivatives in displacement, velocity and acceleration, by their codes."""
+"""Derivative order of displacement, velocity and acceleration, by code."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ the unknowns x is
 
     F = (ds / dx)^T V^-1 (ds / dx) + P,
 
-where P is that of the prior. One more measurement changes F to F', and adds in nats
+with the prior's information P. One more measurement changes F to F', and adds in nats
 
     log(det F' / det F) / 2
 
@@ -102,7 +102,7 @@ def rank_measurements(
 ) -> Worth:
     """Rank further measurements by their information at an estimate x (d,).
 
-    Deviations are relative ones of frequencies and of harmonics, for default candidates.
+    The deviations are relative, for frequencies and for harmonics, of default candidates.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def _compute_log_determinant_and_deviations(
     covariance_and_slopes: tuple[np.ndarray, np.ndarray],
     row_indices: np.ndarray,
 ) -> tuple[float, dict[str, float]]:
-    """Return log det F of some rows (n,), and the standard deviation of each unknown.
+    """Compute log det F for rows (n,), and the standard deviation of each unknown.
 
     The covariance and the slopes are those of all measurements.
     """
@@ -272,7 +272,7 @@ def _compute_log_determinant_and_deviations(
 
 
 def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
-    """List displacements of one more probe, at 24 phases of the period."""
+    """List displacements for a further probe, at 24 phases of the period."""
     phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
     for probe_group in ProbeDisplacements.group_measurements(measured_rows, ()):
         group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
@@ -351,7 +351,7 @@ class Identification(Tabular):
 
     @property
     def priors(self) -> dict[str, float]:
-        """Return priors and levels of confidence by their keys of ``[identify]``."""
+        """Return priors and confidence levels by their keys in ``[identify]``."""
         return self._identify_table.priors
 
     @property
