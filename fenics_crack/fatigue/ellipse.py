@@ -64,15 +64,15 @@ class EllipseTable:
 
         log_axes = np.log(self.depths), np.log(self.lengths)
         depth_degree, length_degree = (min(3, len(log_axis) - 1) for log_axis in log_axes)
-        divisors = np.sqrt(self.depths)[:, None], 1.0
+        column_divisors = np.sqrt(self.depths)[:, None], 1.0
         return {
             column_name: RectBivariateSpline(
                 *log_axes,
-                values / divisors[not _is_stress_intensity(column_name)],
+                column / column_divisors[not _is_stress_intensity(column_name)],
                 kx=depth_degree,
                 ky=length_degree,
             )
-            for column_name, values in self.column_by_name.items()
+            for column_name, column in self.column_by_name.items()
         }
 
     def interpolate_column(
@@ -82,9 +82,13 @@ class EllipseTable:
 
         Ranges are at least zero.
         """
-        values = self._spline_by_column[column_name].ev(np.log(depth), np.log(length))
-        values = values.clip(0.0) if column_name.startswith("delta_K") else values
-        return np.asarray(values * np.sqrt(depth) if _is_stress_intensity(column_name) else values)
+        column_values = self._spline_by_column[column_name].ev(np.log(depth), np.log(length))
+        column_values = (
+            column_values.clip(0.0) if column_name.startswith("delta_K") else column_values
+        )
+        return np.asarray(
+            column_values * np.sqrt(depth) if _is_stress_intensity(column_name) else column_values
+        )
 
     def with_every_second_size(self) -> EllipseTable:
         """Return the table with every second depth and length."""
@@ -128,11 +132,11 @@ def compute_growth_per_cycle(
 
     The crack has one or two ends on the face, ``n_surface_ends``.
     """
-    rates = []
+    growth_rates = []
     for equivalent_column, effective_column in zip(
         EQUIVALENT_RANGE_COLUMNS, EFFECTIVE_RANGE_COLUMNS, strict=True
     ):
-        rate = (
+        growth_rate = (
             law.rate
             * (table.interpolate_column(equivalent_column, depth, length) / 1e6) ** law.exponent
         )
@@ -140,9 +144,11 @@ def compute_growth_per_cycle(
             threshold_excess = (
                 table.interpolate_column(effective_column, depth, length) / law.threshold - 1.0
             )
-            rate = rate * np.clip(threshold_excess / THRESHOLD_RAMP_FRACTION, 0.0, 1.0)
-        rates.append(rate)
-    return np.stack([rates[0], n_surface_ends * rates[1]], axis=-1)
+            growth_rate = growth_rate * np.clip(
+                threshold_excess / THRESHOLD_RAMP_FRACTION, 0.0, 1.0
+            )
+        growth_rates.append(growth_rate)
+    return np.stack([growth_rates[0], n_surface_ends * growth_rates[1]], axis=-1)
 
 
 def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int) -> EllipsePath:

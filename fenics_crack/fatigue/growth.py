@@ -146,8 +146,8 @@ class Growth(Saved):
 
         None without a spectrum.
         """
-        repeat = self.scene.given("growth").repeat
-        return None if repeat is None else self.cycles / repeat[0]
+        spectrum_repeat = self.scene.given("growth").repeat
+        return None if spectrum_repeat is None else self.cycles / spectrum_repeat[0]
 
     @property
     def frequency_drop(self) -> np.ndarray:
@@ -182,7 +182,7 @@ class Growth(Saved):
         if self.repeats is not None:
             values_by_column = {"repeats": self.repeats} | values_by_column
         return with_frequency(
-            {column_name: values.tolist() for column_name, values in values_by_column.items()}
+            {column_name: column.tolist() for column_name, column in values_by_column.items()}
         )
 
     def said(self) -> Said:
@@ -195,7 +195,9 @@ class Growth(Saved):
         if self.repeats is not None:
             growth_text += f", {self.repeats[-1]:.4g} repeats of the spectrum"
         cause_texts = [
-            f"{cause_name} {error:.2g}" for cause_name, error in self.errors.items() if error > 0.0
+            f"{cause_name} {relative_error:.2g}"
+            for cause_name, relative_error in self.errors.items()
+            if relative_error > 0.0
         ]
         certainty_text = f"the cycles are uncertain by a factor of {self.factor:.3g}"
         certainty_text += (
@@ -436,32 +438,38 @@ def _validate_growth_scene(scene: Scene) -> Scene:
     check_known(without_tips(scene), "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
-        allowed = "'graded' with [growth], which meshes many lengths"
-        raise InputError("mesh.layout", scene.mesh.layout, allowed)
+        allowed_text = "'graded' with [growth], which meshes many lengths"
+        raise InputError("mesh.layout", scene.mesh.layout, allowed_text)
     if crack.front == "straight":
-        allowed = "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
-        raise InputError("crack.front", crack.front, allowed)
+        allowed_text = (
+            "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
+        )
+        raise InputError("crack.front", crack.front, allowed_text)
     is_elliptical = crack.is_elliptical
     if scene.cracks or (crack.edge is None and crack.point is None and not is_elliptical):
-        allowed = "one crack from an edge with [growth]: its tip is the one that grows"
-        raise InputError("crack", "several tips", allowed)
+        allowed_text = "one crack from an edge with [growth]: its tip is the one that grows"
+        raise InputError("crack", "several tips", allowed_text)
     if law.drive == "spectrum" and scene.excitation.order is not None:
-        allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
-        raise InputError("growth.drive", law.drive, allowed)
+        allowed_text = (
+            "another one with excitation.order: the speed of the rotor sets the frequency"
+        )
+        raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "spectrum" and is_elliptical:
-        allowed = "another one with crack.front = 'elliptical': each of its shapes has one load"
-        raise InputError("growth.drive", law.drive, allowed)
+        allowed_text = (
+            "another one with crack.front = 'elliptical': each of its shapes has one load"
+        )
+        raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "resonance" and not resonates(scene):
         raise InputError("growth.drive", law.drive, f"another one {NO_PEAK_SOUGHT}")
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
-    allowed = "given with [growth], and crack.length: these are what changes"
-    start_size = crack.given(size_key, allowed)
+    allowed_text = "given with [growth], and crack.length: these are what changes"
+    start_size = crack.given(size_key, allowed_text)
     max_size = getattr(scene.geometry, limit_key) or math.inf
     if not start_size < law.until < max_size:
-        allowed = (
+        allowed_text = (
             f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {max_size:g}"
         )
-        raise InputError("growth.until", law.until, allowed)
+        raise InputError("growth.until", law.until, allowed_text)
     return scene
 
 
@@ -509,16 +517,18 @@ def _grow_ellipse(
     }
     elapsed_time = _integrate_over_cycles(TURN / values_by_column["omega"], ellipse_path.cycles)
     n_not_stable = int((sweep_result.not_stable & sweep_result.converged).sum())
-    remarks = _describe_failed_ellipses(sweep_result, ellipse_table, ellipse_path)
-    remarks += [f"at {counted(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
-    remarks += _describe_crack_turning(
+    remark_texts = _describe_failed_ellipses(sweep_result, ellipse_table, ellipse_path)
+    remark_texts += (
+        [f"at {counted(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
+    )
+    remark_texts += _describe_crack_turning(
         values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
     )
-    remarks += [] if math.isfinite(vibration_error) else [UNKNOWN_VIBRATION_TEXT]
+    remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_VIBRATION_TEXT]
     is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
     has_passed = is_above_resonance != is_above_resonance[0]
     if law.drive == "frequency" and np.any(has_passed):
-        remarks.append(
+        remark_texts.append(
             f"at a length of {ellipse_path.length[np.argmax(has_passed)]:.4g} m the natural "
             "frequency passes that of the load, a resonance between few shapes: the life is not "
             "known, with growth.drive = 'resonance' it is"
@@ -543,7 +553,7 @@ def _grow_ellipse(
         ellipse_path.end_reason,
         size_grid[sweep_result.converged],
         error_by_cause,
-        (*remarks, *omission_remarks),
+        (*remark_texts, *omission_remarks),
         ellipse_path.depth,
     )
 
@@ -566,18 +576,18 @@ def _find_max_ellipse_length(scene: Scene) -> float:
 
 
 def estimate_ellipse_life_error(
-    table: EllipseTable, path: EllipsePath, law: Law, n_surface_ends: int
+    ellipse_table: EllipseTable, ellipse_path: EllipsePath, law: Law, n_surface_ends: int
 ) -> float:
     """Return the interpolation error of the cycles, relative to them.
 
     It is a quarter of the change with every second depth and length only.
     """
     coarse_life = integrate_ellipse_growth(
-        table.with_every_second_size(), law, n_surface_ends
+        ellipse_table.with_every_second_size(), law, n_surface_ends
     ).cycles[-1]
     return (
-        abs(math.log(coarse_life / path.cycles[-1])) / 4.0
-        if coarse_life * path.cycles[-1] > 0.0
+        abs(math.log(coarse_life / ellipse_path.cycles[-1])) / 4.0
+        if coarse_life * ellipse_path.cycles[-1] > 0.0
         else 0.0
     )
 
@@ -630,15 +640,18 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
 
 
 def _describe_failed_ellipses(
-    sweep_result: SweepResult, table: EllipseTable, path: EllipsePath
+    sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipsePath
 ) -> list[str]:
     """Return a remark on failed shapes away from the path.
 
     Raises ConvergenceError if the path is next to one.
     """
-    table_and_path_sizes = (table.depths, path.depth), (table.lengths, path.length)
+    table_and_path_sizes = (
+        (ellipse_table.depths, ellipse_path.depth),
+        (ellipse_table.lengths, ellipse_path.length),
+    )
     for case_index, failure_text in sweep_result.failed:
-        is_near_case = np.full(len(path.depth), fill_value=True)
+        is_near_case = np.full(len(ellipse_path.depth), fill_value=True)
         for size_index, (table_sizes, path_sizes) in zip(
             case_index, table_and_path_sizes, strict=True
         ):
@@ -658,7 +671,7 @@ def _describe_failed_ellipses(
 
 
 def _estimate_ellipse_range_error(
-    scene: Scene, table: EllipseTable, path: EllipsePath, path_row: int
+    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row: int
 ) -> tuple[float, list[str]]:
     """Return the relative error of the range that grows the crack most.
 
@@ -669,25 +682,30 @@ def _estimate_ellipse_range_error(
     list of str
         At most one remark on causes that the error omits.
     """
-    depth_and_length = path.depth[path_row : path_row + 1], path.length[path_row : path_row + 1]
-    omega = float(table.interpolate_column("omega", *depth_and_length)[0])
+    depth_and_length = (
+        ellipse_path.depth[path_row : path_row + 1],
+        ellipse_path.length[path_row : path_row + 1],
+    )
+    omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
     shape_scene = _resize_crack(
         scene, omega, float(depth_and_length[1][0]), float(depth_and_length[0][0])
     )
     return _estimate_quantity_error(
-        shape_scene, EQUIVALENT_RANGE_COLUMNS[int(path.growth_per_cycle[path_row].argmax())]
+        shape_scene, EQUIVALENT_RANGE_COLUMNS[int(ellipse_path.growth_per_cycle[path_row].argmax())]
     )
 
 
-def _compute_growth_rates(path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
+def _compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
     """Return da/dN [m] at some lengths."""
     driving_range_mpa = (
-        path.interpolate_column("driving", lengths) / 1e6
+        length_path.interpolate_column("driving", lengths) / 1e6
     )  # MPa m^0.5, of which the rate is
     return np.asarray(law.rate * driving_range_mpa**law.exponent)
 
 
-def _integrate_cycles(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
+def _integrate_cycles(
+    length_path: LengthPath, law: Law
+) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
     """Integrate the cycles over the length.
 
     Returns
@@ -698,10 +716,10 @@ def _integrate_cycles(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarra
     end_reason : str
         "reached", "arrested" or "broken".
     """
-    lengths = np.linspace(path.lengths[0], path.lengths[-1], 200)
-    is_arrested = path.interpolate_column("delta_K_effective", lengths) < law.threshold
-    is_arrested |= _compute_growth_rates(path, law, lengths) == 0.0  # nothing opens it
-    is_broken = path.interpolate_column("K_max", lengths) >= (law.toughness or math.inf)
+    lengths = np.linspace(length_path.lengths[0], length_path.lengths[-1], 200)
+    is_arrested = length_path.interpolate_column("delta_K_effective", lengths) < law.threshold
+    is_arrested |= _compute_growth_rates(length_path, law, lengths) == 0.0  # nothing opens it
+    is_broken = length_path.interpolate_column("K_max", lengths) >= (law.toughness or math.inf)
     end_indices = np.flatnonzero(is_arrested | is_broken)
     end_reason: GrowthEnd = "reached"
     if len(end_indices):
@@ -712,7 +730,7 @@ def _integrate_cycles(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarra
     cycles_per_step = np.sum(
         half_steps
         * GAUSS_WEIGHTS
-        / _compute_growth_rates(path, law, quadrature_lengths.ravel()).reshape(
+        / _compute_growth_rates(length_path, law, quadrature_lengths.ravel()).reshape(
             quadrature_lengths.shape
         ),
         axis=1,
@@ -732,7 +750,9 @@ def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None
     return scene.replace(value_by_key | depth_by_key | {"output.quantities": quantity_names})
 
 
-def _estimate_range_error(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
+def _estimate_range_error(
+    scene: Scene, length_path: LengthPath, length: float
+) -> tuple[float, list[str]]:
     """Return the relative error of the range at a length by mesh, modes and harmonics.
 
     Returns
@@ -742,9 +762,9 @@ def _estimate_range_error(scene: Scene, path: LengthPath, length: float) -> tupl
     list of str
         At most one remark on causes that the error omits.
     """
-    omega = float(path.interpolate_column("omega", np.array([length]))[0])
+    omega = float(length_path.interpolate_column("omega", np.array([length]))[0])
     if scene.given("growth").drive == "spectrum":
-        omega = float(path.leading_omega[np.abs(path.lengths - length).argmin()])
+        omega = float(length_path.leading_omega[np.abs(length_path.lengths - length).argmin()])
     return _estimate_quantity_error(_resize_crack(scene, omega, length), "delta_K_equivalent")
 
 
@@ -763,7 +783,7 @@ def _estimate_quantity_error(scene: Scene, quantity_name: str) -> tuple[float, l
 
 
 def _estimate_threshold_sensitivity(
-    path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
+    length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
 ) -> float:
     """Return the rise of ln N, over the exponent, if all ranges fall by a relative error.
 
@@ -774,10 +794,10 @@ def _estimate_threshold_sensitivity(
         return 0.0
     raised_law = replace(law, threshold=law.threshold / (1.0 - range_error))
     raised_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
-    for sweep_result in path.sweep_results:
+    for sweep_result in length_path.sweep_results:
         raised_path = raised_path.with_sweep(sweep_result, raised_law, _list_load_levels(law)[1])
     middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
-    driving_range_ratio = path.interpolate_column(
+    driving_range_ratio = length_path.interpolate_column(
         "driving", middle_lengths
     ) / raised_path.interpolate_column("driving", middle_lengths)
     return math.log(float(np.average(driving_range_ratio**law.exponent, weights=np.diff(cycles))))
@@ -785,7 +805,7 @@ def _estimate_threshold_sensitivity(
 
 def _collect_growth_remarks(
     scene: Scene,
-    path: LengthPath,
+    length_path: LengthPath,
     jump_lengths: list[float],
     values_by_column: Mapping[str, np.ndarray],
     lengths: np.ndarray,
@@ -793,26 +813,26 @@ def _collect_growth_remarks(
     end_reason: str,
 ) -> list[str]:
     """Return the remarks that cast doubt on a crack's growth."""
-    remarks = _describe_crack_turning(
+    remark_texts = _describe_crack_turning(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
     law = scene.given("growth")
-    doubtful_lengths = (path.not_stable_lengths, jump_lengths)
+    doubtful_lengths = (length_path.not_stable_lengths, jump_lengths)
     not_stable_lengths, jump_lengths = (
         [doubtful_length for doubtful_length in length_list if doubtful_length <= lengths[-1]]
         for length_list in doubtful_lengths
     )
     if not_stable_lengths:
         count_text = counted(len(not_stable_lengths), "length")
-        remarks.append(f"at {count_text} {NOT_STABLE_TEXT}")
+        remark_texts.append(f"at {count_text} {NOT_STABLE_TEXT}")
     if jump_lengths:
-        remarks.append(
+        remark_texts.append(
             f"near {jump_lengths[0]:.4g} m the stress intensity jumps: several vibrations may be "
             "possible there, of which growth takes the one that is found first; a curve shows them"
         )
-    remarks += [
+    remark_texts += [
         f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
-        for doubtful_length, failure_text in path.failures
+        for doubtful_length, failure_text in length_path.failures
     ]
     # A crack that is arrested on its way has been at its threshold, however well that is known.
     is_near_threshold = (
@@ -820,14 +840,14 @@ def _collect_growth_remarks(
         < vibration_error * law.threshold
     )
     if np.any(is_near_threshold) and (end_reason != "arrested" or len(lengths) == 1):
-        remarks.append(
+        remark_texts.append(
             f"at {lengths[np.argmax(is_near_threshold)]:.4g} m the effective range is "
             f"growth.threshold within its error of {vibration_error:.1%}: "
             "whether the crack grows there is not known"
         )
     if not math.isfinite(vibration_error):
-        remarks.append(UNKNOWN_VIBRATION_TEXT)
-    return remarks
+        remark_texts.append(UNKNOWN_VIBRATION_TEXT)
+    return remark_texts
 
 
 def _describe_crack_turning(K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray) -> list[str]:
@@ -884,14 +904,15 @@ class LengthPath:
     @property
     def not_stable_lengths(self) -> list[float]:
         """Return lengths [m] with unstable, irregular or undecided vibration."""
-        cases = (
+        not_stable_cases = (
             (sweep_result, case_index)
             for sweep_result in self.sweep_results
             for case_index in np.argwhere(sweep_result.not_stable & sweep_result.converged)
         )
         return list(
             dict.fromkeys(
-                sweep_result.axes[0].values[case_index[0]] for sweep_result, case_index in cases
+                sweep_result.axes[0].values[case_index[0]]
+                for sweep_result, case_index in not_stable_cases
             )
         )
 
@@ -902,9 +923,9 @@ class LengthPath:
         column = self.column_by_name[column_name]
         if column_name not in LOGARITHMIC_COLUMN_NAMES:
             return np.asarray(CubicSpline(self.lengths, column)(lengths))
-        floor = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
-        spline = CubicSpline(self.lengths, np.log(np.maximum(column, floor)))
-        return np.asarray(np.exp(spline(lengths)))
+        min_column_value = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
+        column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, min_column_value)))
+        return np.asarray(np.exp(column_spline(lengths)))
 
     def with_sweep(
         self, sweep_result: SweepResult, law: Law, level_cycles: np.ndarray
@@ -919,8 +940,8 @@ class LengthPath:
         def solved_levels(column_name: str) -> np.ndarray:
             return sweep_result[column_name].reshape(len(sweep_lengths), -1)[is_solved]
 
-        lengths = np.append(self.lengths, sweep_lengths[is_solved])
-        length_order = np.argsort(lengths)
+        path_lengths = np.append(self.lengths, sweep_lengths[is_solved])
+        length_order = np.argsort(path_lengths)
         levels_by_column = {
             column_name: solved_levels(column_name) for column_name in SWEEP_COLUMN_NAMES
         }
@@ -946,7 +967,7 @@ class LengthPath:
         }
         return replace(
             self,
-            lengths=lengths[length_order],
+            lengths=path_lengths[length_order],
             column_by_name=column_by_name,
             leading_omega=np.append(self.leading_omega, new_leading_omega)[length_order],
             sweep_results=(*self.sweep_results, sweep_result),
@@ -1101,7 +1122,9 @@ def _sweep_crack_sizes(
 ) -> SweepResult:
     """Run a sweep over crack sizes and the levels of a spectrum (collective)."""
     is_at_resonance = scene.given("growth").drive == "resonance"
-    value_list_by_key = {key: values.tolist() for key, values in values_by_key.items()}
+    value_list_by_key = {
+        sweep_key: key_values.tolist() for sweep_key, key_values in values_by_key.items()
+    }
     sweep_value_by_key = {"sweep.over": value_list_by_key, "sweep.at_resonance": is_at_resonance}
     observable_places = (
         (Place.TIPS, Place.ELLIPSE) if "crack.depth" in values_by_key else (Place.TIPS,)

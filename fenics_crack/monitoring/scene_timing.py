@@ -91,10 +91,12 @@ def arrivals_of_blades(
     timing_table = scene.given("tip_timing")
     run, arrivals_by_blade = _load_or_solve(scene, source, comm), {}
     n_blades = run.structure.whole.n_sectors
-    for blade, probes in probes_of_blades(np.radians(timing_table.probes), n_blades).items():
-        begin(f"arrivals of blade {blade}")
-        arrivals_by_blade[blade] = _compute_arrivals(
-            timing_table, run, source, np.sort(probes), blade
+    for blade_number, probe_angles in probes_of_blades(
+        np.radians(timing_table.probes), n_blades
+    ).items():
+        begin(f"arrivals of blade {blade_number}")
+        arrivals_by_blade[blade_number] = _compute_arrivals(
+            timing_table, run, source, np.sort(probe_angles), blade_number
         )
     return arrivals_by_blade, run
 
@@ -117,7 +119,11 @@ def get_curve(run: Run[Any] | None) -> ResponseCurve | None:
 
 
 def _compute_arrivals(
-    timing_table: TipTiming, run: Run[Any], source: Path | None, probes: np.ndarray, blade: int
+    timing_table: TipTiming,
+    run: Run[Any],
+    source: Path | None,
+    probe_angles: np.ndarray,
+    blade_number: int,
 ) -> ArrivalTimes:
     """Compute arrivals of a blade at probes (n,) [rad] (collective)."""
     result: Any = run.result
@@ -132,10 +138,10 @@ def _compute_arrivals(
     timing_arguments = {
         key: getattr(timing_table, key) for key in ("tip_radius", "revolutions", "noise", "clock")
     }
-    timing_arguments |= {"probes": probes, "seed": timing_table.seed + blade - 1}
+    timing_arguments |= {"probes": probe_angles, "seed": timing_table.seed + blade_number - 1}
     return tip_timing(
         result,
-        find_tip_factors(timing_table, run, blade),
+        find_tip_factors(timing_table, run, blade_number),
         **timing_arguments,
         **_choose_speed_or_order(timing_table, run, source),
     )
@@ -148,10 +154,12 @@ def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
     passed_indices, unstable_index = find_run_up_points(curve)
     if unstable_index is None:
         return ""
-    speeds = curve.omega[[passed_indices[-1], unstable_index]] / get_engine_order(
+    last_and_unstable_speeds = curve.omega[[passed_indices[-1], unstable_index]] / get_engine_order(
         scene.given("tip_timing"), run.scene
     )
-    last_speed_text, unstable_speed_text = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+    last_speed_text, unstable_speed_text = (
+        speed_in_words(speed, scene.in_rpm) for speed in last_and_unstable_speeds
+    )
     end_text = f"the run-up ends before, at {last_speed_text}"
     return f"the vibration is unstable at {unstable_speed_text}: {end_text}"
 
@@ -236,8 +244,8 @@ def fit_vibration(
     if timing_table.frequencies is not None:
         min_omega, max_omega = (2.0 * np.pi * frequency for frequency in timing_table.frequencies)
         return fit_frequency(arrivals, min_omega, max_omega, **fit_arguments)
-    orders = timing_table.orders or ([load_order] if load_order else ORDERS)
-    return fit_order(arrivals, orders, **fit_arguments, subharmonic=timing_table.subharmonic)
+    fitted_orders = timing_table.orders or ([load_order] if load_order else ORDERS)
+    return fit_order(arrivals, fitted_orders, **fit_arguments, subharmonic=timing_table.subharmonic)
 
 
 def find_passed_modes(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
@@ -347,17 +355,19 @@ def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[
     _, tip_dof = structure.blade_of(run.watched_dof)
     factor_by_dof = {tip_dof: 1.0 if tip_factor is None else tip_factor}
     if tip_factor is None and (is_disk or rotation):
-        dofs, points = (
+        dofs, node_points = (
             gather_rows(sector_structure.comm, local_rows)
             for local_rows in (sector_structure.nodes.dofs, sector_structure.nodes.points)
         )
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
         if is_disk or rotation is None:  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
-            Q, center = structure.sector.turn, structure.sector.center
-            find_tip_factors = (Q - Q.T) @ (points[node_index] - center)
+            turn_matrix, rotation_center = structure.sector.turn, structure.sector.center
+            find_tip_factors = (turn_matrix - turn_matrix.T) @ (
+                node_points[node_index] - rotation_center
+            )
             find_tip_factors /= np.linalg.norm(find_tip_factors)
         else:
-            find_tip_factors = _find_circumferential_direction(run.scene, points[node_index])
+            find_tip_factors = _find_circumferential_direction(run.scene, node_points[node_index])
         dofs_and_factors = zip(dofs[node_index].tolist(), find_tip_factors.tolist(), strict=True)
         factor_by_dof = {
             dof: factor for dof, factor in dofs_and_factors if dof >= 0 and factor != 0.0

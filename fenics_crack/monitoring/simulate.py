@@ -189,10 +189,12 @@ def _build_motion(
     fourier_coefficients = result.coefficients_at(list(factor_by_dof)) @ np.array(
         list(factor_by_dof.values()), dtype=float
     )
-    speeds = np.array([rotor_speed, 2.0 * rotor_speed])
+    known_speeds = np.array([rotor_speed, 2.0 * rotor_speed])
     harmonics = np.tile(to_complex(fourier_coefficients), (2, 1))
     response_order = result.base_omega / rotor_speed
-    return _TipMotion((rotor_speed, rotor_speed), revolutions, speeds, harmonics, response_order)
+    return _TipMotion(
+        (rotor_speed, rotor_speed), revolutions, known_speeds, harmonics, response_order
+    )
 
 
 def _build_run_up(
@@ -204,20 +206,20 @@ def _build_run_up(
         raise InputError("result", f"a curve over {curve.parameter}", "one over the load frequency")
     passed_indices, unstable_index = find_run_up_points(curve)
     if unstable_index is not None:
-        omega = float(curve.omega[unstable_index])
+        unstable_omega = float(curve.omega[unstable_index])
         requirement_text = "stable along the run-up, or a part that is, or "
         raise InputError(
-            "result", f"unstable at {omega:.6g} rad/s", f"{requirement_text}its branch"
+            "result", f"unstable at {unstable_omega:.6g} rad/s", f"{requirement_text}its branch"
         )
     fourier_coefficients = sum(
         float(factor) * curve.coefficients_at(dof) for dof, factor in factor_by_dof.items()
     )
-    speeds = curve.omega[passed_indices] / order
+    known_speeds = curve.omega[passed_indices] / order
     harmonics = to_complex(np.asarray(fourier_coefficients)[passed_indices].T).T
     if last_omega < first_omega:
-        speeds, harmonics = speeds[::-1], harmonics[::-1]
+        known_speeds, harmonics = known_speeds[::-1], harmonics[::-1]
     end_speeds = first_omega / order, float(curve.omega[passed_indices][-1]) / order
-    return _TipMotion(end_speeds, revolutions, speeds, harmonics, order / curve.subharmonic)
+    return _TipMotion(end_speeds, revolutions, known_speeds, harmonics, order / curve.subharmonic)
 
 
 def find_run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
@@ -318,14 +320,19 @@ class _TipMotion:
 
         The largest of samples over a period, and its possible change between two samples.
         """
-        orders = np.arange(self.harmonics.shape[1])[:, None]
-        derivatives = 1j * self.response_order * orders * self.harmonics.T
-        n_samples = max(1024, 64 * len(derivatives))
+        harmonic_orders = np.arange(self.harmonics.shape[1])[:, None]
+        harmonic_derivatives = 1j * self.response_order * harmonic_orders * self.harmonics.T
+        n_samples = max(1024, 64 * len(harmonic_derivatives))
         change_bounds = (
-            (2.0 * np.pi / n_samples) ** 2 / 8.0 * (orders**2 * np.abs(derivatives)).sum(axis=0)
+            (2.0 * np.pi / n_samples) ** 2
+            / 8.0
+            * (harmonic_orders**2 * np.abs(harmonic_derivatives)).sum(axis=0)
         )
         return float(
-            (change_bounds - sample_period(from_complex(derivatives), n_samples).min(axis=0)).max()
+            (
+                change_bounds
+                - sample_period(from_complex(harmonic_derivatives), n_samples).min(axis=0)
+            ).max()
         )
 
     def evaluate_displacement(self, rotor_angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -340,16 +347,23 @@ class _TipMotion:
             (rotor_speeds - self.speeds[lower_indices]) / speed_intervals, 0.0, 1.0
         )
         harmonic_increments = (self.harmonics[lower_indices + 1] - self.harmonics[lower_indices]).T
-        harmonics = self.harmonics[lower_indices].T + interval_fractions * harmonic_increments
-        derivatives = 1j * self.response_order * np.arange(len(harmonics))[:, None] * harmonics
+        interpolated_harmonics = (
+            self.harmonics[lower_indices].T + interval_fractions * harmonic_increments
+        )
+        harmonic_derivatives = (
+            1j
+            * self.response_order
+            * np.arange(len(interpolated_harmonics))[:, None]
+            * interpolated_harmonics
+        )
         is_interpolated = (rotor_speeds > self.speeds[0]) & (rotor_speeds < self.speeds[-1])
-        derivatives += (
+        harmonic_derivatives += (
             np.where(is_interpolated, self.acceleration / (rotor_speeds * speed_intervals), 0.0)
             * harmonic_increments
         )
         return (
-            polyval(phase_factors, harmonics, tensor=False).real,
-            polyval(phase_factors, derivatives, tensor=False).real,
+            polyval(phase_factors, interpolated_harmonics, tensor=False).real,
+            polyval(phase_factors, harmonic_derivatives, tensor=False).real,
         )
 
 

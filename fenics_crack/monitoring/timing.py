@@ -182,7 +182,7 @@ def _describe_passages(
     blades_and_resonances = [
         (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
-    warnings = ["no resonance stands out"] * (not blades_and_resonances)
+    warning_texts = ["no resonance stands out"] * (not blades_and_resonances)
     blades_and_clearest_fits = [
         (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
     ]
@@ -191,7 +191,7 @@ def _describe_passages(
         for blade, fit in blades_and_clearest_fits
         for probe_angle in fit.blind
     ]
-    warnings += [
+    warning_texts += [
         f"blade {blade}, probe at {probe_angle:.5g} degrees: {BLIND_PROBE_TEXT}"
         for blade, probe_angle in blades_and_probe_angles
     ]
@@ -199,29 +199,33 @@ def _describe_passages(
         resonance_text = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
         if fit.untested:
             probes_text = counted(fit.probes, "probe")
-            warnings.append(
+            warning_texts.append(
                 f"{resonance_text}: {probes_text} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
             )
         elif fit.ambiguous:
             orders_text = _orders_in_words("explain the arrivals as well", fit.ambiguous)
-            warnings.append(f"{resonance_text}: {orders_text}")
+            warning_texts.append(f"{resonance_text}: {orders_text}")
         if fit.disagree:
-            warnings.append(f"{resonance_text}: {fit.disagreement}")
+            warning_texts.append(f"{resonance_text}: {fit.disagreement}")
         if fit.in_doubt:
-            warnings.append(f"{resonance_text}: {CORRELATED_RESIDUALS_TEXT}")
-    notes = [CONSTANT_FREQUENCY_TEXT] * any(
+            warning_texts.append(f"{resonance_text}: {CORRELATED_RESIDUALS_TEXT}")
+    note_texts = [CONSTANT_FREQUENCY_TEXT] * any(
         fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
     )
     blades_and_lines = [
-        (blade, line) for blade, fit in blades_and_clearest_fits for line in fit.asynchronous
+        (blade, line_fit)
+        for blade, fit in blades_and_clearest_fits
+        for line_fit in fit.asynchronous
     ]
-    notes += [f"blade {blade}: {_describe_line(line)}" for blade, line in blades_and_lines]
+    note_texts += [
+        f"blade {blade}: {_describe_line(line_fit)}" for blade, line_fit in blades_and_lines
+    ]
     conclusion = Said("no resonance found")
     if blades_and_resonances:
-        blade, clearest = blades_and_resonances[0]
-        answer_text = f"the clearest of blade {blade} at {clearest.in_words}"
+        blade, clearest_fit = blades_and_resonances[0]
+        answer_text = f"the clearest of blade {blade} at {clearest_fit.in_words}"
         conclusion = Said(f"{counted(len(blades_and_resonances), 'resonance')} found", answer_text)
-    return conclusion, notes, warnings
+    return conclusion, note_texts, warning_texts
 
 
 def _orders_in_words(orders_text: str, orders: Iterable[float]) -> str:
@@ -229,10 +233,10 @@ def _orders_in_words(orders_text: str, orders: Iterable[float]) -> str:
     return f"orders that {orders_text}: {in_words([*orders])}"
 
 
-def _describe_line(line: TipFit) -> str:
+def _describe_line(line_fit: TipFit) -> str:
     """Describe a vibration of constant frequency."""
-    amplitude, amplitude_error = line.amplitudes[0], line.amplitude_errors[0]
-    line_text = f"{line.omega / TURN:.6g} Hz, {_amplitude_in_words(amplitude, amplitude_error)}"
+    amplitude, amplitude_error = line_fit.amplitudes[0], line_fit.amplitude_errors[0]
+    line_text = f"{line_fit.omega / TURN:.6g} Hz, {_amplitude_in_words(amplitude, amplitude_error)}"
     return f"a vibration that follows no order: {line_text}"
 
 
@@ -243,17 +247,17 @@ def _amplitude_in_words(amplitude: float, amplitude_error: float) -> str:
 
 def _describe_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]:
     """Describe a run-up: conclusion, table of peaks, notes and doubts."""
-    table = track.table()
+    track_table = track.table()
     kept_column_indices = [
         column_index
-        for column_index, column_name in enumerate(table.columns)
+        for column_index, column_name in enumerate(track_table.columns)
         if not column_name.startswith("amplitude")
     ]
     conclusion = Said("run-up tracked", "no vibration is larger than its errors")
     peak_rows, notes = [], []
     # Without any vibration, the largest of so many amplitudes is several errors large.
     max_noise_ratio = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
-    for harmonic_index, multiple in enumerate(track.multiples):
+    for harmonic_index, harmonic_multiple in enumerate(track.multiples):
         amplitudes = track.amplitudes[:, harmonic_index]
         amplitude_errors = track.amplitude_errors[:, harmonic_index]
         clear_amplitudes = np.where(
@@ -267,9 +271,9 @@ def _describe_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]
             )
             peak_rows.append(
                 [
-                    float(multiple),
+                    float(harmonic_multiple),
                     *(
-                        table.rows[peak_row_index][column_index]
+                        track_table.rows[peak_row_index][column_index]
                         for column_index in kept_column_indices
                     ),
                     *peak_and_error,
@@ -280,18 +284,17 @@ def _describe_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]
                     f"{track.omega[peak_row_index] / TURN:.6g} Hz, engine order {track.order:g}"
                 )
                 peak_text = f"{peak_frequency_text}: {_amplitude_in_words(*peak_and_error)}"
-                answer_text = f"harmonic {multiple:g} is largest at {peak_text}"
+                answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Said("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
             upper_bound_text = quantity(
                 float(np.nanmax(amplitudes + LEVELS.deviations * amplitude_errors)), "m"
             )
-            notes.append(
-                f"harmonic {multiple:g}: {UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)}"
-            )
+            unclear_text = UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)
+            notes.append(f"harmonic {harmonic_multiple:g}: {unclear_text}")
     peak_columns = [
         "multiple, where it is largest",
-        *(table.columns[column_index] for column_index in kept_column_indices),
+        *(track_table.columns[column_index] for column_index in kept_column_indices),
     ]
     peak_table = Table([*peak_columns, "amplitude [m]", "amplitude_error [m]"], peak_rows)
     doubts = [NO_SPARE_PROBE_TEXT] if np.isnan(track.misfit) else []
@@ -332,11 +335,11 @@ def _describe_fit(fit: TipFit) -> tuple[list[str], list[str]]:
 
     A note has the ratio of the second harmonic to the first, which indicates a crack.
     """
-    notes = [f"in addition, {_describe_line(line)}" for line in fit.asynchronous]
+    notes = [f"in addition, {_describe_line(line_fit)}" for line_fit in fit.asynchronous]
     warnings = []
     if _has_second_harmonic(fit):
-        ratio, error = fit.ratio()
-        notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
+        harmonic_ratio, ratio_error = fit.ratio()
+        notes.append(f"second harmonic over first: {harmonic_ratio:.4g} ± {ratio_error:.2g}")
     if fit.does_not_fit:
         warnings.append(
             "residuals differ between the probes by more than their scatter: "

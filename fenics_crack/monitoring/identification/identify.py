@@ -122,21 +122,26 @@ def identify(
         scene = replace(scene, identify=changed_table)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with the unknowns")
-    has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
+    has_only_words = all(
+        isinstance(refined_axis.values[0], str) for refined_axis in scene.identify.unknown
+    )
     if has_only_words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
     if not isinstance(measurements, Measurements):
-        path = measurements
-        measurements = on_root(comm, lambda: Measurements.read(path))
+        measurement_path = measurements
+        measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
-    rows = measurements.rows
-    load_frequencies = [row.frequency for row in rows if not row.natural]
+    measurement_rows = measurements.rows
+    load_frequencies = [row.frequency for row in measurement_rows if not row.natural]
     speed_loads = [
-        load_frequency for row in rows if row.natural and (load_frequency := row.load(scene))
+        load_frequency
+        for row in measurement_rows
+        if row.natural and (load_frequency := row.load(scene))
     ]
     uncracked_plate = _solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
-        not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
+        not refined_axis.key.startswith(("crack.", "contact."))
+        for refined_axis in scene.identify.unknown
     )
     known_loads = (scene.excitation.omega / TURN, *scene.identify.frequencies)
     uncracked_plate.check_units_and_modes(
@@ -151,21 +156,23 @@ def identify(
             "uncracked_plate": uncracked_plate,
             "refined_axes": refined_axes,
         }
-        forward = solve_forward(
+        forward_models = solve_forward(
             scene, load_frequencies, Path(folder), comm, progress=progress, **solve_arguments
         )
         begin("inference")
-        identification = infer_unknowns(forward, measurements)
+        identification = infer_unknowns(forward_models, measurements)
         if (
             interpolated_measurement := _find_most_interpolated_measurement(identification)
         ) is None:
             return identification
         measurement_name, share_by_unknown, explaining_x = interpolated_measurement
         if (
-            axis := _refine_axis_by_share(forward, identification, share_by_unknown, explaining_x)
+            refined_axis := _refine_axis_by_share(
+                forward_models, identification, share_by_unknown, explaining_x
+            )
         ) is None:
             break
-        refined_axes.append(axis)
+        refined_axes.append(refined_axis)
     remark = (
         f"interpolation between the solved cases has {share_by_unknown.sum():.0%} of the variance "
         f"of {measurement_name}: more values in identify.unknown make regions narrower"
@@ -173,7 +180,9 @@ def identify(
     return replace(identification, remarks=(*identification.remarks, remark))
 
 
-def infer_unknowns(forward: SolvedForwardModels, measurements: Measurements) -> Identification:
+def infer_unknowns(
+    forward_models: SolvedForwardModels, measurements: Measurements
+) -> Identification:
     """Infer the unknowns by a forward model that is solved for the loads of measurements.
 
     Raises
@@ -183,30 +192,41 @@ def infer_unknowns(forward: SolvedForwardModels, measurements: Measurements) -> 
     ConvergenceError
         Too few cases of the model were solved for any measurement of the plate as it is.
     """
-    measurements.check(forward.scene)
-    measurements, doubts = _select_predictable_rows(forward, measurements)
-    rows = measurements.rows
-    values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
+    measurements.check(forward_models.scene)
+    measurements, doubt_texts = _select_predictable_rows(forward_models, measurements)
+    measurement_rows = measurements.rows
+    measured_values, measured_deviations = np.array(
+        [(row.value, row.deviation) for row in measurement_rows]
+    ).T
     branch_by_words, uncracked_branch_by_words = (
         {
-            words: Branch(Likelihood(values, deviations, model.make_predictor(rows)))
+            words: Branch(
+                Likelihood(
+                    measured_values, measured_deviations, model.make_predictor(measurement_rows)
+                )
+            )
             for words, model in model_by_words.items()
         }
-        for model_by_words in (forward.cracked_model_by_words, forward.uncracked_model_by_words)
+        for model_by_words in (
+            forward_models.cracked_model_by_words,
+            forward_models.uncracked_model_by_words,
+        )
     )
-    remarks = (
-        *list_measurement_remarks(forward.scene, measurements),
-        *_describe_unresolved_resonances(forward, measurements),
+    remark_texts = (
+        *list_measurement_remarks(forward_models.scene, measurements),
+        *_describe_unresolved_resonances(forward_models, measurements),
     )
     posteriors = (
         Posterior(branch_by_words),
         Posterior(uncracked_branch_by_words) if uncracked_branch_by_words else None,
     )
-    return Identification(forward.scene, measurements, *posteriors, remarks, doubts)
+    return Identification(
+        forward_models.scene, measurements, *posteriors, remark_texts, doubt_texts
+    )
 
 
 def _select_predictable_rows(
-    forward: SolvedForwardModels, measurements: Measurements
+    forward_models: SolvedForwardModels, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
     """Select the measurements that every model predicts, with a crack and without.
 
@@ -219,9 +239,14 @@ def _select_predictable_rows(
     tuple of str
         Failed cases that were needed, and measurements that are therefore not used.
     """
-    models = [*forward.cracked_model_by_words.values(), *forward.uncracked_model_by_words.values()]
-    rows = measurements.rows
-    is_predictable = np.all([model.make_predictor(rows).is_predictable for model in models], axis=0)
+    models = [
+        *forward_models.cracked_model_by_words.values(),
+        *forward_models.uncracked_model_by_words.values(),
+    ]
+    measurement_rows = measurements.rows
+    is_predictable = np.all(
+        [model.make_predictor(measurement_rows).is_predictable for model in models], axis=0
+    )
     case_sets = (
         solved_cases
         for model in models
@@ -229,9 +254,9 @@ def _select_predictable_rows(
         if solved_cases
     )
     cases_by_path = {solved_cases.sweep_result.path: solved_cases for solved_cases in case_sets}
-    load_frequencies = {row.frequency for row in rows}
-    doubts = []
-    for path, solved_cases in cases_by_path.items():
+    load_frequencies = {row.frequency for row in measurement_rows}
+    doubt_texts = []
+    for sweep_path, solved_cases in cases_by_path.items():
         sweep_result = solved_cases.sweep_result
         swept_frequencies = solved_cases.swept_loads.frequencies
         failures = [
@@ -240,61 +265,72 @@ def _select_predictable_rows(
             if swept_frequencies[case_index[-1]] in load_frequencies
             or np.isnan(sweep_result["omega_open_1"][case_index])
         ]
-        doubts += [f"{path.name}: {text}" for text in by_reason(sweep_result, failures, "failed")]
-    used_rows = list(itertools.compress(rows, is_predictable))
+        doubt_texts += [
+            f"{sweep_path.name}: {failure_text}"
+            for failure_text in by_reason(sweep_result, failures, "failed")
+        ]
+    used_rows = list(itertools.compress(measurement_rows, is_predictable))
     if all(row.quantity == "frequency_uncracked" for row in used_rows):
-        reason_text = "; ".join(doubts) or "no case has the measured quantities"
+        reason_text = "; ".join(doubt_texts) or "no case has the measured quantities"
         raise ConvergenceError(f"identification, no measurement can be predicted: {reason_text}")
     reason_text = "too few cases have it, or only those on one side of what failed"
-    doubts += [
+    doubt_texts += [
         f"{row.name} is not used: {reason_text}"
-        for row in itertools.compress(rows, ~is_predictable)
+        for row in itertools.compress(measurement_rows, ~is_predictable)
     ]
-    return Measurements(tuple(used_rows)), tuple(doubts)
+    return Measurements(tuple(used_rows)), tuple(doubt_texts)
 
 
 def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """Return limits of measurements, whatever their values are."""
     identify_table = scene.given("identify")
-    crack, rows, remarks = scene.crack, measurements.rows, []
+    crack, measurement_rows, remark_texts = scene.crack, measurements.rows, []
     is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
-    if is_edge_given and crack is not None and crack.edge and all(row.natural for row in rows):
+    if (
+        is_edge_given
+        and crack is not None
+        and crack.edge
+        and all(row.natural for row in measurement_rows)
+    ):
         other_edge = {"left": "right", "right": "left"}[crack.edge]
-        remarks.append(
+        remark_texts.append(
             f"a crack from the {other_edge} edge has the same natural frequencies: they do not "
             "distinguish the edges"
         )
     if identify_table.meshes:
-        remarks.append(
+        remark_texts.append(
             "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
         )
-    if any(row.shape for row in rows) and not has_load_independent_shape(scene):
-        remarks.append(
+    if any(row.shape for row in measurement_rows) and not has_load_independent_shape(scene):
+        remark_texts.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
         )
-    return tuple(remarks)
+    return tuple(remark_texts)
 
 
 def _describe_unresolved_resonances(
-    forward: SolvedForwardModels, measurements: Measurements
+    forward_models: SolvedForwardModels, measurements: Measurements
 ) -> Iterator[str]:
     """Describe loads with much larger vibration between the solved cases.
 
     Steady loads let the crack breathe there as in no solved case.
     """
-    if has_load_independent_shape(forward.scene):
+    if has_load_independent_shape(forward_models.scene):
         return
     loads_and_points = dict.fromkeys(
         (row.frequency, row.point) for row in measurements.rows if row.shape
     )
     for model, (load_frequency, point_name) in itertools.product(
-        forward.cracked_model_by_words.values(), loads_and_points
+        forward_models.cracked_model_by_words.values(), loads_and_points
     ):
-        vibration_ratio, x = _find_largest_vibration_between(model, load_frequency, point_name)
+        vibration_ratio, unknown_values = _find_largest_vibration_between(
+            model, load_frequency, point_name
+        )
         if vibration_ratio > OPTIONS.allowed_vibration_ratio:
             place_text = ", ".join(
-                f"{key} = {x_value:.4g}" for key, x_value in zip(model.unknown_keys, x, strict=True)
+                f"{key} = {unknown_value:.4g}"
+                for key, unknown_value in zip(model.unknown_keys, unknown_values, strict=True)
             )
             yield (
                 f"between the solved cases, near {place_text}, the vibration at "
@@ -317,15 +353,17 @@ def _find_largest_vibration_between(
         Values of the unknowns there.
     """
     first_harmonic = Measurement("harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name)
-    points = list_first_grid_points(model.unknown_grid)
-    amplitudes = np.nan_to_num(model.make_predictor([first_harmonic])(points).values[:, 0])
+    grid_points = list_first_grid_points(model.unknown_grid)
+    interpolated_amplitudes = np.nan_to_num(
+        model.make_predictor([first_harmonic])(grid_points).values[:, 0]
+    )
     max_solved_amplitude = np.fmax.reduce(
         np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
     )
-    largest_index = int(np.argmax(amplitudes))
+    largest_index = int(np.argmax(interpolated_amplitudes))
     return float(
-        amplitudes[largest_index] / max_solved_amplitude
-    ) if max_solved_amplitude > 0.0 else 0.0, points[largest_index]
+        interpolated_amplitudes[largest_index] / max_solved_amplitude
+    ) if max_solved_amplitude > 0.0 else 0.0, grid_points[largest_index]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
@@ -419,8 +457,10 @@ def solve_forward(
     plain_scene = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLES))
     coarse_scene, fine_scene = _list_coarse_and_fine_scenes(plain_scene, identify_table.finer)
 
-    def run_case_sweep(sweep_name: str, case_scene: Scene, axes: Sequence[Axis]) -> SweepResult:
-        swept_scene = replace(case_scene, sweep=Sweep(over=(*axes, swept_loads.sweep_axis)))
+    def run_case_sweep(
+        sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
+    ) -> SweepResult:
+        swept_scene = replace(case_scene, sweep=Sweep(over=(*unknown_axes, swept_loads.sweep_axis)))
         digest = hashlib.sha256(
             f"{scene_text(swept_scene)}{frequency_only_indices or ''}".encode()
         ).hexdigest()[:8]
@@ -439,17 +479,24 @@ def solve_forward(
             raise StoppedError("identification was stopped; the same command goes on with it")
         return sweep_result
 
-    n_numbers = sum(not isinstance(axis.values[0], str) for axis in identify_table.unknown)
+    n_numbers = sum(
+        not isinstance(unknown_axis.values[0], str) for unknown_axis in identify_table.unknown
+    )
     n_axis_values = MIN_VALUES - (n_numbers > 2)  # values of the finer sweep and of that between
     mesh_axes = [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
 
     def run_check_sweeps(
-        sweep_name: str, scene_changes: dict[str, Any], axes: Sequence[Axis], all_cases: SweepResult
+        sweep_name: str,
+        scene_changes: dict[str, Any],
+        unknown_axes: Sequence[Axis],
+        all_cases: SweepResult,
     ) -> ForwardSweeps:
         changed_scene = coarse_scene.replace(scene_changes)
-        axis_keys = [axis.key for axis in axes]
+        axis_keys = [unknown_axis.key for unknown_axis in unknown_axes]
         check_axes = [
-            axis for axis in (*mesh_axes, *identify_table.unknown) if axis.key in axis_keys
+            unknown_axis
+            for unknown_axis in (*mesh_axes, *identify_table.unknown)
+            if unknown_axis.key in axis_keys
         ]
         few_axes = _thin_axes(check_axes, n_axis_values)
         finer_sweep = (
@@ -457,7 +504,10 @@ def solve_forward(
             if fine_scene is None
             else run_case_sweep(f"{sweep_name}_finer", fine_scene.replace(scene_changes), few_axes)
         )
-        halfway_axes = [Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in axes]
+        halfway_axes = [
+            Axis(unknown_axis.key, _list_halfway_values(unknown_axis) or unknown_axis.values)
+            for unknown_axis in unknown_axes
+        ]
         halfway_sweep = (
             None
             if identify_table.meshes
@@ -465,39 +515,48 @@ def solve_forward(
         )
         return all_cases, finer_sweep, halfway_sweep
 
-    axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
-    sweep_result = run_case_sweep("forward", coarse_scene, [*mesh_axes, *axes])
+    unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
+    sweep_result = run_case_sweep("forward", coarse_scene, [*mesh_axes, *unknown_axes])
     while True:
         model_by_words = _build_models(
             scene, uncracked_plate, swept_loads, (sweep_result, None, None)
         )
-        axis = _refine_axis_at_resonance(scene, model_by_words.values(), load_frequencies, axes)
-        if axis is None and not remaining_axes:
+        unknown_axis = _refine_axis_at_resonance(
+            scene, model_by_words.values(), load_frequencies, unknown_axes
+        )
+        if unknown_axis is None and not remaining_axes:
             break
-        axis = axis or remaining_axes.pop(0)
-        axis_index = [solved_axis.key for solved_axis in axes].index(axis.key)
+        unknown_axis = unknown_axis or remaining_axes.pop(0)
+        axis_index = [solved_axis.key for solved_axis in unknown_axes].index(unknown_axis.key)
         added_axis_values = tuple(
-            value for value in axis.values if value not in axes[axis_index].values
+            value for value in unknown_axis.values if value not in unknown_axes[axis_index].values
         )
         new_axes = [
             *mesh_axes,
-            *axes[:axis_index],
-            Axis(axis.key, added_axis_values),
-            *axes[axis_index + 1 :],
+            *unknown_axes[:axis_index],
+            Axis(unknown_axis.key, added_axis_values),
+            *unknown_axes[axis_index + 1 :],
         ]
         sweep_result = _join_sweeps(
             sweep_result,
             run_case_sweep("forward", coarse_scene, new_axes),
             len(mesh_axes) + axis_index,
         )
-        axes[axis_index] = axis
-    cracked_sweeps = run_check_sweeps("forward", {}, [*mesh_axes, *axes], sweep_result)
+        unknown_axes[axis_index] = unknown_axis
+    cracked_sweeps = run_check_sweeps("forward", {}, [*mesh_axes, *unknown_axes], sweep_result)
     removal_changes = list_crack_removal_changes(scene)
     if removal_changes is None:
         return SolvedForwardModels(
-            scene, axes, _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps), {}
+            scene,
+            unknown_axes,
+            _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps),
+            {},
         )
-    uncracked_axes = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
+    uncracked_axes = [
+        unknown_axis
+        for unknown_axis in unknown_axes
+        if not unknown_axis.key.startswith(("crack.", "contact."))
+    ]
     uncracked_scene = coarse_scene.replace(removal_changes)
     uncracked_sweeps = run_check_sweeps(
         "uncracked",
@@ -509,7 +568,7 @@ def solve_forward(
         _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
         _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
     )
-    return SolvedForwardModels(scene, axes, *model_maps)
+    return SolvedForwardModels(scene, unknown_axes, *model_maps)
 
 
 def _join_sweeps(
@@ -524,13 +583,13 @@ def _join_sweeps(
         )
         for column_name, column in first_sweep.columns.items()
     }
-    axes = list(first_sweep.axes)
-    axes[axis_index] = Axis(
-        axes[axis_index].key, tuple(axis_values[value_index] for value_index in value_order)
+    joined_axes = list(first_sweep.axes)
+    joined_axes[axis_index] = Axis(
+        joined_axes[axis_index].key, tuple(axis_values[value_index] for value_index in value_order)
     )
     return replace(
         first_sweep,
-        scene=replace(first_sweep.scene, sweep=Sweep(over=tuple(axes))),
+        scene=replace(first_sweep.scene, sweep=Sweep(over=tuple(joined_axes))),
         columns=column_by_name,
     )
 
@@ -538,14 +597,16 @@ def _join_sweeps(
 def _compute_max_cases(scene: Scene) -> int:
     """Return the maximum number of solved cases."""
     unknown_axes = scene.given("identify").unknown
-    return OPTIONS.max_case_ratio * math.prod(len(axis.values) for axis in unknown_axes)
+    return OPTIONS.max_case_ratio * math.prod(
+        len(unknown_axis.values) for unknown_axis in unknown_axes
+    )
 
 
 def _refine_axis_at_resonance(
     scene: Scene,
     models: Iterable[ForwardModel],
     load_frequencies: Sequence[float],
-    axes: Sequence[Axis],
+    unknown_axes: Sequence[Axis],
 ) -> Axis | None:
     """Refine the unknown along which the vibration changes most.
 
@@ -553,7 +614,7 @@ def _refine_axis_at_resonance(
     the cases would be too many.
     """
     models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
-    vibrations = (
+    vibration_cases = (
         []
         if has_load_independent_shape(scene)
         else [
@@ -562,12 +623,13 @@ def _refine_axis_at_resonance(
         ]
     )
     if (
-        not vibrations
-        or max(vibration[0] for vibration in vibrations) <= OPTIONS.allowed_vibration_ratio
+        not vibration_cases
+        or max(vibration_case[0] for vibration_case in vibration_cases)
+        <= OPTIONS.allowed_vibration_ratio
     ):
         return None
     vibration_ratio, model, load_frequency, point_name = max(
-        vibrations, key=lambda vibration: vibration[0]
+        vibration_cases, key=lambda vibration_case: vibration_case[0]
     )
     log_amplitudes = np.log(
         np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
@@ -576,18 +638,24 @@ def _refine_axis_at_resonance(
         key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
         for axis_index, key in enumerate(model.unknown_keys)
     }
-    n_cases = math.prod(len(axis.values) for axis in axes)
-    number_axes = [axis for axis in axes if axis.key in max_step_by_key and _is_divisible(axis)]
-    for axis in sorted(number_axes, key=lambda axis: -max_step_by_key[axis.key]):
-        n_values = len(axis.values)
+    n_cases = math.prod(len(unknown_axis.values) for unknown_axis in unknown_axes)
+    number_axes = [
+        unknown_axis
+        for unknown_axis in unknown_axes
+        if unknown_axis.key in max_step_by_key and _is_divisible(unknown_axis)
+    ]
+    for unknown_axis in sorted(
+        number_axes, key=lambda unknown_axis: -max_step_by_key[unknown_axis.key]
+    ):
+        n_values = len(unknown_axis.values)
         max_parts = (_compute_max_cases(scene) * n_values // n_cases - 1) // (n_values - 1)
         n_parts = min(math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), max_parts)
         if n_parts > 1:
             value_coordinates = np.arange((n_values - 1) * n_parts + 1) / n_parts
             refined_axis_values = np.interp(
-                value_coordinates, np.arange(n_values), axis.values
+                value_coordinates, np.arange(n_values), unknown_axis.values
             ).tolist()
-            return Axis(axis.key, tuple(refined_axis_values))
+            return Axis(unknown_axis.key, tuple(refined_axis_values))
     return None
 
 
@@ -609,44 +677,50 @@ def _find_most_interpolated_measurement(
         branch.compute_interpolation_shares()
         for branch in identification.posterior.branch_by_words.values()
     ]
-    x, shares = (np.vstack(one) for one in zip(*branch_shares, strict=True))
-    if not shares.size:
+    explaining_x, interpolation_shares = (
+        np.vstack(branch_arrays) for branch_arrays in zip(*branch_shares, strict=True)
+    )
+    if not interpolation_shares.size:
         return None
-    mean_shares = shares.mean(axis=0)
+    mean_shares = interpolation_shares.mean(axis=0)
     worst_row = int(mean_shares.sum(axis=0).argmax())
     share_by_unknown = mean_shares[:, worst_row]
     is_small = share_by_unknown.sum() <= OPTIONS.allowed_interpolation_share
     return (
         None
         if is_small
-        else (identification.measurements.rows[worst_row].name, share_by_unknown, x)
+        else (identification.measurements.rows[worst_row].name, share_by_unknown, explaining_x)
     )
 
 
 def _refine_axis_by_share(
-    forward: SolvedForwardModels,
+    forward_models: SolvedForwardModels,
     identification: Identification,
     share_by_unknown: np.ndarray,
-    x: np.ndarray,
+    explaining_x: np.ndarray,
 ) -> Axis | None:
     """Refine the unknown along which interpolation adds most to an error.
 
     Further values are halfway between those around the cracks x (m, d) that explain the
     measurements. None if the cases would be too many, or if no unknown has values between.
     """
-    axis_by_key = {axis.key: axis for axis in forward.axes}
+    axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
     for unknown_index in np.argsort(-share_by_unknown):
-        axis = axis_by_key.get(identification.unknown[unknown_index])
-        if axis is not None and _is_divisible(axis):
+        unknown_axis = axis_by_key.get(identification.unknown[unknown_index])
+        if unknown_axis is not None and _is_divisible(unknown_axis):
             halfway_values = _list_halfway_values(
-                axis, x[:, unknown_index].min(), x[:, unknown_index].max()
+                unknown_axis,
+                explaining_x[:, unknown_index].min(),
+                explaining_x[:, unknown_index].max(),
             )
-            refined_axis = Axis(axis.key, tuple(sorted({*axis.values, *halfway_values})))
+            refined_axis = Axis(
+                unknown_axis.key, tuple(sorted({*unknown_axis.values, *halfway_values}))
+            )
             n_cases = math.prod(
                 len(solved_axis.values)
-                for solved_axis in (axis_by_key | {axis.key: refined_axis}).values()
+                for solved_axis in (axis_by_key | {unknown_axis.key: refined_axis}).values()
             )
-            return refined_axis if n_cases <= _compute_max_cases(forward.scene) else None
+            return refined_axis if n_cases <= _compute_max_cases(forward_models.scene) else None
     return None
 
 
@@ -672,33 +746,35 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
     )
 
 
-def _thin_axes(axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
+def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
     """Thin the values of each unknown to a few, with its ends; keep all words."""
     thinned_axes = []
-    for axis in axes:
+    for unknown_axis in unknown_axes:
         value_indices = np.unique(
-            np.linspace(0, len(axis.values) - 1, n_values).round().astype(int)
+            np.linspace(0, len(unknown_axis.values) - 1, n_values).round().astype(int)
         )
-        kept_axis_values = tuple(axis.values[value_index] for value_index in value_indices)
+        kept_axis_values = tuple(unknown_axis.values[value_index] for value_index in value_indices)
         thinned_axes.append(
-            axis if isinstance(axis.values[0], str) else Axis(axis.key, kept_axis_values)
+            unknown_axis
+            if isinstance(unknown_axis.values[0], str)
+            else Axis(unknown_axis.key, kept_axis_values)
         )
     return tuple(thinned_axes)
 
 
-def _is_divisible(axis: Axis) -> bool:
+def _is_divisible(unknown_axis: Axis) -> bool:
     """Return True if an unknown has values between; not for words and whole numbers."""
-    return any(isinstance(value, float) for value in axis.values)
+    return any(isinstance(axis_value, float) for axis_value in unknown_axis.values)
 
 
 def _list_halfway_values(
-    axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
+    unknown_axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
 ) -> tuple[float, ...]:
     """Return values halfway between an unknown's values, within limits.
 
     Words and whole numbers have none.
     """
-    value_pairs = itertools.pairwise(axis.values) if _is_divisible(axis) else ()
+    value_pairs = itertools.pairwise(unknown_axis.values) if _is_divisible(unknown_axis) else ()
     return tuple(
         0.5 * (lower_axis_value + upper_axis_value)
         for lower_axis_value, upper_axis_value in value_pairs

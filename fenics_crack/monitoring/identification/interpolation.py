@@ -80,8 +80,10 @@ class UnknownGrid:
     @cached_property
     def nodes(self) -> np.ndarray:
         """Return all combinations, the last unknown fastest: (n, d)."""
-        combinations = list(itertools.product(*self.axes))
-        return np.array(combinations, dtype=float).reshape(len(combinations), len(self.axes))
+        value_combinations = list(itertools.product(*self.axes))
+        return np.array(value_combinations, dtype=float).reshape(
+            len(value_combinations), len(self.axes)
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -111,14 +113,14 @@ def compute_leave_one_out_errors(axis: np.ndarray, node_values: np.ndarray) -> n
     The values (n, ...) are on an axis (n,). The ends are never left out, and take their neighbours'
     errors.
     """
-    errors = np.zeros_like(node_values)
+    node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis) - 1):
         is_other_node = np.arange(len(axis)) != node_index
-        errors[node_index] = node_values[node_index] - _fit_spline(
+        node_errors[node_index] = node_values[node_index] - _fit_spline(
             axis[is_other_node], node_values[is_other_node]
         )(axis[node_index])
-    errors[0], errors[-1] = errors[1], errors[-2]
-    return errors
+    node_errors[0], node_errors[-1] = node_errors[1], node_errors[-2]
+    return node_errors
 
 
 class Interpolation:
@@ -159,8 +161,8 @@ class Interpolation:
                 for axis_index, axis in enumerate(unknown_grid.axes)
             )
             self._errors_by_axis = [
-                OPTIONS.leave_one_out_fraction * errors.reshape(node_values.shape)
-                for errors in leave_one_out_errors
+                OPTIONS.leave_one_out_fraction * axis_errors.reshape(node_values.shape)
+                for axis_errors in leave_one_out_errors
             ]
             if fill_errors.any():
                 self._errors_by_axis.append(fill_errors)
@@ -171,10 +173,10 @@ class Interpolation:
         Points outside move to the border. Quantities without enough nodes are 0.
         """
         node_weights = np.ones((len(x), 1))
-        for x_column, axis, spline in zip(
+        for x_column, axis, basis_spline in zip(
             x.T, self.unknown_grid.axes, self._basis_splines, strict=True
         ):
-            axis_weights = spline(np.clip(x_column, axis[0], axis[-1]))
+            axis_weights = basis_spline(np.clip(x_column, axis[0], axis[-1]))
             node_weights = (node_weights[:, :, None] * axis_weights[:, None, :]).reshape(len(x), -1)
         return np.asarray(node_weights @ self._node_values)
 
@@ -195,19 +197,19 @@ class Interpolation:
         if not self.unknown_grid.axes:
             return []
         node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
-        exponent = (
+        weight_exponents = (
             -0.5
             / OPTIONS.error_average_width**2
             * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
         )
         n_averaged = min(OPTIONS.max_averaged_nodes, len(node_coordinates))
-        nearest_nodes = np.argpartition(-exponent, n_averaged - 1, axis=1)[:, :n_averaged]
-        exponent = np.take_along_axis(exponent, nearest_nodes, axis=1)
-        node_weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+        nearest_nodes = np.argpartition(-weight_exponents, n_averaged - 1, axis=1)[:, :n_averaged]
+        weight_exponents = np.take_along_axis(weight_exponents, nearest_nodes, axis=1)
+        node_weights = np.exp(weight_exponents - weight_exponents.max(axis=1, keepdims=True))
         node_weights /= node_weights.sum(axis=1, keepdims=True)
         return [
-            np.sqrt(node_weights)[..., None] * errors[nearest_nodes]
-            for errors in self._errors_by_axis
+            np.sqrt(node_weights)[..., None] * node_errors[nearest_nodes]
+            for node_errors in self._errors_by_axis
         ]
 
 
@@ -221,7 +223,8 @@ def _find_values_between_known(unknown_grid: UnknownGrid, is_known: np.ndarray) 
     for axis_index in range(len(unknown_grid.axes)):
         known_lines = np.moveaxis(known_grid, axis_index, 0)
         is_known_below, is_known_above = (
-            np.logical_or.accumulate(lines) for lines in (known_lines, known_lines[::-1])
+            np.logical_or.accumulate(directed_lines)
+            for directed_lines in (known_lines, known_lines[::-1])
         )
         is_between_known |= np.moveaxis(is_known_below & is_known_above[::-1], 0, axis_index)
     return np.asarray(is_between_known.reshape(is_known.shape).all(axis=0))
@@ -325,8 +328,12 @@ class SweptLoads:
     @property
     def speed_ratios(self) -> np.ndarray:
         """Return the rotor speeds over the scene's (n,); 1 without own speeds."""
-        frequencies = np.array(self.frequencies)
-        return frequencies / frequencies[0] if self.has_rotor_speeds else np.ones(len(frequencies))
+        frequency_array = np.array(self.frequencies)
+        return (
+            frequency_array / frequency_array[0]
+            if self.has_rotor_speeds
+            else np.ones(len(frequency_array))
+        )
 
 
 class SolvedCases:
@@ -375,13 +382,13 @@ class SolvedCases:
                 return self.get_natural_frequency("tied", mode)
             frequencies = self.uncracked_cases.get_natural_frequency("tied", mode)
             sizes_by_key = zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
-            shape = [
+            uncracked_shape = [
                 n_values if key in self.uncracked_cases.unknown_keys else 1
                 for key, n_values in sizes_by_key
             ]
             n_loads = frequencies.shape[1]
             frequencies = np.broadcast_to(
-                frequencies.reshape(*shape, n_loads), (*self.unknown_grid.shape, n_loads)
+                frequencies.reshape(*uncracked_shape, n_loads), (*self.unknown_grid.shape, n_loads)
             )
             return frequencies.reshape(-1, n_loads)
         frequencies = self.get_column(f"omega_{crack_state}_{mode}") / (2.0 * np.pi)
@@ -392,47 +399,51 @@ class SolvedCases:
         max_frequencies = np.where(is_known.any(axis=1, keepdims=True), max_frequencies, np.nan)
         return np.broadcast_to(max_frequencies, frequencies.shape)
 
-    def get_harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
+    def get_harmonic(
+        self, point_name: str, load_frequency: float, harmonic_order: int
+    ) -> np.ndarray:
         """Return the complex amplitude of a harmonic at all nodes: (n,) [m].
 
         It is 0 for a case with fewer harmonics, and nan for a failed case.
         """
-        column_prefix = f"{point}." if point else ""
-        cosine, sine = (
-            self.get_column(f"{column_prefix}{part_name}_{order}")
+        column_prefix = f"{point_name}." if point_name else ""
+        cosine_amplitudes, sine_amplitudes = (
+            self.get_column(f"{column_prefix}{part_name}_{harmonic_order}")
             for part_name in ("cosine", "sine")
         )
-        load_index = self.find_load_index(frequency)
-        is_missing = self.get_column("harmonics")[:, load_index] < order
-        amplitudes = np.where(is_missing, 0.0, (cosine - 1j * sine)[:, load_index])
+        load_index = self.find_load_index(load_frequency)
+        is_missing = self.get_column("harmonics")[:, load_index] < harmonic_order
+        complex_amplitudes = np.where(
+            is_missing, 0.0, (cosine_amplitudes - 1j * sine_amplitudes)[:, load_index]
+        )
         return np.where(
-            self.get_column("state")[:, load_index] == State.CONVERGED, amplitudes, np.nan
+            self.get_column("state")[:, load_index] == State.CONVERGED, complex_amplitudes, np.nan
         )
 
-    def count_harmonics(self, frequency: float) -> int:
+    def count_harmonics(self, load_frequency: float) -> int:
         """Return the minimum number of harmonics of solved cases at a load; 1 without any."""
-        load_index = self.find_load_index(frequency)
+        load_index = self.find_load_index(load_frequency)
         is_solved = self.get_column("state")[:, load_index] == State.CONVERGED
         return (
             int(self.get_column("harmonics")[is_solved, load_index].min()) if is_solved.any() else 1
         )
 
-    def find_load_index(self, frequency: float) -> int:
+    def find_load_index(self, load_frequency: float) -> int:
         """Return the index of a load frequency [Hz] in the sweep; 0 for 0 Hz.
 
         Raises InputError if the sweep does not have it.
         """
-        frequencies = self.swept_loads.frequencies
-        if frequency == 0.0:
+        solved_frequencies = self.swept_loads.frequencies
+        if load_frequency == 0.0:
             return 0
-        if frequency not in frequencies:
+        if load_frequency not in solved_frequencies:
             frequencies_text = ", ".join(
-                f"{solved_frequency:.9g}" for solved_frequency in frequencies
+                f"{solved_frequency:.9g}" for solved_frequency in solved_frequencies
             )
             solved_text = f"one of those that are solved, {frequencies_text} Hz"
             allowed_text = f"{solved_text}; identify.frequencies adds others"
-            raise InputError("measurements.frequency", frequency, allowed_text)
-        return frequencies.index(frequency)
+            raise InputError("measurements.frequency", load_frequency, allowed_text)
+        return solved_frequencies.index(load_frequency)
 
     @cached_property
     def scale_and_frequencies(self) -> np.ndarray:
@@ -472,20 +483,20 @@ class Feature:
         State of the crack in a natural frequency; empty for a harmonic.
     mode : int
         Mode number from 1; 0 for a harmonic.
-    point : str
+    point_name : str
         Point and direction of a harmonic.
-    frequency : float [Hz]
+    load_frequency : float [Hz]
         Load frequency. A natural frequency is at the rotor speed of this load; 0 is the scene's
         own.
-    order : int
+    harmonic_order : int
         Order of a harmonic; 0 for a natural frequency.
     """
 
     crack_state: str = ""
     mode: int = 0
-    point: str = ""
-    frequency: float = 0.0
-    order: int = 0
+    point_name: str = ""
+    load_frequency: float = 0.0
+    harmonic_order: int = 0
 
     @classmethod
     def list_for_measurement(cls, row: Measurement, scene: Scene) -> tuple[Feature, ...]:
@@ -494,16 +505,23 @@ class Feature:
             state_name = row.quantity.removeprefix("frequency_")
             crack_states = RESONANCE_STATES if state_name == "resonance" else (state_name,)
             return tuple(
-                cls(crack_state, row.mode, frequency=row.load(scene))
+                cls(crack_state, row.mode, load_frequency=row.load(scene))
                 for crack_state in crack_states
             )
-        orders = row.orders or KEPT_ORDERS
-        return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
+        harmonic_orders = row.orders or KEPT_ORDERS
+        return tuple(
+            cls("", 0, row.point, row.load(scene), harmonic_order)
+            for harmonic_order in harmonic_orders
+        )
 
     @property
     def error_group(self) -> tuple[float, float, float]:
         """Return the key of features with a common error: a mode, or a harmonic at a load."""
-        return (self.mode, 0.0 if self.is_natural_frequency else self.frequency, self.order)
+        return (
+            self.mode,
+            0.0 if self.is_natural_frequency else self.load_frequency,
+            self.harmonic_order,
+        )
 
     @property
     def uncracked_feature(self) -> Feature:
@@ -514,15 +532,15 @@ class Feature:
         """Return values at all nodes of a sweep: (n,), logarithms or complex amplitudes."""
         if self.is_natural_frequency:
             frequencies = solved_cases.get_natural_frequency(self.crack_state, self.mode)[
-                :, solved_cases.find_load_index(self.frequency)
+                :, solved_cases.find_load_index(self.load_frequency)
             ]
             return np.log(frequencies).astype(complex)
-        return solved_cases.get_harmonic(self.point, self.frequency, self.order)
+        return solved_cases.get_harmonic(self.point_name, self.load_frequency, self.harmonic_order)
 
     @property
     def scale_power(self) -> int:
         """Return the exponent n of s^n, to which a harmonic is proportional."""
-        return 1 + self.order % 2 if self.order > 1 else 0
+        return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
     @property
     def is_natural_frequency(self) -> bool:
@@ -551,7 +569,9 @@ def compute_ratios_and_poles(
         :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
     """
     mode_frequencies = scale_and_frequencies[..., NUMBERED]
-    harmonic_frequencies = np.array([feature.order * feature.frequency for feature in features])
+    harmonic_frequencies = np.array(
+        [feature.harmonic_order * feature.load_frequency for feature in features]
+    )
     r = harmonic_frequencies[:, None] / np.where(
         np.isfinite(mode_frequencies), mode_frequencies, np.inf
     )
@@ -565,10 +585,13 @@ def apply_first_harmonic_logs(
 
     A higher harmonic of order k has the size once and the phase k times. Other features have 0.
     """
-    orders = np.array([feature.order if feature.order > 1 else 0 for feature in features])
-    orders = orders.reshape(-1, *np.ones(first_harmonic_logs.ndim - 2, dtype=int))
+    harmonic_orders = np.array(
+        [feature.harmonic_order if feature.harmonic_order > 1 else 0 for feature in features]
+    )
+    harmonic_orders = harmonic_orders.reshape(-1, *np.ones(first_harmonic_logs.ndim - 2, dtype=int))
     return (
-        np.where(orders > 0, first_harmonic_logs.real, 0.0) + 1j * orders * first_harmonic_logs.imag
+        np.where(harmonic_orders > 0, first_harmonic_logs.real, 0.0)
+        + 1j * harmonic_orders * first_harmonic_logs.imag
     )
 
 
@@ -577,7 +600,9 @@ def list_driving_harmonics(features: Sequence[Feature]) -> list[Feature]:
 
     A feature that is no higher harmonic gets order 0.
     """
-    return [replace(feature, order=int(feature.order > 1)) for feature in features]
+    return [
+        replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
+    ]
 
 
 def compute_smoothing_factors(

@@ -255,7 +255,7 @@ class Measurements(Tabular):
             allowed_text = f"{limit_text}; several of one quantity are one, their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
         count_by_name = Counter(row.name for row in self.rows if row.quantity != "displacement")
-        if repeated_names := [name for name, count in count_by_name.items() if count > 1]:
+        if repeated_names := [name for name, name_count in count_by_name.items() if name_count > 1]:
             repeated_values = [row.value for row in self.rows if row.name == repeated_names[0]]
             allowed_text = "one value, the mean, with the standard deviation of that"
             raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
@@ -551,12 +551,12 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     Raises InputError.
     """
     with reading("measurements", path, "a CSV file"):
-        (_, headings), *table_lines = table_rows(path) or [(0, [])]
+        (_, heading_cells), *table_lines = table_rows(path) or [(0, [])]
     table_lines = table_lines[: OPTIONS.max_measurements + 1]  # enough to be too many
     # Those of a value depend on the quantity.
     headings_in_si = [
         (cell, 1.0) if cell.startswith(REQUIRED_COLUMN_NAMES) else heading_in_si(cell)
-        for cell in headings
+        for cell in heading_cells
     ]
     column_names = [cell.partition("[")[0].strip() for cell, _ in headings_in_si]
     known_names = (*REQUIRED_COLUMN_NAMES, *OPTIONAL_COLUMN_NAMES)
@@ -566,18 +566,20 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
         allowed_text = (
             f"a CSV file with the columns {', '.join(known_names)}, the first three of them needed"
         )
-        found_text = f"the columns {', '.join(headings)}" if column_names else "nothing"
+        found_text = f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
         raise InputError("measurements", f"{path}: {found_text}", allowed_text)
     for cell, column_name, (si_heading, _) in zip(
-        headings, column_names, headings_in_si, strict=True
+        heading_cells, column_names, headings_in_si, strict=True
     ):
-        unit = si_heading.partition("[")[2].partition("]")[0].strip()
-        if unit and unit not in (allowed_units := UNITS_BY_COLUMN.get(column_name, ())):
+        heading_unit = si_heading.partition("[")[2].partition("]")[0].strip()
+        if heading_unit and heading_unit not in (
+            allowed_units := UNITS_BY_COLUMN.get(column_name, ())
+        ):
             allowed_text = f"in {' or '.join(allowed_units)}" if allowed_units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell}", allowed_text)
     factor_by_column = {
-        column_name: factor
-        for column_name, (_, factor) in zip(column_names, headings_in_si, strict=True)
+        column_name: column_factor
+        for column_name, (_, column_factor) in zip(column_names, headings_in_si, strict=True)
     }
     measurements = []
     for line_number, cells in table_lines:

@@ -96,13 +96,13 @@ class ProbeDisplacements:
             for row_indices in indices_by_load_and_point.values()
         ]
 
-    def compute_harmonic_covariances(self, orders: np.ndarray) -> np.ndarray:
+    def compute_harmonic_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
         """Return covariances of displacements by harmonics of random phase: (k, n, n).
 
         Each of the orders (k,) has mean square 1.
         """
         phase_differences = self._phases[:, None] - self._phases
-        return np.asarray(0.5 * np.cos(np.multiply.outer(orders, phase_differences)))
+        return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
 
     def fit_harmonics(
         self, harmonics: np.ndarray
@@ -120,24 +120,26 @@ class ProbeDisplacements:
         load_sizes : (m,)
             A.
         """
-        orders = np.arange(1, harmonics.shape[1] + 1)
-        phase_factors = np.exp(1j * np.multiply.outer(self._phases, orders))
+        harmonic_orders = np.arange(1, harmonics.shape[1] + 1)
+        phase_factors = np.exp(1j * np.multiply.outer(self._phases, harmonic_orders))
         load_sizes = np.ones(len(harmonics))
         load_phases = np.zeros(len(harmonics))
         constants = np.zeros(len(harmonics))
         if self._n_measured:
             load_sizes, load_phases, constants = self._fit_load_and_constant(
-                harmonics, phase_factors[: self._n_measured], orders
+                harmonics, phase_factors[: self._n_measured], harmonic_orders
             )
         displacement_slopes = (
             phase_factors
-            * (load_sizes[:, None] * np.exp(-1j * np.outer(load_phases, orders)))[:, None, :]
+            * (load_sizes[:, None] * np.exp(-1j * np.outer(load_phases, harmonic_orders)))[
+                :, None, :
+            ]
         )
         harmonic_parts = displacement_slopes * harmonics[:, None, :]
         displacements = harmonic_parts.sum(axis=2).real
         # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
         # times the largest displacement.
-        phase_changes = np.pi / np.sqrt(3.0) * (orders * harmonic_parts).sum(axis=2).imag
+        phase_changes = np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_parts).sum(axis=2).imag
         constant_change = 10.0 * np.max(np.abs(self._measured_values), initial=0.0)
         load_changes = np.stack(
             [displacements, phase_changes, np.full_like(displacements, constant_change)], axis=2
@@ -145,7 +147,7 @@ class ProbeDisplacements:
         return displacements + constants[:, None], displacement_slopes, load_changes, load_sizes
 
     def _fit_load_and_constant(
-        self, harmonics: np.ndarray, phase_factors: np.ndarray, orders: np.ndarray
+        self, harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit A > 0, psi and c by least squares: (m,) each, all m at once.
 
@@ -153,19 +155,20 @@ class ProbeDisplacements:
         """
         tried_phases = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
         shifted_harmonics = harmonics[:, None, :] * np.exp(
-            -1j * np.multiply.outer(tried_phases, orders)
+            -1j * np.multiply.outer(tried_phases, harmonic_orders)
         )
         displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
         weight_shares = self._weights**2 / np.sum(self._weights**2)
         centred_values = self._measured_values - weight_shares @ self._measured_values
         centred_displacements = displacements - (displacements @ weight_shares)[..., None]
         projections = centred_displacements @ (weight_shares * centred_values)
-        squares = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
-        explained_squares = np.where(projections > 0.0, projections**2 / squares, 0.0)
+        squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
+        explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
         best_phase_indices = explained_squares.argmax(axis=1)
         all_indices = np.arange(len(harmonics))
         load_sizes = (
-            projections[all_indices, best_phase_indices] / squares[all_indices, best_phase_indices]
+            projections[all_indices, best_phase_indices]
+            / squared_norms[all_indices, best_phase_indices]
         )
         load_phases = tried_phases[best_phase_indices]
         constants = weight_shares @ self._measured_values - load_sizes * (
@@ -175,10 +178,10 @@ class ProbeDisplacements:
             harmonic_parts = (
                 harmonics[:, None, :]
                 * phase_factors
-                * np.exp(-1j * np.outer(load_phases, orders))[:, None, :]
+                * np.exp(-1j * np.outer(load_phases, harmonic_orders))[:, None, :]
             )
             displacements = harmonic_parts.sum(axis=2).real
-            phase_slopes = load_sizes[:, None] * (orders * harmonic_parts).sum(axis=2).imag
+            phase_slopes = load_sizes[:, None] * (harmonic_orders * harmonic_parts).sum(axis=2).imag
             weighted_residuals = self._weights * (
                 self._measured_values - load_sizes[:, None] * displacements - constants[:, None]
             )
@@ -190,13 +193,15 @@ class ProbeDisplacements:
                 axis=2,
             )
             weighted_columns = weighted_columns * parameter_scales * self._weights[:, None]
-            squares = weighted_columns.transpose(0, 2, 1) @ weighted_columns + 1e-3 * np.eye(3)
-            steps = np.linalg.solve(
-                squares, weighted_columns.transpose(0, 2, 1) @ weighted_residuals[..., None]
+            squared_norms = weighted_columns.transpose(0, 2, 1) @ weighted_columns + 1e-3 * np.eye(
+                3
+            )
+            newton_steps = np.linalg.solve(
+                squared_norms, weighted_columns.transpose(0, 2, 1) @ weighted_residuals[..., None]
             )[..., 0]
-            load_sizes = load_sizes * np.exp(np.clip(steps[:, 0], -1.0, 1.0))
-            load_phases = load_phases + np.clip(steps[:, 1], -0.1, 0.1)
-            constants = constants + parameter_scales[2] * steps[:, 2]
+            load_sizes = load_sizes * np.exp(np.clip(newton_steps[:, 0], -1.0, 1.0))
+            load_phases = load_phases + np.clip(newton_steps[:, 1], -0.1, 0.1)
+            constants = constants + parameter_scales[2] * newton_steps[:, 2]
         return load_sizes, load_phases, constants
 
 
@@ -272,10 +277,14 @@ class ForwardModel:
         """Return the damping ratio at values x (m, d) of the unknowns: (m, 1)."""
         if "damping.ratio" in self.unknown_keys:
             return x[:, [self.unknown_keys.index("damping.ratio")]]
-        ratios, damping = None, self.scene.damping
-        if damping is not None:
-            ratios = damping.ratios if damping.ratio is None else damping.ratio
-        return np.full((len(x), 1), 0.01 if ratios is None else np.mean(ratios))  # of a matrix
+        scene_ratios, damping_table = None, self.scene.damping
+        if damping_table is not None:
+            scene_ratios = (
+                damping_table.ratios if damping_table.ratio is None else damping_table.ratio
+            )
+        return np.full(
+            (len(x), 1), 0.01 if scene_ratios is None else np.mean(scene_ratios)
+        )  # of a matrix
 
     def compute_crack_sizes(self, x: np.ndarray) -> np.ndarray:
         """Return the crack size at values x (m, d), relative to the largest: (m,).
@@ -301,7 +310,7 @@ class ForwardModel:
         quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
         if self.coarse_cases.uncracked_cases is not None:
             quantity_names.append("frequency_uncracked")
-        candidates = [
+        candidate_rows = [
             Measurement(quantity_name, 1.0, 1.0, mode + 1)
             for quantity_name in quantity_names
             for mode in range(FEW_MODES)
@@ -312,10 +321,10 @@ class ForwardModel:
         for load_frequency, point_name, ratio_name in itertools.product(
             load_frequencies, point_names, ratio_names
         ):
-            candidates.append(
+            candidate_rows.append(
                 Measurement(ratio_name, 1.0, 1.0, frequency=load_frequency, point=point_name)
             )
-        return tuple(candidates)
+        return tuple(candidate_rows)
 
 
 @dataclass(frozen=True)
@@ -416,7 +425,7 @@ class Predictor:
         )
         self._highest_frequency = float(np.nanmax(node_data[..., NUMBERED], initial=0.0))
         self._load_indices = [
-            model.coarse_cases.find_load_index(feature.frequency) for feature in self._features
+            model.coarse_cases.find_load_index(feature.load_frequency) for feature in self._features
         ]
         speed_ratios = model.coarse_cases.swept_loads.speed_ratios
         self._prior_sensitivities = np.stack(
@@ -479,11 +488,11 @@ class Predictor:
 
         The factors are for the clamp and for an unknown temperature.
         """
-        predictor = copy(self)
-        predictor.baseline_changes = self.baseline_changes.with_change_factors(
+        changed_predictor = copy(self)
+        changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
             clamp_factor, temperature_factor
         )
-        return predictor
+        return changed_predictor
 
     def iterate_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
         """Iterate over possible states of the crack faces at x (m, d).
@@ -566,8 +575,8 @@ class Predictor:
             self._coarse_interpolation.compute_weighted_errors(x) ** 2, axis=1
         )
         error_and_variance_sums = [
-            np.nansum(squares, axis=0).reshape(-1, 2).sum(axis=1)
-            for squares in (squared_errors, stated_variances)
+            np.nansum(squared_columns, axis=0).reshape(-1, 2).sum(axis=1)
+            for squared_columns in (squared_errors, stated_variances)
         ]
         with np.errstate(divide="ignore", invalid="ignore"):
             variance_ratios = np.where(
@@ -716,17 +725,17 @@ class Predictor:
                 np.where(is_zero_feature, 0.0, feature_array)
                 for feature_array in (feature_values, interpolation_variances)
             )
-        values, complex_slopes, common_errors, independent_variances = (
+        predicted_values, complex_slopes, common_errors, independent_variances = (
             self._predict_all_but_displacements(
                 damping_ratios, feature_values, smoothing_factors, face_state
             )
         )
-        values *= self.baseline_changes.temperature_factors
-        load_change_blocks = [np.zeros((*values.shape, 0))]
+        predicted_values *= self.baseline_changes.temperature_factors
+        load_change_blocks = [np.zeros((*predicted_values.shape, 0))]
         omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
         for probe_group in self._probe_groups:
             feature_indices = self._feature_indices_by_row[probe_group.row_indices[0]]
-            values[:, probe_group.row_indices], slopes, load_changes, load_sizes = (
+            predicted_values[:, probe_group.row_indices], real_slopes, load_changes, load_sizes = (
                 probe_group.fit_harmonics(feature_values[:, feature_indices])
             )
             mean_squares = (
@@ -747,27 +756,31 @@ class Predictor:
                 omitted_squares, probe_group.compute_harmonic_covariances(omitted_orders), axes=1
             )
             complex_slopes[:, np.array(probe_group.row_indices)[:, None], feature_indices] = (
-                slopes / smoothing_factors[:, None, feature_indices]
+                real_slopes / smoothing_factors[:, None, feature_indices]
             )
-            group_changes = np.zeros((*values.shape, load_changes.shape[2]))
+            group_changes = np.zeros((*predicted_values.shape, load_changes.shape[2]))
             group_changes[:, probe_group.row_indices] = load_changes
             load_change_blocks.append(group_changes)
         complex_slopes[:, ~self.is_predictable] = 0.0
         if is_zero_feature is not None:
             complex_slopes[..., is_zero_feature] = 0.0
-        slopes = _split_complex_columns(complex_slopes.conj())
+        real_slopes = _split_complex_columns(complex_slopes.conj())
         covariance = (
-            slopes @ feature_prediction.covariance @ slopes.transpose(0, 2, 1) + omitted_covariance
+            real_slopes @ feature_prediction.covariance @ real_slopes.transpose(0, 2, 1)
+            + omitted_covariance
         )
         shared_errors = np.concatenate(
-            [values[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
+            [predicted_values[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
         )
         covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
             :, :, None
         ] * np.eye(len(self.rows))
-        values = np.where(self.is_predictable, values, np.nan)
+        predicted_values = np.where(self.is_predictable, predicted_values, np.nan)
         return Prediction(
-            values, covariance, np.concatenate(load_change_blocks, axis=2), self.is_predictable
+            predicted_values,
+            covariance,
+            np.concatenate(load_change_blocks, axis=2),
+            self.is_predictable,
         )
 
     def _estimate_omitted_harmonics(
@@ -800,14 +813,16 @@ class Predictor:
         (m, k) [m^2]
             Mean squares of these harmonics.
         """
-        n_kept = self.model.coarse_cases.count_harmonics(first_harmonic.frequency)
+        n_kept = self.model.coarse_cases.count_harmonics(first_harmonic.load_frequency)
         highest_frequency = self._highest_frequency
         n_kept = min(n_kept, mean_squares.shape[1])
         n_harmonics = min(
-            max(2 * n_kept, math.ceil(highest_frequency / first_harmonic.frequency)), MOST_HARMONICS
+            max(2 * n_kept, math.ceil(highest_frequency / first_harmonic.load_frequency)),
+            MOST_HARMONICS,
         )
         harmonic_features = [
-            replace(first_harmonic, order=order) for order in range(1, n_harmonics + 1)
+            replace(first_harmonic, harmonic_order=harmonic_order)
+            for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
             np.nan_to_num(scale_and_frequencies[..., NUMBERED], nan=np.inf) ** -4.0
@@ -868,9 +883,9 @@ class Predictor:
                 / smoothing_factors
             )
         size_slopes = np.where(is_natural_frequency, feature_sizes / smoothing_factors, size_slopes)
-        values, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
-        common_errors = np.zeros((*values.shape, 1 + FEW_MODES))
-        complex_slopes = np.zeros((*values.shape, len(self._features)), dtype=complex)
+        predicted_values, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
+        common_errors = np.zeros((*predicted_values.shape, 1 + FEW_MODES))
+        complex_slopes = np.zeros((*predicted_values.shape, len(self._features)), dtype=complex)
         identify_table = self.model.identify_table
         resonance_deviation = self.model.identify_table.resonance_deviation
         for row_index, (row, feature_indices) in enumerate(
@@ -884,16 +899,16 @@ class Predictor:
             state_index = (
                 RESONANCE_STATES.index(row_face_state.resonance_state) if row.resonance else 0
             )
-            values[:, row_index], weights = _combine_features(
+            predicted_values[:, row_index], row_size_slopes = _combine_features(
                 row, feature_sizes[:, feature_indices], state_index
             )
             complex_slopes[:, row_index, feature_indices] = (
-                weights * size_slopes[:, feature_indices]
+                row_size_slopes * size_slopes[:, feature_indices]
             )
             if row.resonance:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
-                damping_shift = values[:, row_index] * damping_ratios[:, 0] ** 2
+                damping_shift = predicted_values[:, row_index] * damping_ratios[:, 0] ** 2
                 common_errors[:, row_index, 0] = row_face_state.common_deviation * frequency_split
                 mode_deviation = (
                     identify_table.first_resonance_deviation
@@ -912,7 +927,7 @@ class Predictor:
             complex_slopes[:, :, uncracked_index] += (
                 complex_slopes[:, :, row_face_state] * smoothing_factors[:, None, row_face_state]
             )
-        return values, complex_slopes, common_errors, independent_variances
+        return predicted_values, complex_slopes, common_errors, independent_variances
 
     def _collect_feature_errors(
         self,
@@ -935,16 +950,18 @@ class Predictor:
         """
         half_root = np.sqrt(0.5)
         all_errors = np.concatenate(interpolation_errors, axis=1)
-        identity = np.eye(smooth_features.shape[1])
+        identity_matrix = np.eye(smooth_features.shape[1])
         error_blocks = [
             half_root * all_errors.transpose(0, 2, 1),
-            half_root * np.sqrt(np.sum(all_errors**2, axis=1))[:, None, :] * identity,
+            half_root * np.sqrt(np.sum(all_errors**2, axis=1))[:, None, :] * identity_matrix,
             half_root * remaining_mesh_errors[..., None],
             half_root * remaining_mesh_errors[..., None] * self._error_groups,
         ]
         harmonic_deviation = self.model.identify_table.harmonic_deviation
         if harmonic_deviation:
-            order_excess = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
+            order_excess = np.repeat(
+                [max(feature.harmonic_order - 1, 0) for feature in self._features], 2
+            )
             rotated_features = np.stack(
                 [-smooth_features[:, 1::2], smooth_features[:, ::2]], axis=2
             ).reshape(smooth_features.shape)
@@ -973,7 +990,7 @@ def _find_motionless_nodes(
         1 at nodes without these harmonics, on the grid; empty without such loads.
     """
     harmonic_masks, motionless_grids = [], []
-    is_higher_harmonic = np.array([feature.order > 1 for feature in features], dtype=bool)
+    is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
     for load_index in np.unique(np.array(load_indices)[is_higher_harmonic]):
         is_group_member = is_higher_harmonic & (np.array(load_indices) == load_index)
         group_values = [
@@ -996,11 +1013,11 @@ def _build_error_groups(features: Sequence[Feature]) -> np.ndarray:
     A member has 1, others 0.
     """
     group_keys = list(dict.fromkeys(feature.error_group for feature in features))
-    membership = [
+    group_memberships = [
         [float(feature.error_group == group_key) for group_key in group_keys]
         for feature in features
     ]
-    return np.repeat(membership, 2, axis=0)
+    return np.repeat(group_memberships, 2, axis=0)
 
 
 def _split_complex_columns(complex_columns: np.ndarray) -> np.ndarray:
@@ -1021,7 +1038,7 @@ def _list_face_states(model: ForwardModel) -> tuple[FaceState, ...]:
     resonance_deviation = model.identify_table.resonance_deviation
     closed_shares = model.coarse_cases.sweep_result["closed_share"][model.coarse_cases.word_index]
     min_closed_share, max_closed_share = (
-        item.reduce(closed_shares, axis=None) for item in (np.fmin, np.fmax)
+        ufunc.reduce(closed_shares, axis=None) for ufunc in (np.fmin, np.fmax)
     )
     held_states = itertools.compress(
         (FaceState("open"), FaceState("tied")), (min_closed_share < 1.0, max_closed_share > 0.0)
@@ -1032,9 +1049,10 @@ def _list_face_states(model: ForwardModel) -> tuple[FaceState, ...]:
         FaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
     )
     face_states = (*partly_open_states, BREATHING_FACES, *held_states)
-    total_weight = sum(item.prior_weight for item in face_states)
+    total_weight = sum(face_state.prior_weight for face_state in face_states)
     return tuple(
-        item._replace(prior_weight=item.prior_weight / total_weight) for item in face_states
+        face_state._replace(prior_weight=face_state.prior_weight / total_weight)
+        for face_state in face_states
     )
 
 

@@ -100,13 +100,15 @@ class UncrackedPlate:
             )
         self.rotor_speed = scene.speed
         self.identify_table = identify_table
-        modes = _solve_plate_modes(scene)
-        modes_at_rest = _solve_plate_modes(scene.at_rest()) if scene.speed > 0.0 else modes
+        plate_modes = _solve_plate_modes(scene)
+        modes_at_rest = _solve_plate_modes(scene.at_rest()) if scene.speed > 0.0 else plate_modes
         mode_shapes = (
-            np.hstack([modes_at_rest.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
+            np.hstack([modes_at_rest.shapes, plate_modes.shapes])
+            if scene.speed > 0.0
+            else plate_modes.shapes
         )
         gram_eigenvalues, gram_eigenvectors = eigh(
-            mode_shapes.T @ multiply(modes.structure.mass, mode_shapes)
+            mode_shapes.T @ multiply(plate_modes.structure.mass, mode_shapes)
         )
         is_independent = (
             gram_eigenvalues > np.sqrt(np.finfo(float).eps) * gram_eigenvalues[-1]
@@ -117,10 +119,10 @@ class UncrackedPlate:
         rest_stiffness_basis = multiply(modes_at_rest.structure.stiffness, orthonormal_basis)
         elastic_stiffness = orthonormal_basis.T @ rest_stiffness_basis
         rotation_stiffness = (
-            orthonormal_basis.T @ multiply(modes.structure.stiffness, orthonormal_basis)
+            orthonormal_basis.T @ multiply(plate_modes.structure.stiffness, orthonormal_basis)
             - elastic_stiffness
         )
-        rigid_motions_at_clamp, self.n_reaction_forces = _build_clamp_motions(modes)
+        rigid_motions_at_clamp, self.n_reaction_forces = _build_clamp_motions(plate_modes)
         self.stiffness_parts = np.stack([elastic_stiffness, rotation_stiffness])
         self.clamp_reactions = rest_stiffness_basis.T @ rigid_motions_at_clamp
 
@@ -147,9 +149,10 @@ class UncrackedPlate:
 
     def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
         """Return the elastic fraction of squared frequencies at a relative speed: (n,)."""
-        omega, mode_vectors = self.solve_modes_at(speed_ratio)
+        natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
         return np.asarray(
-            np.sum(mode_vectors * (self.stiffness_parts[0] @ mode_vectors), axis=0) / omega**2
+            np.sum(mode_vectors * (self.stiffness_parts[0] @ mode_vectors), axis=0)
+            / natural_omega**2
         )
 
     def compute_stiffening_factors(self, speed_ratio: float, modulus_ratio: float) -> np.ndarray:
@@ -170,8 +173,8 @@ class UncrackedPlate:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
 
         def clamp_reductions(speed_ratio: float) -> np.ndarray:
-            omega, mode_vectors = self.solve_modes_at(speed_ratio)
-            squared_reactions = (self.clamp_reactions.T @ mode_vectors) ** 2 / omega**2
+            natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
+            squared_reactions = (self.clamp_reactions.T @ mode_vectors) ** 2 / natural_omega**2
             moment_parts = squared_reactions[self.n_reaction_forces :]
             force_parts = squared_reactions[: self.n_reaction_forces]
             return np.stack([moment_parts.sum(axis=0), force_parts.sum(axis=0)])
@@ -187,17 +190,17 @@ class UncrackedPlate:
         """
         young_deviation, density_deviation, _ = self._prior_deviations
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
-        identity = np.eye(len(elastic_fractions))
+        identity_matrix = np.eye(len(elastic_fractions))
         return np.column_stack(
             [
                 np.outer(elastic_fractions, [0.5 * young_deviation, -0.5 * density_deviation, 0.0]),
                 -self.identify_table.clamp_deviation
                 * self.compute_clamp_sensitivities(speed_ratio),
-                self.identify_table.model_deviation * elastic_fractions * identity,
+                self.identify_table.model_deviation * elastic_fractions * identity_matrix,
                 0.5
                 * self.identify_table.stiffening_deviation
                 * (1.0 - elastic_fractions)
-                * identity,
+                * identity_matrix,
             ]
         )
 
@@ -228,13 +231,13 @@ class UncrackedPlate:
             np.array([getattr(feature, attribute_name) for feature in features])[:, None]
             for attribute_name in ("is_natural_frequency", "is_cracked_frequency")
         )
-        modes = np.array([feature.mode for feature in features])[:, None]
-        shape = len(scale_and_frequencies), len(modes), n_modes
+        mode_numbers = np.array([feature.mode for feature in features])[:, None]
+        slope_shape = len(scale_and_frequencies), len(mode_numbers), n_modes
         slopes_by_mode = np.broadcast_to(
-            is_natural_frequency & (modes == 1 + np.arange(n_modes)), shape
+            is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
         slopes_by_crack = slopes_by_mode * is_cracked_frequency
-        slopes_by_damping = np.zeros((*shape[:2], 1))
+        slopes_by_damping = np.zeros((*slope_shape[:2], 1))
         if not is_natural_frequency.all():
             with np.errstate(invalid="ignore"):
                 log_bilinear, log_uncracked = np.split(
@@ -279,14 +282,17 @@ class UncrackedPlate:
         """
         identify_table = self.identify_table
         unknown_keys = {axis.key for axis in self.identify_table.unknown}
-        keys = ("material.young", "material.density", "geometry.thickness")
-        deviations = (
+        prior_keys = ("material.young", "material.density", "geometry.thickness")
+        relative_deviations = (
             identify_table.young_deviation,
             identify_table.density_deviation,
             identify_table.thickness_deviation,
         )
-        keys_and_deviations = zip(keys, deviations, strict=True)
-        return [0.0 if key in unknown_keys else deviation for key, deviation in keys_and_deviations]
+        keys_and_deviations = zip(prior_keys, relative_deviations, strict=True)
+        return [
+            0.0 if key in unknown_keys else relative_deviation
+            for key, relative_deviation in keys_and_deviations
+        ]
 
     def compute_baseline_sensitivities(self, speed_ratio: float) -> tuple[np.ndarray, np.ndarray]:
         """Return relative changes between the plate before it had a crack and now.
@@ -303,12 +309,12 @@ class UncrackedPlate:
         """
         identify_table = self.identify_table
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
-        identity = np.eye(len(elastic_fractions))
+        identity_matrix = np.eye(len(elastic_fractions))
         clamp_changes = np.column_stack(
             [
                 self.compute_clamp_sensitivities(speed_ratio),
                 1.0 - elastic_fractions,
-                identify_table.before_scatter * elastic_fractions * identity,
+                identify_table.before_scatter * elastic_fractions * identity_matrix,
             ]
         )
         change_per_kelvin = 0.5 * identify_table.temperature_coefficient * elastic_fractions
@@ -316,7 +322,7 @@ class UncrackedPlate:
             identify_table.stiffening_deviation
             * (1.0 - elastic_fractions)
             * change_per_kelvin
-            * identity
+            * identity_matrix
         )
         return identify_table.before_deviation * clamp_changes, np.column_stack(
             [change_per_kelvin, rotation_uncertainty]
@@ -390,8 +396,8 @@ def _guess_frequency_unit(frequency_ratio: float) -> str:
     # No crack changes a frequency by a factor of exp(0.3).
     matching_units = (
         unit_name
-        for unit_name, factor in FACTOR_BY_UNIT.items()
-        if abs(np.log(frequency_ratio / factor)) < 0.3
+        for unit_name, unit_factor in FACTOR_BY_UNIT.items()
+        if abs(np.log(frequency_ratio / unit_factor)) < 0.3
     )
     return next(matching_units, "")
 
@@ -509,17 +515,19 @@ def _build_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
     n_translations : int
         Number of translations.
     """
-    nodes = modes.structure.nodes
+    structure_nodes = modes.structure.nodes
     clamped_points = (
-        np.zeros((0, 0)) if nodes is None else nodes.points[(nodes.dofs < 0).all(axis=1)]
+        np.zeros((0, 0))
+        if structure_nodes is None
+        else structure_nodes.points[(structure_nodes.dofs < 0).all(axis=1)]
     )
-    if nodes is None or len(clamped_points) < 2:
+    if structure_nodes is None or len(clamped_points) < 2:
         return np.zeros((modes.structure.n_local, 0)), 0
-    node_motions = rigid_motions(nodes.points - clamped_points.mean(axis=0))
+    node_motions = rigid_motions(structure_nodes.points - clamped_points.mean(axis=0))
     motion_columns = np.zeros((modes.structure.n_local, len(node_motions)))
-    dof_numbers = nodes.dofs.ravel()
+    dof_numbers = structure_nodes.dofs.ravel()
     motion_columns[dof_numbers[dof_numbers >= 0]] = node_motions[:, dof_numbers >= 0].T
-    n_translations = nodes.points.shape[1]
+    n_translations = structure_nodes.points.shape[1]
     motion_columns[:, :n_translations] *= np.sqrt(np.sum(np.var(clamped_points, axis=0)))
     return motion_columns, n_translations
 
@@ -536,25 +544,27 @@ def _differentiate_poles(
     return damping_slopes - 2.0 * r**2 / pole_factors, -damping_slopes
 
 
-def compute_crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
+def compute_crack_deviations(
+    x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
+) -> np.ndarray:
     """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one.
 
     They are for values x (m, d) of the unknowns.
     """
     identify_table = scene.given("identify")
-    deviations = np.zeros_like(x)
+    crack_deviations = np.zeros_like(x)
     crack_reaches = np.zeros(len(x))
     for key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
         crack_sizes = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
-        if key in keys:
-            crack_sizes = x[:, keys.index(key)]
+        if key in unknown_keys:
+            crack_sizes = x[:, unknown_keys.index(key)]
             common_deviation = identify_table.crack_deviation * np.sqrt(
                 identify_table.crack_correlation
             )
             # Frequencies change with its square.
-            deviations[:, keys.index(key)] = common_deviation / 2.0 * crack_sizes
+            crack_deviations[:, unknown_keys.index(key)] = common_deviation / 2.0 * crack_sizes
         crack_reaches = np.where(crack_sizes > 0.0, crack_sizes, crack_reaches)
-    if "crack.height" in keys:
+    if "crack.height" in unknown_keys:
         tilt_slope = np.tan(np.radians(identify_table.angle_deviation))
-        deviations[:, keys.index("crack.height")] = tilt_slope * crack_reaches
-    return deviations
+        crack_deviations[:, unknown_keys.index("crack.height")] = tilt_slope * crack_reaches
+    return crack_deviations

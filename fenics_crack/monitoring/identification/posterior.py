@@ -43,12 +43,14 @@ REFINED_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
 """Further values around each optimum, by the number of unknowns; 7 for more."""
 
 
-def add_uniform_prior(information: np.ndarray) -> np.ndarray:
+def add_uniform_prior(fisher_information: np.ndarray) -> np.ndarray:
     """Add the information of a uniform prior to the Fisher information (d, d).
 
     The unknowns are relative to their ranges.
     """
-    return np.asarray(information + 12.0 * np.eye(len(information)))  # 1 / variance of a uniform
+    return np.asarray(
+        fisher_information + 12.0 * np.eye(len(fisher_information))
+    )  # 1 / variance of a uniform
 
 
 @dataclass(frozen=True)
@@ -57,14 +59,14 @@ class Likelihood:
 
     Attributes
     ----------
-    values, deviations : (q,)
+    measured_values, measured_deviations : (q,)
         Measured values and their standard deviations.
     predictor : Predictor
         Their predictions.
     """
 
-    values: np.ndarray
-    deviations: np.ndarray
+    measured_values: np.ndarray
+    measured_deviations: np.ndarray
     predictor: Predictor
 
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
@@ -74,7 +76,7 @@ class Likelihood:
         The last is the root of log(det L L^T / p^2). All are in the most probable state of the
         crack faces, with its probability p.
         """
-        residual_rows = np.full((len(x), len(self.values) + 1), np.inf)
+        residual_rows = np.full((len(x), len(self.measured_values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
             is_more_probable = np.sum(state_residuals**2, axis=1) < np.sum(
                 residual_rows[point_indices] ** 2, axis=1
@@ -115,9 +117,13 @@ class Likelihood:
         """
         for point_indices, probabilities, prediction in self.predictor.iterate_states(x):
             cholesky_factor = np.linalg.cholesky(
-                compute_scaled_covariance(prediction, self.values, self.deviations)
+                compute_scaled_covariance(
+                    prediction, self.measured_values, self.measured_deviations
+                )
             )
-            scaled_differences = (self.values - prediction.values) / self.deviations
+            scaled_differences = (
+                self.measured_values - prediction.values
+            ) / self.measured_deviations
             half_log_determinants = np.log(np.diagonal(cholesky_factor, axis1=1, axis2=2)).sum(
                 axis=1
             ) - np.log(probabilities)
@@ -142,10 +148,14 @@ class Likelihood:
         temperature_slopes = (
             prediction.values[0]
             * self.predictor.baseline_changes.unknown_temperature_changes[:, 0]
-            / self.deviations
+            / self.measured_deviations
         )
-        scaled_differences = (self.values - prediction.values[0]) / self.deviations
-        covariance = compute_scaled_covariance(prediction, self.values, self.deviations)[0]
+        scaled_differences = (
+            self.measured_values - prediction.values[0]
+        ) / self.measured_deviations
+        covariance = compute_scaled_covariance(
+            prediction, self.measured_values, self.measured_deviations
+        )[0]
         return float(temperature_slopes @ np.linalg.solve(covariance, scaled_differences))
 
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
@@ -170,20 +180,22 @@ class Likelihood:
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
-            len(self.values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
+            len(self.measured_values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
     def without_measurement(self, omitted_row: int) -> Likelihood:
         """Return the likelihood of all measurements but one."""
-        is_kept = np.arange(len(self.values)) != omitted_row
+        is_kept = np.arange(len(self.measured_values)) != omitted_row
         rows = [
             row
             for row, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
             if is_kept_row
         ]
         predictor = self.predictor.model.make_predictor(rows)
-        return Likelihood(self.values[is_kept], self.deviations[is_kept], predictor)
+        return Likelihood(
+            self.measured_values[is_kept], self.measured_deviations[is_kept], predictor
+        )
 
 
 def compute_scaled_covariance(
@@ -286,20 +298,23 @@ class Branch:
             refined_axes.append(np.unique(np.concatenate(axis_pieces)))
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in refined_axes]
         self.axes, self.prior_mass = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
-        points = _list_grid_points(refined_axes)
+        grid_points = _list_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
         neighbourhood_maxima = maximum_filter(first_log_likelihood, size=3, mode="nearest")
         min_log_likelihood = self.optima[0].log_likelihood - OPTIONS.allowed_grid_drop
         is_evaluated = (
-            RegularGridInterpolator(first_axes, neighbourhood_maxima)(points) > min_log_likelihood
+            RegularGridInterpolator(first_axes, neighbourhood_maxima)(grid_points)
+            > min_log_likelihood
         )
         for optimum, optimum_reach in zip(best_optima, optimum_reaches, strict=True):
-            is_evaluated |= np.all(np.abs(points - optimum.x) < optimum_reach, axis=1)
-        refined_log_likelihood = RegularGridInterpolator(first_axes, first_log_likelihood)(points)
-        refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
-            likelihood, points[is_evaluated]
+            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_reach, axis=1)
+        refined_log_likelihood = RegularGridInterpolator(first_axes, first_log_likelihood)(
+            grid_points
         )
-        crack_deviations = compute_crack_deviations(points)
+        refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
+            likelihood, grid_points[is_evaluated]
+        )
+        crack_deviations = compute_crack_deviations(grid_points)
         self.log_likelihood = _convolve_crack_deviations(
             refined_log_likelihood.reshape(self.prior_mass.shape),
             refined_axes,
@@ -335,23 +350,24 @@ class Branch:
             Share of the interpolation along each unknown there.
         """
         likelihood, explaining_points = self.likelihood, [np.zeros((0, len(self.axes)))]
-        shares = [np.zeros((0, len(self.axes), len(likelihood.values)))]
-        points = np.vstack(
+        share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measured_values)))]
+        grid_points_and_optima = np.vstack(
             [
                 list_first_grid_points(likelihood.predictor.model.unknown_grid),
                 *(optimum.x for optimum in self.optima),
             ]
         )
-        for point_batch in _split_into_batches(points):
+        for point_batch in _split_into_batches(grid_points_and_optima):
             if len(x := point_batch[likelihood.explains_measurements(point_batch)]):
                 variances_by_unknown, total_variances = (
                     likelihood.predictor.compute_interpolation_variances(x)
                 )
                 explaining_points.append(x)
-                shares.append(
-                    variances_by_unknown / (total_variances + likelihood.deviations**2)[:, None]
+                share_arrays.append(
+                    variances_by_unknown
+                    / (total_variances + likelihood.measured_deviations**2)[:, None]
                 )
-        return np.vstack(explaining_points), np.vstack(shares)
+        return np.vstack(explaining_points), np.vstack(share_arrays)
 
 
 def _convolve_crack_deviations(
@@ -365,7 +381,7 @@ def _convolve_crack_deviations(
     The standard deviations (n, d) are the crack's.
     """
     max_log_likelihood = log_likelihood.max()
-    likelihood = np.exp(log_likelihood - max_log_likelihood)
+    relative_likelihood = np.exp(log_likelihood - max_log_likelihood)
     for unknown_index, (axis, axis_weight) in enumerate(zip(axes, axis_weights, strict=True)):
         kernel_width = np.moveaxis(
             crack_deviations[:, unknown_index].reshape(log_likelihood.shape), unknown_index, -1
@@ -375,13 +391,17 @@ def _convolve_crack_deviations(
         kernel_width = np.maximum(kernel_width, 0.1 * np.gradient(axis))[
             ..., None
         ]  # no effect below
-        kernel = axis_weight * np.exp(-0.5 * ((axis - axis[:, None]) / kernel_width) ** 2)
-        kernel /= kernel.sum(axis=-1, keepdims=True)
-        node_masses = np.moveaxis(likelihood, unknown_index, -1) * axis_weight
-        likelihood = np.moveaxis(
-            np.einsum("...j,...ji->...i", node_masses, kernel) / axis_weight, -1, unknown_index
+        kernel_matrix = axis_weight * np.exp(-0.5 * ((axis - axis[:, None]) / kernel_width) ** 2)
+        kernel_matrix /= kernel_matrix.sum(axis=-1, keepdims=True)
+        node_masses = np.moveaxis(relative_likelihood, unknown_index, -1) * axis_weight
+        relative_likelihood = np.moveaxis(
+            np.einsum("...j,...ji->...i", node_masses, kernel_matrix) / axis_weight,
+            -1,
+            unknown_index,
         )
-    return np.asarray(np.log(np.maximum(likelihood, np.finfo(float).tiny)) + max_log_likelihood)
+    return np.asarray(
+        np.log(np.maximum(relative_likelihood, np.finfo(float).tiny)) + max_log_likelihood
+    )
 
 
 def _list_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
@@ -390,9 +410,9 @@ def _list_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
     return [np.linspace(axis[0], axis[-1], n_values) for axis in unknown_grid.axes]
 
 
-def list_first_grid_points(cube: UnknownGrid) -> np.ndarray:
+def list_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
     """Return the points of the first grid: (n, d)."""
-    return _list_grid_points(_list_first_axes(cube))
+    return _list_grid_points(_list_first_axes(unknown_grid))
 
 
 def _list_grid_points(axes: list[np.ndarray]) -> np.ndarray:
@@ -426,23 +446,27 @@ def _find_optima(
     optima: list[Optimum] = []
     unknown_grid = likelihood.predictor.model.unknown_grid
     lower_bounds = unknown_grid.lower_bounds
-    ranges = unknown_grid.upper_bounds - unknown_grid.lower_bounds
+    unknown_ranges = unknown_grid.upper_bounds - unknown_grid.lower_bounds
     for grid_index in start_indices:
         start_point = np.array(
             [axis[axis_index] for axis, axis_index in zip(axes, grid_index, strict=True)]
         )
 
         def fractions_to_residuals(fractions: np.ndarray) -> np.ndarray:
-            return likelihood.compute_residuals((lower_bounds + ranges * fractions)[None])[0]
+            return likelihood.compute_residuals((lower_bounds + unknown_ranges * fractions)[None])[
+                0
+            ]
 
         def fractions_to_slopes(fractions: np.ndarray) -> np.ndarray:
-            steps = np.diag(np.where(fractions < 0.5, 1e-6, -1e-6))  # of the ranges, inwards
+            fraction_steps = np.diag(
+                np.where(fractions < 0.5, 1e-6, -1e-6)
+            )  # of the ranges, inwards
             residual_rows = likelihood.compute_residuals(
-                lower_bounds + ranges * np.vstack([fractions, fractions + steps])
+                lower_bounds + unknown_ranges * np.vstack([fractions, fractions + fraction_steps])
             )
-            return np.asarray((residual_rows[1:] - residual_rows[0]).T / np.diag(steps))
+            return np.asarray((residual_rows[1:] - residual_rows[0]).T / np.diag(fraction_steps))
 
-        fractions = np.clip((start_point - lower_bounds) / ranges, 1e-6, 1.0 - 1e-6)
+        fractions = np.clip((start_point - lower_bounds) / unknown_ranges, 1e-6, 1.0 - 1e-6)
         least_squares_fit = least_squares(
             fractions_to_residuals,
             fractions,
@@ -453,10 +477,10 @@ def _find_optima(
         )
         covariance = np.linalg.inv(
             add_uniform_prior(least_squares_fit.jac.T @ least_squares_fit.jac)
-        ) * np.outer(ranges, ranges)
+        ) * np.outer(unknown_ranges, unknown_ranges)
         optima.append(
             Optimum(
-                lower_bounds + ranges * least_squares_fit.x,
+                lower_bounds + unknown_ranges * least_squares_fit.x,
                 -float(least_squares_fit.cost),
                 covariance,
             )
@@ -528,7 +552,7 @@ class Posterior:
         likelihood, x = self._best_likelihood_and_unknowns
         return [
             likelihood.without_measurement(row_index).compute_misfit(x)
-            for row_index in range(len(likelihood.values))
+            for row_index in range(len(likelihood.measured_values))
         ]
 
     def compute_misfit_with_changes(
@@ -560,7 +584,7 @@ class Posterior:
         At such points log L falls by more than 2, two standard deviations, to both neighbours along
         an unknown, as on a thin ridge.
         """
-        probability = 0.0
+        unresolved_sum = 0.0
         for words, branch in self.branch_by_words.items():
             is_unresolved = np.zeros(branch.log_likelihood.shape, dtype=bool)
             for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
@@ -569,8 +593,8 @@ class Posterior:
                     branch.log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
                 )
                 is_unresolved |= branch.log_likelihood - neighbour_maxima > 2.0
-            probability += float(np.sum(self.mass_by_words[words][is_unresolved]))
-        return probability
+            unresolved_sum += float(np.sum(self.mass_by_words[words][is_unresolved]))
+        return unresolved_sum
 
     def find_region_level(self, probability: float) -> float:
         """Return log L at the border of the region with a probability."""
@@ -593,10 +617,16 @@ class Posterior:
         float
             The bound.
         """
-        level, branches = self.find_region_level(probability), [*self.branch_by_words.values()]
+        border_log_likelihood, branches = (
+            self.find_region_level(probability),
+            [*self.branch_by_words.values()],
+        )
         for unknown_index, end_index in product(range(len(branches[0].axes)), (0, -1)):
             if any(
-                np.any(branch.log_likelihood.take(end_index, axis=unknown_index) >= level)
+                np.any(
+                    branch.log_likelihood.take(end_index, axis=unknown_index)
+                    >= border_log_likelihood
+                )
                 for branch in branches
             ):
                 yield (
@@ -619,11 +649,11 @@ class Posterior:
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
         """Return the equal-tailed interval of an unknown with a probability."""
-        values, masses = self.compute_marginal(unknown_index)
-        cumulative_masses = np.cumsum(masses) - 0.5 * masses
+        unknown_values, value_masses = self.compute_marginal(unknown_index)
+        cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
         tail_probability = 0.5 * (1.0 - probability)
         lower_end, upper_end = np.interp(
-            [tail_probability, 1.0 - tail_probability], cumulative_masses, values
+            [tail_probability, 1.0 - tail_probability], cumulative_masses, unknown_values
         )
         return float(lower_end), float(upper_end)
 
@@ -637,10 +667,10 @@ class Posterior:
         its mean, the part's
         nearest point.
         """
-        level = self.find_region_level(probability)
-        parts = []
+        border_log_likelihood = self.find_region_level(probability)
+        region_parts = []
         for words, branch in self.branch_by_words.items():
-            is_inside = branch.log_likelihood >= level
+            is_inside = branch.log_likelihood >= border_log_likelihood
             part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
             for part_number in range(1, n_parts + 1):
                 is_part_point = part_numbers == part_number
@@ -651,22 +681,24 @@ class Posterior:
                         axis[axis_indices]
                         for axis, axis_indices in zip(branch.axes, grid_indices.T, strict=True)
                     ]
-                    points = (
+                    part_points = (
                         np.stack(unknown_columns, axis=1) if unknown_columns else np.zeros((1, 0))
                     )
-                    part_middle = point_masses @ points / point_masses.sum()
-                    if branch.interpolate_log_likelihood(part_middle) < level:
-                        part_widths = np.ptp(points, axis=0) + np.finfo(float).tiny
-                        part_middle = points[
-                            np.argmin(np.sum(((points - part_middle) / part_widths) ** 2, axis=1))
+                    part_middle = point_masses @ part_points / point_masses.sum()
+                    if branch.interpolate_log_likelihood(part_middle) < border_log_likelihood:
+                        part_widths = np.ptp(part_points, axis=0) + np.finfo(float).tiny
+                        part_middle = part_points[
+                            np.argmin(
+                                np.sum(((part_points - part_middle) / part_widths) ** 2, axis=1)
+                            )
                         ]
-                    parts.append((words, part_middle, float(point_masses.sum())))
-        return sorted(parts, key=lambda part: -part[2])
+                    region_parts.append((words, part_middle, float(point_masses.sum())))
+        return sorted(region_parts, key=lambda part: -part[2])
 
     def compute_deviation(self, unknown_index: int) -> float:
         """Return the standard deviation of an unknown."""
-        values, masses = self.compute_marginal(unknown_index)
-        return float(np.sqrt(np.cov(values, aweights=masses, ddof=0)))
+        unknown_values, value_masses = self.compute_marginal(unknown_index)
+        return float(np.sqrt(np.cov(unknown_values, aweights=value_masses, ddof=0)))
 
     def compute_pair_marginal(
         self, words: str, first_index: int, second_index: int

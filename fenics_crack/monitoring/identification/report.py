@@ -38,7 +38,7 @@ class IdentificationOutput:
 
         Raises LookupError for files of older versions, and InputError without the picture.
         """
-        picture = stored_result.path.with_name("posterior.png")
+        picture_path = stored_result.path.with_name("posterior.png")
         with stored_result.taken() as data_by_name:
             scene, summary = stored_result.scene(), json.loads(data_by_name["summary"])
             if scene is None:
@@ -47,12 +47,12 @@ class IdentificationOutput:
                 raise LookupError("priors")
         picture_bytes = b""
         with suppress(OSError):
-            picture_bytes = content_of(picture, links=False)
+            picture_bytes = content_of(picture_path, links=False)
         if not picture_bytes.startswith(PNG_SIGNATURE):
             raise InputError(
-                "result", str(stored_result.path), f"with {picture.name} in its folder"
+                "result", str(stored_result.path), f"with {picture_path.name} in its folder"
             )
-        return cls(scene, summary, picture)
+        return cls(scene, summary, picture_path)
 
 
 def report_of_identification(identify_output: IdentificationOutput) -> Report:
@@ -63,24 +63,26 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
 
     summary, estimate_rows = identify_output.summary, []
     confidence_text = f"{100.0 * summary['priors']['confidence']:g} %"
-    for key, value in summary["estimate"].items():
-        interval_ends = summary["intervals"].get(key)  # of a word there are none
+    for unknown_key, estimate_value in summary["estimate"].items():
+        interval_ends = summary["intervals"].get(unknown_key)  # of a word there are none
         limit_texts = (
-            [value_in_words(key, interval_end) for interval_end in interval_ends]
+            [value_in_words(unknown_key, interval_end) for interval_end in interval_ends]
             if interval_ends
             else ["", ""]
         )
-        estimate_rows.append([key_in_words(key), value_in_words(key, value), *limit_texts])
+        estimate_rows.append(
+            [key_in_words(unknown_key), value_in_words(unknown_key, estimate_value), *limit_texts]
+        )
     estimate_table = Table(("unknown", "estimate", f"{confidence_text} from", "to"), estimate_rows)
     place_texts = [
-        f"{key} {value} ({confidence_text}: {lower_text} to {upper_text})"
-        for key, value, lower_text, upper_text in estimate_rows
+        f"{unknown_key} {estimate_value} ({confidence_text}: {lower_text} to {upper_text})"
+        for unknown_key, estimate_value, lower_text, upper_text in estimate_rows
         if lower_text
     ]
     shown_place_texts = place_texts if summary["verdict"] == "crack" else []
     priors_text = ", ".join(
-        f"{key} = {value_in_words(f'identify.{key}', value)}"
-        for key, value in summary["priors"].items()
+        f"{unknown_key} = {value_in_words(f'identify.{unknown_key}', estimate_value)}"
+        for unknown_key, estimate_value in summary["priors"].items()
     )
     return Report(
         estimate_table,

@@ -74,7 +74,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     for heading_lines, number_bytes, byte_order in _iterate_datasets(
         BytesIO(content_of(path, MOST_BYTES))
     ):
-        heading_texts = [line.decode("latin-1") for line in heading_lines]
+        heading_texts = [heading_line.decode("latin-1") for heading_line in heading_lines]
         if int(heading_texts[6][:5]) == 4:  # frequency response functions
             responses.append(_parse_response(heading_texts, number_bytes, byte_order))
     if not responses:
@@ -94,8 +94,8 @@ def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]
     byte_order : str
         "<" or ">"; empty for text.
     """
-    while line := file.readline():
-        if line.strip() != DATASET_BORDER_LINE:
+    while file_line := file.readline():
+        if file_line.strip() != DATASET_BORDER_LINE:
             continue
         dataset_line, byte_order, number_bytes = file.readline().rstrip(), "", b""
         is_response = dataset_line[:6].strip() == b"58"
@@ -114,12 +114,12 @@ def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]
             if len(number_bytes) < n_bytes:
                 raise ValueError(f"it ends early: {len(number_bytes)} of {n_bytes} bytes")
         data_lines = []
-        while (line := file.readline()).strip() != DATASET_BORDER_LINE:
-            if not line:
+        while (file_line := file.readline()).strip() != DATASET_BORDER_LINE:
+            if not file_line:
                 if is_response and not byte_order:
                     raise ValueError("it ends early: a dataset 58 has no end")
                 break
-            data_lines.append(line)
+            data_lines.append(file_line)
         if is_response:
             yield heading_lines, number_bytes or b"".join(data_lines), byte_order
 
@@ -140,10 +140,11 @@ def _parse_response(
 ) -> FrequencyResponse:
     """Read a frequency response from its heading, the dataset's number first, and its numbers."""
     number_type, n_lines, is_even = (
-        int(heading_texts[7][column : column + 10]) for column in (0, 10, 20)
+        int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
     )
     first_frequency, frequency_step = (
-        float(heading_texts[7][column : column + 13].replace("D", "E")) for column in (30, 43)
+        float(heading_texts[7][start_column : start_column + 13].replace("D", "E"))
+        for start_column in (30, 43)
     )
     motion_code = int(heading_texts[9][:10])
     if number_type not in NUMPY_TYPE_BY_CODE:
@@ -153,21 +154,27 @@ def _parse_response(
     if byte_order and not is_even:
         raise ValueError("a binary frequency response whose lines are not equally spaced")
     if byte_order:
-        values = np.frombuffer(number_bytes, byte_order + NUMPY_TYPE_BY_CODE[number_type]).astype(
-            float
+        response_values = np.frombuffer(
+            number_bytes, byte_order + NUMPY_TYPE_BY_CODE[number_type]
+        ).astype(float)
+    else:
+        response_values = _parse_numbers(number_bytes.upper().replace(b"D", b"E"))
+    if len(response_values) != n_lines * (2 if is_even else 3) or not np.all(
+        np.isfinite(response_values)
+    ):
+        raise ValueError(
+            f"{len(response_values)} finite numbers instead of those of {n_lines} lines"
         )
-    else:
-        values = _parse_numbers(number_bytes.upper().replace(b"D", b"E"))
-    if len(values) != n_lines * (2 if is_even else 3) or not np.all(np.isfinite(values)):
-        raise ValueError(f"{len(values)} finite numbers instead of those of {n_lines} lines")
     if is_even:
-        frequency = first_frequency + frequency_step * np.arange(n_lines)
+        frequencies = first_frequency + frequency_step * np.arange(n_lines)
     else:
-        frequency, values = values[::3], np.delete(values, np.s_[::3])
-    if np.any(np.diff(frequency) <= 0.0):
+        frequencies, response_values = response_values[::3], np.delete(response_values, np.s_[::3])
+    if np.any(np.diff(frequencies) <= 0.0):
         raise ValueError("a frequency response whose frequencies do not increase")
     return FrequencyResponse(
-        frequency, values[::2] + 1j * values[1::2], DERIVATIVE_ORDER_BY_CODE[motion_code]
+        frequencies,
+        response_values[::2] + 1j * response_values[1::2],
+        DERIVATIVE_ORDER_BY_CODE[motion_code],
     )
 
 
@@ -198,46 +205,50 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
             for response in responses
         ]
     )
-    power, mode_rows = omega**2 * np.sum(np.abs(receptances) ** 2, axis=0), []
+    response_power, mode_rows = omega**2 * np.sum(np.abs(receptances) ** 2, axis=0), []
     # A peak falls to half of its power on both sides before the power is larger there. It is fitted
     # down to a tenth of its power, and for the error down to half of it.
-    peak_indices, peak_properties = find_peaks(power, prominence=0.0)
+    peak_indices, peak_properties = find_peaks(response_power, prominence=0.0)
     for peak_index in peak_indices[
-        peak_properties["prominences"] > 0.5 * power[peak_indices]
+        peak_properties["prominences"] > 0.5 * response_power[peak_indices]
     ].tolist():
         wide_fit, narrow_fit = (
             _fit_mode(
                 omega,
                 receptances,
                 peak_index,
-                _lines_around_peak(power, peak_index, power_fraction * power[peak_index]),
+                _lines_around_peak(
+                    response_power, peak_index, power_fraction * response_power[peak_index]
+                ),
             )
             for power_fraction in (0.1, 0.5)
         )
         if wide_fit is None or narrow_fit is None:
             continue
-        frequency, frequency_deviation, damping_ratio = wide_fit
-        frequency_deviation = float(np.hypot(frequency_deviation, frequency - narrow_fit[0]))
+        mode_frequency, frequency_deviation, damping_ratio = wide_fit
+        frequency_deviation = float(np.hypot(frequency_deviation, mode_frequency - narrow_fit[0]))
         # Peaks of noise do not give a frequency to a tenth of the width.
-        peak_width = damping_ratio * frequency
-        peak_distance = abs(frequency - omega[peak_index] / TURN)
+        peak_width = damping_ratio * mode_frequency
+        peak_distance = abs(mode_frequency - omega[peak_index] / TURN)
         if frequency_deviation < 0.1 * peak_width and peak_distance < peak_width:
-            mode_rows.append((frequency, frequency_deviation, damping_ratio))
+            mode_rows.append((mode_frequency, frequency_deviation, damping_ratio))
     if not mode_rows:
         allowed_text = "with peaks that fall to half their power on both sides, of 4 lines or more"
         raise InputError("responses", f"{len(frequencies)} lines", allowed_text)
     return np.array(mode_rows)
 
 
-def _lines_around_peak(power: np.ndarray, peak_index: int, min_power: float) -> slice:
+def _lines_around_peak(response_power: np.ndarray, peak_index: int, min_power: float) -> slice:
     """Return the slice of lines around a peak with at least a given power, and at most the
     peak's."""
-    outside_indices = np.flatnonzero((power < min_power) | (power > power[peak_index]))
+    outside_indices = np.flatnonzero(
+        (response_power < min_power) | (response_power > response_power[peak_index])
+    )
     outside_before = outside_indices[outside_indices < peak_index]
     outside_after = outside_indices[outside_indices > peak_index]
     return slice(
         outside_before[-1] + 1 if len(outside_before) else 0,
-        outside_after[0] if len(outside_after) else len(power),
+        outside_after[0] if len(outside_after) else len(response_power),
     )
 
 
@@ -258,7 +269,7 @@ def _fit_mode(
         return None
     residual_columns = np.kron(np.eye(n_responses), np.column_stack([np.ones(n_lines), r - 1.0]))
     receptance_vector, tiled_r = fitted_receptances.ravel(), np.tile(r, n_responses)
-    weights = np.ones(len(receptance_vector))
+    equation_weights = np.ones(len(receptance_vector))
     for _ in range(10):
         weighted_columns = (
             np.column_stack(
@@ -269,28 +280,30 @@ def _fit_mode(
                     -1j * residual_columns,
                 ]
             )
-            * weights[:, None]
+            * equation_weights[:, None]
         )
-        weighted_targets = receptance_vector * tiled_r**2 * weights
+        weighted_targets = receptance_vector * tiled_r**2 * equation_weights
         real_matrix, real_targets = (
             np.concatenate([complex_array.real, complex_array.imag])
             for complex_array in (weighted_columns, weighted_targets)
         )
-        coefficients = np.linalg.lstsq(real_matrix, real_targets, rcond=None)[0]
-        weights = 1.0 / np.abs(coefficients[0] + 1j * coefficients[1] * tiled_r - tiled_r**2)
-    if coefficients[0] <= 0.0 or coefficients[1] <= 0.0:
+        fit_coefficients = np.linalg.lstsq(real_matrix, real_targets, rcond=None)[0]
+        equation_weights = 1.0 / np.abs(
+            fit_coefficients[0] + 1j * fit_coefficients[1] * tiled_r - tiled_r**2
+        )
+    if fit_coefficients[0] <= 0.0 or fit_coefficients[1] <= 0.0:
         return None
-    residuals = real_targets - real_matrix @ coefficients
-    variance = (
+    residuals = real_targets - real_matrix @ fit_coefficients
+    coefficient_variance = (
         residuals
         @ residuals
-        / (len(real_targets) - len(coefficients))
+        / (len(real_targets) - len(fit_coefficients))
         * np.linalg.inv(real_matrix.T @ real_matrix)[0, 0]
     )
-    frequency = omega[peak_index] / TURN * np.sqrt(coefficients[0])
-    frequency_deviation = 0.5 * frequency / coefficients[0] * np.sqrt(variance)
+    mode_frequency = omega[peak_index] / TURN * np.sqrt(fit_coefficients[0])
+    frequency_deviation = 0.5 * mode_frequency / fit_coefficients[0] * np.sqrt(coefficient_variance)
     return (
-        float(frequency),
+        float(mode_frequency),
         float(frequency_deviation),
-        float(0.5 * coefficients[1] / np.sqrt(coefficients[0])),
+        float(0.5 * fit_coefficients[1] / np.sqrt(fit_coefficients[0])),
     )

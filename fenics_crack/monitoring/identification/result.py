@@ -120,17 +120,17 @@ def rank_measurements(
         candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
     n_measured = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
-    values = predictor(x[None]).values[0]
+    predicted_values = predictor(x[None]).values[0]
     candidate_deviations = np.array([row.deviation for row in candidate_rows])
     if measurements is None:
         is_at_probe = np.array([row.quantity == "displacement" for row in candidate_rows])
         relative_deviations = np.where([row.natural for row in candidate_rows], *deviations)
         candidate_deviations = np.where(
-            is_at_probe, candidate_deviations, relative_deviations * values[n_measured:]
+            is_at_probe, candidate_deviations, relative_deviations * predicted_values[n_measured:]
         )
-    is_usable = np.isfinite(values[n_measured:]) & (candidate_deviations > 0.0)
+    is_usable = np.isfinite(predicted_values[n_measured:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
-        [likelihood.deviations, np.where(is_usable, candidate_deviations, 1.0)]
+        [likelihood.measured_deviations, np.where(is_usable, candidate_deviations, 1.0)]
     )
     covariance_and_slopes = _compute_covariance_and_slopes(predictor, x, all_deviations)
     measured_indices = np.arange(n_measured)
@@ -162,7 +162,7 @@ def rank_measurements(
         tuple(
             replace(
                 candidate_rows[candidate_index],
-                value=float(values[n_measured + candidate_index]),
+                value=float(predicted_values[n_measured + candidate_index]),
                 deviation=float(candidate_deviations[candidate_index]),
             )
             for candidate_index in ranked_indices
@@ -192,8 +192,15 @@ def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str
         missing_modes := sorted(measured_modes - calibrated_modes)
     ):
         missing_rows = [
-            Measurement("frequency_uncracked", hertz, relative_deviation * hertz, mode=mode)
-            for mode, hertz in enumerate(model.uncracked_plate.natural_frequencies.tolist(), 1)
+            Measurement(
+                "frequency_uncracked",
+                natural_frequency,
+                relative_deviation * natural_frequency,
+                mode=mode,
+            )
+            for mode, natural_frequency in enumerate(
+                model.uncracked_plate.natural_frequencies.tolist(), 1
+            )
             if mode in missing_modes
         ]
         modes_text = (
@@ -240,7 +247,7 @@ def _compute_deviations_with(
     model = likelihood.predictor.model
     predictor = model.make_predictor(likelihood.predictor.rows, further_rows)
     all_deviations = np.concatenate(
-        [likelihood.deviations, [row.deviation for row in further_rows]]
+        [likelihood.measured_deviations, [row.deviation for row in further_rows]]
     )
     return _compute_log_determinant_and_deviations(
         model,
@@ -260,15 +267,21 @@ def _compute_log_determinant_and_deviations(
 
     The covariance and the slopes are those of all measurements.
     """
-    covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
-    slopes = covariance_and_slopes[1][row_indices]
-    information = add_uniform_prior(slopes.T @ np.linalg.solve(covariance, slopes))
-    equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(information))) * (
+    selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
+    selected_slopes = covariance_and_slopes[1][row_indices]
+    fisher_information = add_uniform_prior(
+        selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
+    )
+    equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
         model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
     )
-    deviations = np.hypot(equivalent_deviations, model.compute_crack_deviations(x[None])[0])
-    log_determinant = float(np.linalg.slogdet(information)[1])
-    return log_determinant, dict(zip(model.unknown_keys, deviations.tolist(), strict=True))
+    crack_and_fit_deviations = np.hypot(
+        equivalent_deviations, model.compute_crack_deviations(x[None])[0]
+    )
+    log_determinant = float(np.linalg.slogdet(fisher_information)[1])
+    return log_determinant, dict(
+        zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
+    )
 
 
 def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
@@ -296,19 +309,19 @@ def _compute_covariance_and_slopes(
         ranges; 0 without a prediction.
     """
     prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
-    covariance = compute_scaled_covariance(
+    scaled_covariance = compute_scaled_covariance(
         prediction, np.nan_to_num(prediction.values[0]), deviations
     )[0]
-    steps = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
-    upper_points = np.minimum(x + steps, unknown_grid.upper_bounds)
-    lower_points = np.maximum(x - steps, unknown_grid.lower_bounds)
+    difference_steps = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
+    upper_points = np.minimum(x + difference_steps, unknown_grid.upper_bounds)
+    lower_points = np.maximum(x - difference_steps, unknown_grid.lower_bounds)
     relative_distances = np.diag(upper_points - lower_points) / (
         unknown_grid.upper_bounds - unknown_grid.lower_bounds
     )
     value_differences = predictor(upper_points).values - predictor(lower_points).values
-    slopes = (value_differences / relative_distances[:, None]).T / deviations[:, None]
-    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
-    return covariance, slopes
+    scaled_slopes = (value_differences / relative_distances[:, None]).T / deviations[:, None]
+    scaled_slopes[~np.isfinite(scaled_slopes).all(axis=1)] = 0.0
+    return scaled_covariance, scaled_slopes
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -442,9 +455,9 @@ class Identification(Tabular):
 
         They follow from both hypotheses' misfits, the log Bayes factor, and the intervals.
         """
-        undecided, priors = "undecided", self.priors
+        undecided_verdict, priors = "undecided", self.priors
         if self.plain is None:
-            return undecided, "there is no plate without a crack to compare with"
+            return undecided_verdict, "there is no plate without a crack to compare with"
         min_p_value, min_log_bayes_factor = 1.0 - priors["confidence"], priors["log_bayes_factor"]
         crack_p_value = self.misfit[1]
         uncracked_p_value = self.plain.misfit[1]
@@ -457,11 +470,11 @@ class Identification(Tabular):
             alternatives_text = (
                 "two cracks, one of another kind or elsewhere, or a wrong measurement might"
             )
-            return undecided, f"{reason_text}; {alternatives_text} ({factor_text})"
+            return undecided_verdict, f"{reason_text}; {alternatives_text} ({factor_text})"
         if log_bayes_factor > min_log_bayes_factor and uncracked_p_value >= min_p_value:
             reason_text = "a plate without a crack explains the measurements within its priors"
             return (
-                undecided,
+                undecided_verdict,
                 f"{reason_text} ({factor_text}){_describe_unchanged_plate_condition(self)}",
             )
         if log_bayes_factor < -min_log_bayes_factor:
@@ -475,7 +488,7 @@ class Identification(Tabular):
         if log_bayes_factor > min_log_bayes_factor:
             return "crack", factor_text + _describe_warming_condition(self) + conditions_text
         return (
-            undecided,
+            undecided_verdict,
             f"{factor_text}; if there is one it is at {_describe_intervals(self)}{conditions_text}",
         )
 
@@ -506,8 +519,8 @@ class Identification(Tabular):
         """
         branch_by_words = self.posterior.branch_by_words
         return [
-            (branch_by_words[words].get_value_by_key(part_middle), mass)
-            for words, part_middle, mass in self._region_parts
+            (branch_by_words[words].get_value_by_key(part_middle), part_probability)
+            for words, part_middle, part_probability in self._region_parts
         ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
@@ -596,7 +609,8 @@ class Identification(Tabular):
             "priors": self.priors,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
             "alternatives": [
-                {"values": values, "probability": mass} for values, mass in self.alternatives
+                {"values": values, "probability": part_probability}
+                for values, part_probability in self.alternatives
             ],
             "chi_square": chi_square,
             "probability_of_misfit": p_value,
@@ -633,12 +647,12 @@ class Identification(Tabular):
         model_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
-        residuals = (likelihood.values - predicted_values) / np.hypot(
-            likelihood.deviations, model_deviations
+        residuals = (likelihood.measured_values - predicted_values) / np.hypot(
+            likelihood.measured_deviations, model_deviations
         )
-        columns = (
-            likelihood.values,
-            likelihood.deviations,
+        table_columns = (
+            likelihood.measured_values,
+            likelihood.measured_deviations,
             predicted_values,
             model_deviations,
             residuals,
@@ -646,7 +660,9 @@ class Identification(Tabular):
         row_names = [table_row.name for table_row in likelihood.predictor.rows]
         table_rows = [
             list(table_row)
-            for table_row in zip(row_names, *(column.tolist() for column in columns), strict=True)
+            for table_row in zip(
+                row_names, *(table_column.tolist() for table_column in table_columns), strict=True
+            )
         ]
         return Table(FIT_COLUMN_NAMES, table_rows)
 
@@ -667,16 +683,16 @@ class Identification(Tabular):
                     f"{key_in_words(key)} {value_in_words(key, value)}"
                     for key, value in value_by_key.items()
                 )
-                + f" ({mass:.0%})"
-                for value_by_key, mass in alternatives
+                + f" ({part_probability:.0%})"
+                for value_by_key, part_probability in alternatives
             ]
             warning_texts.append(f"these cracks cannot be distinguished: {'; '.join(crack_texts)}")
         warning_texts += _warn_of_misfit(self)
-        for unknown_index, side_text, bound in self.posterior.iterate_reached_bounds(
+        for unknown_index, side_text, bound_value in self.posterior.iterate_reached_bounds(
             self._identify_table.confidence
         ):
             key = self.unknown[unknown_index]
-            bound_text = f"{side_text} {value_in_words(key, bound)}"
+            bound_text = f"{side_text} {value_in_words(key, bound_value)}"
             warning_texts.append(
                 f"{key_in_words(key)} may be {bound_text}, outside the bounds of the search"
             )
@@ -872,10 +888,12 @@ def _describe_intervals(identification: Identification) -> str:
         identification.posterior.best_words_and_unknowns[0]
     ].likelihood.predictor.model.unknown_grid
     interval_texts = []
-    for (key, ends), lower_bound in zip(
+    for (key, interval_ends), lower_bound in zip(
         identification.intervals.items(), unknown_grid.lower_bounds, strict=True
     ):
-        lower_text, upper_text = (value_in_words(key, end) for end in ends)
+        lower_text, upper_text = (
+            value_in_words(key, interval_end) for interval_end in interval_ends
+        )
         shorter_text = (
             f", or below {value_in_words(key, lower_bound)}, outside the bounds of the search"
         )
