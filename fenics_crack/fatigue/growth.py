@@ -215,7 +215,7 @@ class Growth(Saved):
         )
 
     def _size_in_words(self, row: int) -> str:
-        """Return the crack's length, and depth if it has one, at a row in words."""
+        """Return the crack's length, and depth if any, at a row in words."""
         length_text = quantity(float(self.length[row]), "m")
         if self.depth is None:
             return length_text
@@ -753,12 +753,12 @@ def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None
 def _estimate_range_error(
     scene: Scene, length_path: LengthPath, length: float
 ) -> tuple[float, list[str]]:
-    """Return the relative error of the range at a length by mesh, modes and harmonics.
+    """Return the relative error of the equivalent range at a length.
 
     Returns
     -------
     float
-        Error of the equivalent range.
+        Error by mesh, modes and harmonics.
     list of str
         At most one remark on causes that the error omits.
     """
@@ -785,10 +785,10 @@ def _estimate_quantity_error(scene: Scene, quantity_name: str) -> tuple[float, l
 def _estimate_threshold_sensitivity(
     length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
 ) -> float:
-    """Return the rise of ln N, over the exponent, if all ranges fall by a relative error.
+    """Return the rise of ln N by the threshold if all ranges fall.
 
-    Only the part by the threshold counts: with smaller ranges more of a spectrum is below it.
-    """
+    It is over the exponent. The ranges fall by a relative error, which leaves more of a spectrum
+    below the threshold."""
     is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
     if not (is_threshold_relevant and 0.0 < range_error < 1.0):
         return 0.0
@@ -851,7 +851,10 @@ def _collect_growth_remarks(
 
 
 def _describe_crack_turning(K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray) -> list[str]:
-    """Return a remark if a crack would turn, by K_max and K_II_max (n,) at its lengths."""
+    """Return a remark if a crack would turn.
+
+    K_max and K_II_max (n,) are at its lengths.
+    """
     K_I = np.maximum(K_max, SMALLEST_NORMAL)
     kink_angles = 2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
     if not np.any(is_turning := kink_angles > math.radians(10.0)):

@@ -166,7 +166,7 @@ def report_of_timing(timing: Timing) -> Report:
 
 
 def find_largest_blade(timing: Timing) -> int | None:
-    """Return the number of the blade with the largest amplitude, or None in a run-up."""
+    """Find the blade with the largest amplitude; None in a run-up."""
     fit_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, TipFit)}
     return (
         max(fit_by_blade, key=lambda blade: float(fit_by_blade[blade].amplitudes[0]))

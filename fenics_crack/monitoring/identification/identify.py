@@ -79,8 +79,8 @@ def identify(
     error. The measurement error is increased by it. So is the remaining error of the mesh: if a
     mesh finer by f changes a quantity by d, it is d / (2 f - 2). This is added to the correction d,
     too: an error of first order leaves d / (f - 1), one of high order nothing. Least squares from
-    several starts find the estimate, and a posterior on a grid its regions. The integral of the
-    posterior over the prior decides whether there is a crack.
+    several starts find the estimate, and a posterior on a grid its regions. The likelihood's
+    integral over the prior, the evidence, decides between crack and no crack.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def identify(
 def infer_unknowns(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> Identification:
-    """Infer the unknowns by a forward model that is solved for the loads of measurements.
+    """Infer the unknowns by a forward model, solved for the measurements' loads.
 
     Raises
     ------
@@ -343,7 +343,7 @@ def _describe_unresolved_resonances(
 def _find_largest_vibration_between(
     model: ForwardModel, load_frequency: float, point_name: str
 ) -> tuple[float, np.ndarray]:
-    """Find the largest vibration of a point at a load [Hz] between the solved cases.
+    """Find a point's largest vibration at a load [Hz] between the solved cases.
 
     Returns
     -------
@@ -460,6 +460,7 @@ def solve_forward(
     def run_case_sweep(
         sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
     ) -> SweepResult:
+        """Run the sweep of a scene over unknowns and loads, in its own file."""
         swept_scene = replace(case_scene, sweep=Sweep(over=(*unknown_axes, swept_loads.sweep_axis)))
         digest = hashlib.sha256(
             f"{scene_text(swept_scene)}{frequency_only_indices or ''}".encode()
@@ -491,6 +492,7 @@ def solve_forward(
         unknown_axes: Sequence[Axis],
         all_cases: SweepResult,
     ) -> ForwardSweeps:
+        """Run sweeps on the finer mesh and halfway, if any, beside all cases."""
         changed_scene = coarse_scene.replace(scene_changes)
         axis_keys = [unknown_axis.key for unknown_axis in unknown_axes]
         check_axes = [
@@ -725,7 +727,7 @@ def _refine_axis_by_share(
 
 
 def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
-    """Return the scene for all cases, and a scene for a few cases on a finer mesh.
+    """Return the scenes for all cases, and for a few on a finer mesh.
 
     The second is None without a finer mesh.
     """
@@ -747,7 +749,10 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
 
 def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
-    """Thin the values of each unknown to a few, with its ends; keep all words."""
+    """Thin the values of each unknown to a few, with its ends.
+
+    Words are all kept.
+    """
     thinned_axes = []
     for unknown_axis in unknown_axes:
         value_indices = np.unique(

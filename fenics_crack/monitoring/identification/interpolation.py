@@ -31,6 +31,8 @@ open, times its static compliance relative to the first mode, 1 / w_j^2. It meas
 load bends the plate at the crack, and the crack the plate. The split is small for a short crack,
 which is closed for half a period. Therefore even harmonics are of first order, n = 1, odd harmonics
 of second order, n = 2.
+
+Shapes: m points x of d unknowns, n nodes of the grid, q quantities, f features.
 """
 
 from __future__ import annotations
@@ -91,7 +93,10 @@ class UnknownGrid:
         return tuple(len(axis) for axis in self.axes)
 
     def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
-        """Convert values x (m, d) to positions among the nodes (m, d), whole numbers at nodes."""
+        """Convert values x (m, d) to positions among the nodes (m, d).
+
+        Nodes have whole numbers.
+        """
         coordinate_columns = [
             np.interp(x_column, axis, np.arange(len(axis)))
             for x_column, axis in zip(x.T, self.axes, strict=True)
@@ -108,11 +113,10 @@ def _fit_spline(axis: np.ndarray, node_values: np.ndarray) -> Any:
 
 
 def compute_leave_one_out_errors(axis: np.ndarray, node_values: np.ndarray) -> np.ndarray:
-    """Return the error of the spline at each node (n, ...) if that node is left out.
+    """Return the spline's error at each node if that node is left out.
 
-    The values (n, ...) are on an axis (n,). The ends are never left out, and take their neighbours'
-    errors.
-    """
+    The values (n, ...) and errors (n, ...) are on an axis (n,). The ends are never left out, and
+    take their neighbours' errors."""
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis) - 1):
         is_other_node = np.arange(len(axis)) != node_index
@@ -181,10 +185,10 @@ class Interpolation:
         return np.asarray(node_weights @ self._node_values)
 
     def compute_weighted_errors(self, x: np.ndarray) -> np.ndarray:
-        """Return weighted errors of all quantities at the nodes around x (m, d): (m, k, q).
+        """Return weighted errors of all quantities around x (m, d): (m, k, q).
 
-        The sum of their squares is the covariance. They are along each axis, and at failed cases.
-        """
+        They belong to the nodes around, along each axis and at failed cases; the sum of their
+        squares is the covariance."""
         errors_by_axis = self.compute_weighted_errors_by_axis(x)
         return (
             np.concatenate(errors_by_axis, axis=1)
@@ -193,7 +197,10 @@ class Interpolation:
         )
 
     def compute_weighted_errors_by_axis(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return the weighted errors (m, k, q) of each axis, and of failed cases if any."""
+        """Return a list of weighted errors (m, k, q), one for each axis.
+
+        Failed cases, if any, add a last one.
+        """
         if not self.unknown_grid.axes:
             return []
         node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
@@ -278,7 +285,10 @@ def _fill_unknown_nodes(
 def _interpolate_thin_plate(
     nodes: np.ndarray, node_values: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Interpolate values (n,) at nodes (n, d) to points (m, d) by a thin plate: (m,)."""
+    """Interpolate values (n,) at nodes (n, d) by a thin plate.
+
+    Returns values (m,) at points (m, d).
+    """
     return np.asarray(RBFInterpolator(nodes, node_values, kernel="thin_plate_spline")(points))
 
 
@@ -350,7 +360,7 @@ class SolvedCases:
         word_by_key: Mapping[str, Any],
         uncracked_cases: SolvedCases | None = None,
     ) -> None:
-        """Take a sweep, the axes of its meshes' numbers, and the chosen word by key."""
+        """Take a sweep, the numbers' axes for its meshes, and the chosen words."""
         self.sweep_result = sweep_result
         self.swept_loads = swept_loads
         self.uncracked_cases = uncracked_cases
@@ -516,7 +526,10 @@ class Feature:
 
     @property
     def error_group(self) -> tuple[float, float, float]:
-        """Return the key of features with a common error: a mode, or a harmonic at a load."""
+        """Return the key of features with a common error.
+
+        They share a mode, or a harmonic at a load.
+        """
         return (
             self.mode,
             0.0 if self.is_natural_frequency else self.load_frequency,
@@ -556,9 +569,9 @@ class Feature:
 def compute_ratios_and_poles(
     features: Sequence[Feature], damping_ratios: np.ndarray, scale_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return r of each mode and 1 - r^2 + 2 i z r, at m points: (m, f, modes) each.
+    """Return frequency ratios r and pole factors 1 - r^2 + 2 i z r of each mode.
 
-    For natural frequencies and missing modes they are 0 and 1.
+    Both are (m, f, modes) at m points. For natural frequencies and missing modes they are 0 and 1.
 
     Parameters
     ----------

@@ -169,15 +169,15 @@ class Measurement:
 
     @property
     def shape(self) -> bool:
-        """Return True for a quantity by a motion's shape, not by its size."""
+        """Return True if only the motion's shape matters, not the size."""
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
     def orders(self) -> tuple[int, ...]:
         """Return the orders of its harmonics.
 
-        A ratio has the numerator first. Natural frequencies have none, and displacements, made of
-        all harmonics, too.
+        A ratio has the numerator first. Natural frequencies have none. Displacements have all
+        harmonics, and none here.
         """
         return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
 
@@ -192,7 +192,7 @@ class Measurement:
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def load(self, scene: Scene) -> float:
-        """Return the scene's load frequency [Hz] in the measurement.
+        """Return the scene's load frequency [Hz] for the measurement.
 
         For a natural frequency it is the load at the rotor's speed, and 0 at the scene's own speed.
         """

@@ -5,6 +5,9 @@ is a sum of three. The interpolation's part comes from leave-one-out errors in a
 once. The mesh's part comes from the changes by a finer mesh, with half the variance common to all
 quantities. The third part comes from the priors
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
+
+Shapes: m points x of d unknowns, q measurements, f features. A feature is an interpolated natural
+frequency or harmonic (:class:`fenics_crack.monitoring.identification.interpolation.Feature`).
 """
 
 from __future__ import annotations
@@ -299,7 +302,10 @@ class ForwardModel:
         )
 
     def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
-        """Return standard deviations (m, d) of a crack from the equivalent one at x (m, d)."""
+        """Return standard deviations (m, d) of a crack from the equivalent one.
+
+        They are for values x (m, d) of the unknowns.
+        """
         return compute_crack_deviations(x, self.unknown_keys, self.scene)
 
     def list_candidates(self) -> tuple[Measurement, ...]:
@@ -589,7 +595,10 @@ class Predictor:
     def _compute_smoothing_factors(
         self, x: np.ndarray, scale_and_frequencies: np.ndarray
     ) -> np.ndarray:
-        """Return factors that make features smooth: (m, f), for both meshes from the coarse one."""
+        """Return factors (m, f) that make features smooth.
+
+        Both meshes take them from the coarse one.
+        """
         return compute_smoothing_factors(
             self._features,
             self.model.get_damping_ratios(x),
@@ -612,9 +621,9 @@ class Predictor:
         ]
 
     def __call__(self, x: np.ndarray) -> Prediction:
-        """Return predictions at x (m, d) in the first state of the crack faces at resonances.
+        """Return predictions at x (m, d) in the first state of the faces.
 
-        If several states are possible, that is the least certain one.
+        If several states are possible at resonances, that is the least certain one.
         """
         return self._predict_measurements(self._predict_features(x), None, self._face_states[0])
 
@@ -1008,7 +1017,7 @@ def _find_motionless_nodes(
 
 
 def _build_error_groups(features: Sequence[Feature]) -> np.ndarray:
-    """Return groups of columns with a common error, by the mesh or its contact: (2f, groups).
+    """Return groups of columns with a common mesh error: (2f, groups).
 
     A member has 1, others 0.
     """
@@ -1057,17 +1066,17 @@ def _list_face_states(model: ForwardModel) -> tuple[FaceState, ...]:
 
 
 def has_load_independent_shape(scene: Scene) -> bool:
-    """Return True if the shape of a motion does not depend on the size of the load."""
+    """Return True if a motion's shape does not depend on the load's size."""
     return scales_with_load(scene) and not any(scene.excitation.force_mean)
 
 
 def _combine_features(
     row: Measurement, feature_sizes: np.ndarray, state_index: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Combine feature sizes (m, k) to a quantity (m,), and its slopes by them (m, k).
+    """Combine feature sizes (m, k) to a measured quantity.
 
-    A resonance is near the frequency with the state's index.
-    """
+    Returns the quantity (m,) and its slopes (m, k) by the sizes. A resonance is near the frequency
+    with the state's index."""
     if row.natural or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
             len(feature_sizes), axis=0

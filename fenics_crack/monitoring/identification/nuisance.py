@@ -37,6 +37,8 @@ span the space. Temperature and clamp change between the record before there was
 since, and so move each mode at each speed. The stiffening by rotation may change, too, by the
 blade's seat or the measured speed. Together with a temperature it can change all frequencies by the
 same ratio.
+
+Shapes: n modes, s priors, r motions, q measurements, m points x of d unknowns, f features.
 """
 
 from __future__ import annotations
@@ -156,8 +158,10 @@ class UncrackedPlate:
         )
 
     def compute_stiffening_factors(self, speed_ratio: float, modulus_ratio: float) -> np.ndarray:
-        """Return factors of frequencies by a factor of Young's modulus, at a relative speed:
-        (n,)."""
+        """Return factors (n,) of frequencies by a factor of Young's modulus.
+
+        The speed is relative to the scene's.
+        """
         return (
             self.solve_modes_at(speed_ratio, modulus_ratio)[0] / self.solve_modes_at(speed_ratio)[0]
         )
@@ -392,7 +396,10 @@ class UncrackedPlate:
 
 
 def _guess_frequency_unit(frequency_ratio: float) -> str:
-    """Guess a number's unit by the ratio to the number in Hz; empty for Hz or no match."""
+    """Guess a number's unit by its ratio to the number in Hz.
+
+    Empty for Hz or no match.
+    """
     # No crack changes a frequency by a factor of exp(0.3).
     matching_units = (
         unit_name
@@ -547,9 +554,9 @@ def _differentiate_poles(
 def compute_crack_deviations(
     x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
 ) -> np.ndarray:
-    """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one.
+    """Return standard deviations (m, d) of a crack from the equivalent one.
 
-    They are for values x (m, d) of the unknowns.
+    The equivalent crack is straight and sharp. They are for values x (m, d) of the unknowns.
     """
     identify_table = scene.given("identify")
     crack_deviations = np.zeros_like(x)

@@ -378,7 +378,7 @@ def _convolve_crack_deviations(
 ) -> np.ndarray:
     """Return log L on a grid, convolved along the axes with normal distributions.
 
-    The standard deviations (n, d) are the crack's.
+    The standard deviations (n, d) describe the crack's difference from the equivalent crack.
     """
     max_log_likelihood = log_likelihood.max()
     relative_likelihood = np.exp(log_likelihood - max_log_likelihood)
@@ -558,10 +558,10 @@ class Posterior:
     def compute_misfit_with_changes(
         self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
     ) -> tuple[float, float]:
-        """Return chi^2 and its p-value at the same x with larger changes since the baseline.
+        """Return chi^2 and its p-value with larger changes since the baseline.
 
-        The factors multiply the prior changes by the clamp and by an unknown temperature.
-        """
+        They are at the same x. The factors multiply the prior changes by the clamp and by an
+        unknown temperature."""
         likelihood, x = self._best_likelihood_and_unknowns
         predictor = likelihood.predictor.with_change_factors(
             clamp_factor=clamp_factor, temperature_factor=temperature_factor
@@ -570,9 +570,9 @@ class Posterior:
 
     @cached_property
     def mean_temperature_change(self) -> float:
-        """Return the posterior mean of the temperature change since the baseline at the largest L.
+        """Return the mean temperature change since the baseline at the largest L.
 
-        The mean is in standard deviations of the prior.
+        The mean is that of the posterior, in standard deviations of the prior.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_temperature_change(x)

@@ -239,8 +239,10 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
 
 
 def _lines_around_peak(response_power: np.ndarray, peak_index: int, min_power: float) -> slice:
-    """Return the slice of lines around a peak with at least a given power, and at most the
-    peak's."""
+    """Return the slice of lines around a peak with a minimum power.
+
+    Lines with more power than the peak end it, too.
+    """
     outside_indices = np.flatnonzero(
         (response_power < min_power) | (response_power > response_power[peak_index])
     )

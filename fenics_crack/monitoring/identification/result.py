@@ -394,7 +394,10 @@ class Identification(Tabular):
 
     @property
     def estimate(self) -> dict[str, Any]:
-        """Return the mean of the unknowns over the most probable part of the region, words too."""
+        """Return the unknowns' mean over the most probable part of the region.
+
+        Words have their values there.
+        """
         branch, x = self._estimate_branch_and_unknowns
         return branch.get_value_by_key(x)
 
@@ -716,7 +719,10 @@ class Identification(Tabular):
 
 
 def _warn_of_small_deviations(measurements: Measurements) -> list[str]:
-    """Return a warning of a natural frequency with a deviation below its change by 0.1 K."""
+    """Return a warning of a natural frequency with too small a deviation.
+
+    It is below the change by 0.1 K.
+    """
     rows = [row for row in measurements.rows if row.natural and row.deviation < 1e-5 * row.value]
     return [
         f"{row.name} has a standard deviation of {row.deviation:.3g} Hz, less than its change by "
@@ -794,12 +800,11 @@ def _describe_single_crack_condition(identification: Identification) -> str:
 
 
 def _describe_unchanged_plate_condition(identification: Identification) -> str:
-    """Return the condition that the plate has not changed since the baseline, in words; else empty.
+    """Return the condition of an unchanged plate in words; else empty.
 
     The condition applies if a plate without a crack does not explain the measurements, but would
-    with changes as large as a clamp can make. It also applies if the plate does explain them, but
-    only by the prior of changes.
-    """
+    with changes since the baseline as large as a clamp can make. It also applies if the plate does
+    explain them, but only by the prior of changes."""
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain
     has_baseline = any(row.quantity == "frequency_uncracked" for row in rows)
@@ -883,7 +888,7 @@ def _describe_modulus_change(identification: Identification, posterior: Posterio
 
 
 def _describe_intervals(identification: Identification) -> str:
-    """Return the intervals of the unknowns, in words, and sizes below the bounds of the search."""
+    """Return the unknowns' intervals in words, and sizes below the bounds."""
     unknown_grid = identification.posterior.branch_by_words[
         identification.posterior.best_words_and_unknowns[0]
     ].likelihood.predictor.model.unknown_grid
