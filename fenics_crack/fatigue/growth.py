@@ -516,23 +516,10 @@ def _grow_ellipse(
         for column_name in ellipse_table.column_by_name
     }
     elapsed_time = _integrate_over_cycles(TURN / values_by_column["omega"], ellipse_path.cycles)
-    n_not_stable = int((sweep_result.not_stable & sweep_result.converged).sum())
-    remark_texts = _describe_failed_ellipses(sweep_result, ellipse_table, ellipse_path)
-    remark_texts += (
-        [f"at {counted(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
-    )
-    remark_texts += _describe_crack_turning(
-        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
+    remark_texts = _collect_ellipse_remarks(
+        sweep_result, ellipse_table, ellipse_path, values_by_column, law
     )
     remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_VIBRATION_TEXT]
-    is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
-    has_passed = is_above_resonance != is_above_resonance[0]
-    if law.drive == "frequency" and np.any(has_passed):
-        remark_texts.append(
-            f"at a length of {ellipse_path.length[np.argmax(has_passed)]:.4g} m the natural "
-            "frequency passes that of the load, a resonance between few shapes: the life is not "
-            "known, with growth.drive = 'resonance' it is"
-        )
     size_grid = np.stack(
         np.meshgrid(ellipse_table.depths, ellipse_table.lengths, indexing="ij"), axis=-1
     )
@@ -556,6 +543,33 @@ def _grow_ellipse(
         (*remark_texts, *omission_remarks),
         ellipse_path.depth,
     )
+
+
+def _collect_ellipse_remarks(
+    sweep_result: SweepResult,
+    ellipse_table: EllipseTable,
+    ellipse_path: EllipsePath,
+    values_by_column: Mapping[str, np.ndarray],
+    law: Law,
+) -> list[str]:
+    """Return the remarks that cast doubt on the growth of a half-ellipse."""
+    n_not_stable = int((sweep_result.not_stable & sweep_result.converged).sum())
+    remark_texts = _describe_failed_ellipses(sweep_result, ellipse_table, ellipse_path)
+    remark_texts += (
+        [f"at {counted(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
+    )
+    remark_texts += _describe_crack_turning(
+        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
+    )
+    is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
+    has_passed = is_above_resonance != is_above_resonance[0]
+    if law.drive == "frequency" and np.any(has_passed):
+        remark_texts.append(
+            f"at a length of {ellipse_path.length[np.argmax(has_passed)]:.4g} m the natural "
+            "frequency passes that of the load, a resonance between few shapes: the life is not "
+            "known, with growth.drive = 'resonance' it is"
+        )
+    return remark_texts
 
 
 def _find_max_ellipse_length(scene: Scene) -> float:

@@ -122,26 +122,21 @@ def identify(
         scene = replace(scene, identify=changed_table)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with the unknowns")
-    has_only_words = all(
-        isinstance(refined_axis.values[0], str) for refined_axis in scene.identify.unknown
-    )
+    has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
     if has_only_words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
-    measurement_rows = measurements.rows
-    load_frequencies = [row.frequency for row in measurement_rows if not row.natural]
+    rows = measurements.rows
+    load_frequencies = [row.frequency for row in rows if not row.natural]
     speed_loads = [
-        load_frequency
-        for row in measurement_rows
-        if row.natural and (load_frequency := row.load(scene))
+        load_frequency for row in rows if row.natural and (load_frequency := row.load(scene))
     ]
     uncracked_plate = _solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
-        not refined_axis.key.startswith(("crack.", "contact."))
-        for refined_axis in scene.identify.unknown
+        not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
     )
     known_loads = (scene.excitation.omega / TURN, *scene.identify.frequencies)
     uncracked_plate.check_units_and_modes(
@@ -455,122 +450,155 @@ def solve_forward(
         if frequency not in vibration_frequencies
     ]
     plain_scene = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLES))
-    coarse_scene, fine_scene = _list_coarse_and_fine_scenes(plain_scene, identify_table.finer)
-
-    def run_case_sweep(
-        sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
-    ) -> SweepResult:
-        """Run the sweep of a scene over unknowns and loads, in its own file."""
-        swept_scene = replace(case_scene, sweep=Sweep(over=(*unknown_axes, swept_loads.sweep_axis)))
-        digest = hashlib.sha256(
-            f"{scene_text(swept_scene)}{frequency_only_indices or ''}".encode()
-        ).hexdigest()[:8]
-        path = folder / f"{sweep_name}_{digest}.h5"
-        with StopRequest() as stop_request:
-            sweep_result = run_sweep(
-                swept_scene,
-                path,
-                comm,
-                progress=progress,
-                verdicts=False,
-                judged=False,
-                natural=frequency_only_indices,
-            )
-        if stop_request.asked(comm):
-            raise StoppedError("identification was stopped; the same command goes on with it")
-        return sweep_result
-
-    n_numbers = sum(
-        not isinstance(unknown_axis.values[0], str) for unknown_axis in identify_table.unknown
+    scene_pair = _list_coarse_and_fine_scenes(plain_scene, identify_table.finer)
+    sweeper = _ForwardSweeper(
+        *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
     )
-    n_axis_values = MIN_VALUES - (n_numbers > 2)  # values of the finer sweep and of that between
-    mesh_axes = [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
-
-    def run_check_sweeps(
-        sweep_name: str,
-        scene_changes: dict[str, Any],
-        unknown_axes: Sequence[Axis],
-        all_cases: SweepResult,
-    ) -> ForwardSweeps:
-        """Run sweeps on the finer mesh and halfway, if any, beside all cases."""
-        changed_scene = coarse_scene.replace(scene_changes)
-        axis_keys = [unknown_axis.key for unknown_axis in unknown_axes]
-        check_axes = [
-            unknown_axis
-            for unknown_axis in (*mesh_axes, *identify_table.unknown)
-            if unknown_axis.key in axis_keys
-        ]
-        few_axes = _thin_axes(check_axes, n_axis_values)
-        finer_sweep = (
-            None
-            if fine_scene is None
-            else run_case_sweep(f"{sweep_name}_finer", fine_scene.replace(scene_changes), few_axes)
-        )
-        halfway_axes = [
-            Axis(unknown_axis.key, _list_halfway_values(unknown_axis) or unknown_axis.values)
-            for unknown_axis in unknown_axes
-        ]
-        halfway_sweep = (
-            None
-            if identify_table.meshes
-            else run_case_sweep(sweep_name, changed_scene, _thin_axes(halfway_axes, n_axis_values))
-        )
-        return all_cases, finer_sweep, halfway_sweep
-
     unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
-    sweep_result = run_case_sweep("forward", coarse_scene, [*mesh_axes, *unknown_axes])
+    sweep_result = sweeper.run("forward", sweeper.coarse_scene, [*sweeper.mesh_axes, *unknown_axes])
     while True:
         model_by_words = _build_models(
             scene, uncracked_plate, swept_loads, (sweep_result, None, None)
         )
-        unknown_axis = _refine_axis_at_resonance(
+        refined_axis = _refine_axis_at_resonance(
             scene, model_by_words.values(), load_frequencies, unknown_axes
         )
-        if unknown_axis is None and not remaining_axes:
+        if refined_axis is None and not remaining_axes:
             break
-        unknown_axis = unknown_axis or remaining_axes.pop(0)
-        axis_index = [solved_axis.key for solved_axis in unknown_axes].index(unknown_axis.key)
-        added_axis_values = tuple(
-            value for value in unknown_axis.values if value not in unknown_axes[axis_index].values
+        refined_axis = refined_axis or remaining_axes.pop(0)
+        axis_index = [unknown_axis.key for unknown_axis in unknown_axes].index(refined_axis.key)
+        sweep_result = sweeper.run_added_values(
+            sweep_result, unknown_axes, axis_index, refined_axis
         )
-        new_axes = [
-            *mesh_axes,
-            *unknown_axes[:axis_index],
-            Axis(unknown_axis.key, added_axis_values),
-            *unknown_axes[axis_index + 1 :],
-        ]
-        sweep_result = _join_sweeps(
-            sweep_result,
-            run_case_sweep("forward", coarse_scene, new_axes),
-            len(mesh_axes) + axis_index,
-        )
-        unknown_axes[axis_index] = unknown_axis
-    cracked_sweeps = run_check_sweeps("forward", {}, [*mesh_axes, *unknown_axes], sweep_result)
+        unknown_axes[axis_index] = refined_axis
+    cracked_sweeps = sweeper.run_check_sweeps(
+        "forward", {}, [*sweeper.mesh_axes, *unknown_axes], sweep_result
+    )
     removal_changes = list_crack_removal_changes(scene)
     if removal_changes is None:
-        return SolvedForwardModels(
-            scene,
-            unknown_axes,
-            _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps),
-            {},
-        )
+        model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
+        return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
     uncracked_axes = [
         unknown_axis
         for unknown_axis in unknown_axes
         if not unknown_axis.key.startswith(("crack.", "contact."))
     ]
-    uncracked_scene = coarse_scene.replace(removal_changes)
-    uncracked_sweeps = run_check_sweeps(
-        "uncracked",
-        removal_changes,
-        uncracked_axes,
-        run_case_sweep("uncracked", uncracked_scene, uncracked_axes),
+    uncracked_result = sweeper.run(
+        "uncracked", sweeper.coarse_scene.replace(removal_changes), uncracked_axes
+    )
+    uncracked_sweeps = sweeper.run_check_sweeps(
+        "uncracked", removal_changes, uncracked_axes, uncracked_result
     )
     model_maps = (
         _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
         _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
     )
     return SolvedForwardModels(scene, unknown_axes, *model_maps)
+
+
+@dataclass(frozen=True)
+class _ForwardSweeper:
+    """Runs the sweeps of a forward model over unknowns and loads, each in its own file.
+
+    Attributes
+    ----------
+    coarse_scene, fine_scene : Scene
+        Scenes for all cases, and for a few on a finer mesh; the second is None without one.
+    identify_table : Identify
+        Table ``[identify]``.
+    swept_loads : SweptLoads
+        Loads of all sweeps.
+    frequency_only_indices : list of int
+        Indices of loads at which only natural frequencies are needed.
+    folder : path
+        Folder of the files.
+    comm : MPI.Comm
+        Ranks over which the cases are spread.
+    progress : bool
+        Show bars.
+    """
+
+    coarse_scene: Scene
+    fine_scene: Scene | None
+    identify_table: Identify
+    swept_loads: SweptLoads
+    frequency_only_indices: list[int]
+    folder: Path
+    comm: MPI.Comm
+    progress: bool
+
+    @property
+    def mesh_axes(self) -> list[Axis]:
+        """Return the axis of mesh files, if the table has meshes."""
+        table = self.identify_table
+        return [Axis(MESH_AXIS_KEY, table.mesh_files)] if table.meshes else []
+
+    def run(self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]) -> SweepResult:
+        """Run, or read, the sweep of a scene over unknowns and loads (collective)."""
+        swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
+        swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
+        digest = hashlib.sha256(
+            f"{scene_text(swept_scene)}{self.frequency_only_indices or ''}".encode()
+        ).hexdigest()[:8]
+        with StopRequest() as stop_request:
+            sweep_result = run_sweep(
+                swept_scene,
+                self.folder / f"{sweep_name}_{digest}.h5",
+                self.comm,
+                progress=self.progress,
+                verdicts=False,
+                judged=False,
+                natural=self.frequency_only_indices,
+            )
+        if stop_request.asked(self.comm):
+            raise StoppedError("identification was stopped; the same command goes on with it")
+        return sweep_result
+
+    def run_added_values(
+        self,
+        sweep_result: SweepResult,
+        unknown_axes: Sequence[Axis],
+        axis_index: int,
+        refined_axis: Axis,
+    ) -> SweepResult:
+        """Return a sweep with the further values of a refined axis (collective)."""
+        solved_values = unknown_axes[axis_index].values
+        added_axis_values = tuple(
+            axis_value for axis_value in refined_axis.values if axis_value not in solved_values
+        )
+        added_axes = [*self.mesh_axes, *unknown_axes]
+        axis_index += len(self.mesh_axes)
+        added_axes[axis_index] = Axis(refined_axis.key, added_axis_values)
+        added_result = self.run("forward", self.coarse_scene, added_axes)
+        return _join_sweeps(sweep_result, added_result, axis_index)
+
+    def run_check_sweeps(
+        self,
+        sweep_name: str,
+        scene_changes: dict[str, Any],
+        unknown_axes: Sequence[Axis],
+        all_cases: SweepResult,
+    ) -> ForwardSweeps:
+        """Run sweeps on the finer mesh and halfway, if any, beside all cases (collective)."""
+        table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
+        n_numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
+        n_axis_values = MIN_VALUES - (n_numbers > 2)
+        finer_sweep = halfway_sweep = None
+        if self.fine_scene is not None:
+            check_axes = [
+                axis for axis in (*self.mesh_axes, *table.unknown) if axis.key in axis_keys
+            ]
+            finer_scene = self.fine_scene.replace(scene_changes)
+            few_axes = _thin_axes(check_axes, n_axis_values)
+            finer_sweep = self.run(f"{sweep_name}_finer", finer_scene, few_axes)
+        if not table.meshes:
+            halfway_axes = [
+                Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in unknown_axes
+            ]
+            halfway_scene = self.coarse_scene.replace(scene_changes)
+            few_axes = _thin_axes(halfway_axes, n_axis_values)
+            halfway_sweep = self.run(sweep_name, halfway_scene, few_axes)
+        return all_cases, finer_sweep, halfway_sweep
 
 
 def _join_sweeps(

@@ -399,27 +399,7 @@ class Predictor:
         candidate_rows: Sequence[Measurement] = (),
     ) -> None:
         self.model, self.rows = model, (*rows, *candidate_rows)
-        features_by_row = [Feature.list_for_measurement(row, model.scene) for row in self.rows]
-        features = [feature for row_features in features_by_row for feature in row_features]
-        features += [
-            feature.uncracked_feature for feature in features if feature.is_cracked_frequency
-        ]
-        self._features = tuple(dict.fromkeys(features))
-        index_by_feature = {
-            feature: feature_index for feature_index, feature in enumerate(self._features)
-        }
-        self._feature_indices_by_row = [
-            [index_by_feature[feature] for feature in row_features]
-            for row_features in features_by_row
-        ]
-        index_pairs = [
-            (index_by_feature[feature], index_by_feature[feature.uncracked_feature])
-            for feature in index_by_feature
-            if feature.is_cracked_frequency
-        ]
-        self._cracked_indices, self._uncracked_indices = (
-            map(list, zip(*index_pairs, strict=True)) if index_pairs else ([], [])
-        )
+        self._index_features()
         self._probe_groups = ProbeDisplacements.group_measurements(rows, candidate_rows)
         self._error_groups = _build_error_groups(self._features)
         self._is_uncracked = np.array(
@@ -435,7 +415,7 @@ class Predictor:
         ]
         speed_ratios = model.coarse_cases.swept_loads.speed_ratios
         self._prior_sensitivities = np.stack(
-            [model.uncracked_plate.compute_prior_sensitivities(feature) for feature in speed_ratios]
+            [model.uncracked_plate.compute_prior_sensitivities(ratio) for ratio in speed_ratios]
         )[self._load_indices]
         row_speed_ratios = [
             speed_ratios[self._load_indices[feature_indices[0]]]
@@ -456,6 +436,35 @@ class Predictor:
             else (BREATHING_FACES,)
         )
         self._is_free_at_rest = scales_with_load(model.scene.at_rest())
+        self._interpolate_features()
+
+    def _index_features(self) -> None:
+        """List the features, their indices in each row, and pairs with and without a crack."""
+        features_by_row = [Feature.list_for_measurement(row, self.model.scene) for row in self.rows]
+        features = [feature for row_features in features_by_row for feature in row_features]
+        features += [
+            feature.uncracked_feature for feature in features if feature.is_cracked_frequency
+        ]
+        self._features = tuple(dict.fromkeys(features))
+        index_by_feature = {
+            feature: feature_index for feature_index, feature in enumerate(self._features)
+        }
+        self._feature_indices_by_row = [
+            [index_by_feature[feature] for feature in row_features]
+            for row_features in features_by_row
+        ]
+        index_pairs = [
+            (index_by_feature[feature], index_by_feature[feature.uncracked_feature])
+            for feature in index_by_feature
+            if feature.is_cracked_frequency
+        ]
+        self._cracked_indices, self._uncracked_indices = (
+            map(list, zip(*index_pairs, strict=True)) if index_pairs else ([], [])
+        )
+
+    def _interpolate_features(self) -> None:
+        """Interpolate the features, and the correction by the finer mesh."""
+        model = self.model
         self._coarse_interpolation = Interpolation(
             model.unknown_grid, self._evaluate_smooth_features(model.coarse_cases)
         )
@@ -725,7 +734,6 @@ class Predictor:
 
         Features with ``is_zero_feature`` (f,) are 0.
         """
-        damping_ratios = feature_prediction.damping_ratios
         smoothing_factors = feature_prediction.smoothing_factors
         feature_values = feature_prediction.feature_values
         interpolation_variances = feature_prediction.interpolation_variances
@@ -736,15 +744,16 @@ class Predictor:
             )
         predicted_values, complex_slopes, common_errors, independent_variances = (
             self._predict_all_but_displacements(
-                damping_ratios, feature_values, smoothing_factors, face_state
+                feature_prediction.damping_ratios, feature_values, smoothing_factors, face_state
             )
         )
         predicted_values *= self.baseline_changes.temperature_factors
         load_change_blocks = [np.zeros((*predicted_values.shape, 0))]
         omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
         for probe_group in self._probe_groups:
-            feature_indices = self._feature_indices_by_row[probe_group.row_indices[0]]
-            predicted_values[:, probe_group.row_indices], real_slopes, load_changes, load_sizes = (
+            row_indices = probe_group.row_indices
+            feature_indices = self._feature_indices_by_row[row_indices[0]]
+            predicted_values[:, row_indices], real_slopes, load_changes, load_sizes = (
                 probe_group.fit_harmonics(feature_values[:, feature_indices])
             )
             mean_squares = (
@@ -754,21 +763,19 @@ class Predictor:
             omitted_orders, omitted_squares = self._estimate_omitted_harmonics(
                 self._features[feature_indices[0]],
                 mean_squares,
-                damping_ratios,
+                feature_prediction.damping_ratios,
                 feature_prediction.scale_and_frequencies[:, feature_indices[:1]],
             )
-            group_block = np.ix_(
-                range(len(feature_values)), probe_group.row_indices, probe_group.row_indices
-            )
+            group_block = np.ix_(range(len(feature_values)), row_indices, row_indices)
             squared_sizes = load_sizes[:, None, None] ** 2
             omitted_covariance[group_block] = squared_sizes * np.tensordot(
                 omitted_squares, probe_group.compute_harmonic_covariances(omitted_orders), axes=1
             )
-            complex_slopes[:, np.array(probe_group.row_indices)[:, None], feature_indices] = (
+            complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
                 real_slopes / smoothing_factors[:, None, feature_indices]
             )
             group_changes = np.zeros((*predicted_values.shape, load_changes.shape[2]))
-            group_changes[:, probe_group.row_indices] = load_changes
+            group_changes[:, row_indices] = load_changes
             load_change_blocks.append(group_changes)
         complex_slopes[:, ~self.is_predictable] = 0.0
         if is_zero_feature is not None:

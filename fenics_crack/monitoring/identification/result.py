@@ -123,10 +123,8 @@ def rank_measurements(
     predicted_values = predictor(x[None]).values[0]
     candidate_deviations = np.array([row.deviation for row in candidate_rows])
     if measurements is None:
-        is_at_probe = np.array([row.quantity == "displacement" for row in candidate_rows])
-        relative_deviations = np.where([row.natural for row in candidate_rows], *deviations)
-        candidate_deviations = np.where(
-            is_at_probe, candidate_deviations, relative_deviations * predicted_values[n_measured:]
+        candidate_deviations = _assume_deviations(
+            candidate_rows, predicted_values[n_measured:], deviations
         )
     is_usable = np.isfinite(predicted_values[n_measured:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
@@ -146,13 +144,11 @@ def rank_measurements(
         )
         for candidate_index in range(len(candidate_rows))
     ]
-    information_gains = 0.5 * np.maximum(
-        [
-            candidate_log_determinant - measured_log_determinant
-            for candidate_log_determinant, _ in candidate_results
-        ],
-        0.0,
-    )  # below 0 by rounding
+    candidate_log_determinants = np.array(
+        [log_determinant for log_determinant, _ in candidate_results]
+    )
+    # Below 0 by rounding.
+    information_gains = 0.5 * np.maximum(candidate_log_determinants - measured_log_determinant, 0.0)
     ranked_indices = [
         int(candidate_index)
         for candidate_index in np.argsort(-information_gains, kind="stable")
@@ -176,6 +172,23 @@ def rank_measurements(
         },
         measured_deviation_by_key,
     )
+
+
+def _assume_deviations(
+    candidate_rows: Sequence[Measurement],
+    predicted_values: np.ndarray,
+    relative_deviations: tuple[float, float],
+) -> np.ndarray:
+    """Return the deviations assumed for default candidates (n,).
+
+    Displacements keep their own. Others have relative ones, of frequencies and of harmonics.
+    """
+    own_deviations = np.array([row.deviation for row in candidate_rows])
+    is_at_probe = np.array([row.quantity == "displacement" for row in candidate_rows])
+    row_relative_deviations = np.where(
+        [row.natural for row in candidate_rows], *relative_deviations
+    )
+    return np.where(is_at_probe, own_deviations, row_relative_deviations * predicted_values)
 
 
 def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
