@@ -127,7 +127,7 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
         scene_timing.describe_run_up_end(scene, run),
     )
     yield from filter(None, doubts)
-    if scene_timing.get_curve(run) is None:
+    if scene_timing.get_response_curve(run) is None:
         result = run.result
         yield from of_error(run.scene, result.report, result.harmonics)
         yield from of_stability(run.scene, run, result.stability)

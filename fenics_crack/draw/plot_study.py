@@ -138,7 +138,7 @@ def _draw_density(panel: Axes, found: Identification, x: str) -> None:
     lines = {}
     for name, branch in posterior.branch_by_words.items():
         others = tuple(k for k in range(len(branch.axes)) if k != place)
-        density = posterior.mass_by_words[name].sum(axis=others) / branch.prior_mass.sum(
+        density = posterior.mass_by_words[name].sum(axis=others) / branch.prior_masses.sum(
             axis=others
         )
         values = np.unique([*branch.axes[place], low, high])

@@ -112,7 +112,7 @@ def _load_or_solve(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Res
     return run
 
 
-def get_curve(run: Run[Any] | None) -> ResponseCurve | None:
+def get_response_curve(run: Run[Any] | None) -> ResponseCurve | None:
     """Return the curve of computed arrivals, or None of another source."""
     result = None if run is None else run.result
     return result if isinstance(result, ResponseCurve) else None
@@ -127,7 +127,7 @@ def _compute_arrivals(
 ) -> ArrivalTimes:
     """Compute arrivals of a blade at probes (n,) [rad] (collective)."""
     result: Any = run.result
-    if (curve := get_curve(run)) is not None:
+    if (curve := get_response_curve(run)) is not None:
         passed_indices, unstable_index = find_run_up_points(curve)
         # The part before the curve becomes unstable; all of a curve that is so at once.
         result = (
@@ -149,7 +149,7 @@ def _compute_arrivals(
 
 def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
     """Describe where a run-up becomes unstable, or return ""."""
-    if (curve := get_curve(run)) is None:
+    if (curve := get_response_curve(run)) is None:
         return ""
     passed_indices, unstable_index = find_run_up_points(curve)
     if unstable_index is None:
@@ -192,7 +192,7 @@ def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
 
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
     """Return True if arrivals have a curve or a varying speed."""
-    return get_curve(run) is not None or not arrivals.steady
+    return get_response_curve(run) is not None or not arrivals.steady
 
 
 def fit_vibration(
@@ -307,9 +307,9 @@ def match_mode(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
     if len(mode_distances) > 1 and mode_distances[nearest_modes[1]] < 0.5 * ALLOWED_MODE_DISTANCE:
         return 0, "; ".join(range_texts)
     other_order_texts = [
-        f"{order:g}"
-        for order in passage_fit.ambiguous
-        if min(distances_from(order * passage_fit.speed)) <= ALLOWED_MODE_DISTANCE
+        f"{ambiguous_order:g}"
+        for ambiguous_order in passage_fit.ambiguous
+        if min(distances_from(ambiguous_order * passage_fit.speed)) <= ALLOWED_MODE_DISTANCE
     ]
     if other_order_texts:
         reason_text = (
@@ -410,7 +410,9 @@ def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
     direction = _find_circumferential_direction(scene, np.array(tip_point.values))
     axis_index = int(np.abs(direction).argmax())
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
-        components_text = ", ".join(f"{component:.3g}" for component in direction)
+        components_text = ", ".join(
+            f"{direction_component:.3g}" for direction_component in direction
+        )
         requirement_text = (
             f"given: the blade tip moves along ({components_text}), which is none of x, y and z"
         )
@@ -461,7 +463,7 @@ def _choose_speed_or_order(
         load change in a run-up.
     """
     owner_text = "" if source is None else f" of {str(source)!r}"
-    curve = get_curve(run)
+    curve = get_response_curve(run)
     if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
         speed_text = speed_in_words(run.scene.speed, run.scene.in_rpm)
         requirement_text = (

@@ -111,8 +111,8 @@ class Timing(Saved):
 
     def _units(self) -> Mapping[str, str]:
         is_single_fit = len(self.fits) == 1 and not self.of_resonances
-        units: Mapping[str, str] = self._first_fit._units() if is_single_fit else UNITS
-        return units
+        unit_by_column: Mapping[str, str] = self._first_fit._units() if is_single_fit else UNITS
+        return unit_by_column
 
     def _title(self) -> str:
         revolutions_text = counted(len(next(iter(self.arrivals.values()))), "revolution")

@@ -130,9 +130,11 @@ def identify(
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
     rows = measurements.rows
-    load_frequencies = [row.frequency for row in rows if not row.natural]
+    load_frequencies = [measurement.frequency for measurement in rows if not measurement.natural]
     speed_loads = [
-        load_frequency for row in rows if row.natural and (load_frequency := row.load(scene))
+        load_frequency
+        for measurement in rows
+        if measurement.natural and (load_frequency := measurement.load(scene))
     ]
     uncracked_plate = _solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
@@ -191,7 +193,7 @@ def infer_unknowns(
     measurements, doubt_texts = _select_predictable_rows(forward_models, measurements)
     measurement_rows = measurements.rows
     measured_values, measured_deviations = np.array(
-        [(row.value, row.deviation) for row in measurement_rows]
+        [(measurement.value, measurement.deviation) for measurement in measurement_rows]
     ).T
     branch_by_words, uncracked_branch_by_words = (
         {
@@ -249,7 +251,7 @@ def _select_predictable_rows(
         if solved_cases
     )
     cases_by_path = {solved_cases.sweep_result.path: solved_cases for solved_cases in case_sets}
-    load_frequencies = {row.frequency for row in measurement_rows}
+    load_frequencies = {measurement.frequency for measurement in measurement_rows}
     doubt_texts = []
     for sweep_path, solved_cases in cases_by_path.items():
         sweep_result = solved_cases.sweep_result
@@ -265,13 +267,13 @@ def _select_predictable_rows(
             for failure_text in by_reason(sweep_result, failures, "failed")
         ]
     used_rows = list(itertools.compress(measurement_rows, is_predictable))
-    if all(row.quantity == "frequency_uncracked" for row in used_rows):
+    if all(measurement.quantity == "frequency_uncracked" for measurement in used_rows):
         reason_text = "; ".join(doubt_texts) or "no case has the measured quantities"
         raise ConvergenceError(f"identification, no measurement can be predicted: {reason_text}")
     reason_text = "too few cases have it, or only those on one side of what failed"
     doubt_texts += [
-        f"{row.name} is not used: {reason_text}"
-        for row in itertools.compress(measurement_rows, ~is_predictable)
+        f"{measurement.name} is not used: {reason_text}"
+        for measurement in itertools.compress(measurement_rows, ~is_predictable)
     ]
     return Measurements(tuple(used_rows)), tuple(doubt_texts)
 
@@ -285,7 +287,7 @@ def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[
         is_edge_given
         and crack is not None
         and crack.edge
-        and all(row.natural for row in measurement_rows)
+        and all(measurement.natural for measurement in measurement_rows)
     ):
         other_edge = {"left": "right", "right": "left"}[crack.edge]
         remark_texts.append(
@@ -296,7 +298,9 @@ def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[
         remark_texts.append(
             "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
         )
-    if any(row.shape for row in measurement_rows) and not has_load_independent_shape(scene):
+    if any(
+        measurement.shape for measurement in measurement_rows
+    ) and not has_load_independent_shape(scene):
         remark_texts.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
@@ -314,7 +318,9 @@ def _describe_unresolved_resonances(
     if has_load_independent_shape(forward_models.scene):
         return
     loads_and_points = dict.fromkeys(
-        (row.frequency, row.point) for row in measurements.rows if row.shape
+        (measurement.frequency, measurement.point)
+        for measurement in measurements.rows
+        if measurement.shape
     )
     for model, (load_frequency, point_name) in itertools.product(
         forward_models.cracked_model_by_words.values(), loads_and_points
@@ -437,8 +443,8 @@ def solve_forward(
     """
     uncracked_plate = uncracked_plate or _solve_uncracked_plate(scene, comm)
     identify_table = scene.given("identify")
-    all_frequencies = (*load_frequencies, *speed_loads, *identify_table.frequencies)
-    swept_loads = SweptLoads(scene, [float(frequency) for frequency in all_frequencies])
+    requested_frequencies = (*load_frequencies, *speed_loads, *identify_table.frequencies)
+    swept_loads = SweptLoads(scene, [float(frequency) for frequency in requested_frequencies])
     vibration_frequencies = (
         *load_frequencies,
         *identify_table.frequencies,

@@ -72,12 +72,12 @@ class UnknownGrid:
     @property
     def lower_bounds(self) -> np.ndarray:
         """Return the lower bounds: (d,)."""
-        return np.array([axis[0] for axis in self.axes])
+        return np.array([axis_values[0] for axis_values in self.axes])
 
     @property
     def upper_bounds(self) -> np.ndarray:
         """Return the upper bounds: (d,)."""
-        return np.array([axis[-1] for axis in self.axes])
+        return np.array([axis_values[-1] for axis_values in self.axes])
 
     @cached_property
     def nodes(self) -> np.ndarray:
@@ -90,7 +90,7 @@ class UnknownGrid:
     @property
     def shape(self) -> tuple[int, ...]:
         """Return the number of values on each axis."""
-        return tuple(len(axis) for axis in self.axes)
+        return tuple(len(axis_values) for axis_values in self.axes)
 
     def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
         """Convert values x (m, d) to positions among the nodes (m, d).
@@ -98,31 +98,31 @@ class UnknownGrid:
         Nodes have whole numbers.
         """
         coordinate_columns = [
-            np.interp(x_column, axis, np.arange(len(axis)))
-            for x_column, axis in zip(x.T, self.axes, strict=True)
+            np.interp(x_column, axis_values, np.arange(len(axis_values)))
+            for x_column, axis_values in zip(x.T, self.axes, strict=True)
         ]
         return np.stack(coordinate_columns, axis=1)
 
 
-def _fit_spline(axis: np.ndarray, node_values: np.ndarray) -> Any:
+def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
     """Fit a cubic spline to values (n, ...) on an axis (n,).
 
     With fewer than four values its degree is lower.
     """
-    return make_interp_spline(axis, node_values, k=min(3, len(axis) - 1))
+    return make_interp_spline(axis_values, node_values, k=min(3, len(axis_values) - 1))
 
 
-def compute_leave_one_out_errors(axis: np.ndarray, node_values: np.ndarray) -> np.ndarray:
+def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
     """Return the spline's error at each node if that node is left out.
 
     The values (n, ...) and errors (n, ...) are on an axis (n,). The ends are never left out, and
     take their neighbours' errors."""
     node_errors = np.zeros_like(node_values)
-    for node_index in range(1, len(axis) - 1):
-        is_other_node = np.arange(len(axis)) != node_index
+    for node_index in range(1, len(axis_values) - 1):
+        is_other_node = np.arange(len(axis_values)) != node_index
         node_errors[node_index] = node_values[node_index] - _fit_spline(
-            axis[is_other_node], node_values[is_other_node]
-        )(axis[node_index])
+            axis_values[is_other_node], node_values[is_other_node]
+        )(axis_values[node_index])
     node_errors[0], node_errors[-1] = node_errors[1], node_errors[-2]
     return node_errors
 
@@ -153,16 +153,20 @@ class Interpolation:
         )
         self._node_values = node_values
         # Along each axis those that are 1 at one of its values and 0 at the others.
-        self._basis_splines = [_fit_spline(axis, np.eye(len(axis))) for axis in unknown_grid.axes]
+        self._basis_splines = [
+            _fit_spline(axis_values, np.eye(len(axis_values))) for axis_values in unknown_grid.axes
+        ]
         if unknown_grid.axes:
             value_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
             leave_one_out_errors = (
                 np.moveaxis(
-                    compute_leave_one_out_errors(axis, np.moveaxis(value_grid, axis_index, 0)),
+                    compute_leave_one_out_errors(
+                        axis_values, np.moveaxis(value_grid, axis_index, 0)
+                    ),
                     0,
                     axis_index,
                 )
-                for axis_index, axis in enumerate(unknown_grid.axes)
+                for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
             self._errors_by_axis = [
                 OPTIONS.leave_one_out_fraction * axis_errors.reshape(node_values.shape)
@@ -177,10 +181,10 @@ class Interpolation:
         Points outside move to the border. Quantities without enough nodes are 0.
         """
         node_weights = np.ones((len(x), 1))
-        for x_column, axis, basis_spline in zip(
+        for x_column, axis_values, basis_spline in zip(
             x.T, self.unknown_grid.axes, self._basis_splines, strict=True
         ):
-            axis_weights = basis_spline(np.clip(x_column, axis[0], axis[-1]))
+            axis_weights = basis_spline(np.clip(x_column, axis_values[0], axis_values[-1]))
             node_weights = (node_weights[:, :, None] * axis_weights[:, None, :]).reshape(len(x), -1)
         return np.asarray(node_weights @ self._node_values)
 
@@ -509,18 +513,18 @@ class Feature:
     harmonic_order: int = 0
 
     @classmethod
-    def list_for_measurement(cls, row: Measurement, scene: Scene) -> tuple[Feature, ...]:
+    def list_for_measurement(cls, measurement: Measurement, scene: Scene) -> tuple[Feature, ...]:
         """Return the features of a measurement, of a ratio the numerator first."""
-        if row.natural:
-            state_name = row.quantity.removeprefix("frequency_")
+        if measurement.natural:
+            state_name = measurement.quantity.removeprefix("frequency_")
             crack_states = RESONANCE_STATES if state_name == "resonance" else (state_name,)
             return tuple(
-                cls(crack_state, row.mode, load_frequency=row.load(scene))
+                cls(crack_state, measurement.mode, load_frequency=measurement.load(scene))
                 for crack_state in crack_states
             )
-        harmonic_orders = row.orders or KEPT_ORDERS
+        harmonic_orders = measurement.orders or KEPT_ORDERS
         return tuple(
-            cls("", 0, row.point, row.load(scene), harmonic_order)
+            cls("", 0, measurement.point, measurement.load(scene), harmonic_order)
             for harmonic_order in harmonic_orders
         )
 

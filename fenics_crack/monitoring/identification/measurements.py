@@ -248,15 +248,23 @@ class Measurements(Tabular):
     def __post_init__(self) -> None:
         fitting_argument("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
-        if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
+        if not self.rows or not all(
+            isinstance(measurement, Measurement) for measurement in self.rows
+        ):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
         if len(self.rows) > OPTIONS.max_measurements:
             limit_text = f"{OPTIONS.max_measurements} at most"
             allowed_text = f"{limit_text}; several of one quantity are one, their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
-        count_by_name = Counter(row.name for row in self.rows if row.quantity != "displacement")
+        count_by_name = Counter(
+            measurement.name for measurement in self.rows if measurement.quantity != "displacement"
+        )
         if repeated_names := [name for name, name_count in count_by_name.items() if name_count > 1]:
-            repeated_values = [row.value for row in self.rows if row.name == repeated_names[0]]
+            repeated_values = [
+                measurement.value
+                for measurement in self.rows
+                if measurement.name == repeated_names[0]
+            ]
             allowed_text = "one value, the mean, with the standard deviation of that"
             raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
 
@@ -502,10 +510,10 @@ class Measurements(Tabular):
 
     def check(self, scene: Scene) -> None:
         """Raise InputError if measurements do not fit a scene, or all precede its crack."""
-        if all(row.quantity == "frequency_uncracked" for row in self.rows):
+        if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
             raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
-        for row in self.rows:
-            row.check(scene)
+        for measurement in self.rows:
+            measurement.check(scene)
 
     def __add__(self, other: Measurements) -> Measurements:
         return Measurements(self.rows + other.rows)
@@ -517,7 +525,7 @@ class Measurements(Tabular):
         """Return columns as :meth:`from_csv` reads them."""
         column_names = [measurement_field.name for measurement_field in fields(Measurement)]
         values_by_column = {
-            column_name: [getattr(row, column_name) for row in self.rows]
+            column_name: [getattr(measurement, column_name) for measurement in self.rows]
             for column_name in column_names
         }
         values_by_column["mode"] = [mode or "" for mode in values_by_column["mode"]]
@@ -528,7 +536,7 @@ class Measurements(Tabular):
         return values_by_column
 
     def _title(self) -> str:
-        n_frequencies = sum(row.natural for row in self.rows)
+        n_frequencies = sum(measurement.natural for measurement in self.rows)
         return f"{n_frequencies} natural frequencies, {len(self) - n_frequencies} at loads"
 
 

@@ -80,8 +80,8 @@ class ProbeDisplacements:
         ]
         self._phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
         self._n_measured = len(own_rows)
-        self._measured_values = np.array([row.value for row in own_rows])
-        self._weights = 1.0 / np.array([row.deviation for row in own_rows])
+        self._measured_values = np.array([measurement.value for measurement in own_rows])
+        self._weights = 1.0 / np.array([measurement.deviation for measurement in own_rows])
 
     @classmethod
     def group_measurements(
@@ -89,11 +89,11 @@ class ProbeDisplacements:
     ) -> list[ProbeDisplacements]:
         """Group displacements by load and point."""
         indices_by_load_and_point: dict[tuple[float, str], list[int]] = {}
-        for row_index, row in enumerate((*measured_rows, *candidate_rows)):
-            if row.quantity == "displacement":
-                indices_by_load_and_point.setdefault((row.frequency, row.point), []).append(
-                    row_index
-                )
+        for row_index, measurement in enumerate((*measured_rows, *candidate_rows)):
+            if measurement.quantity == "displacement":
+                indices_by_load_and_point.setdefault(
+                    (measurement.frequency, measurement.point), []
+                ).append(row_index)
         return [
             cls(row_indices, measured_rows, candidate_rows)
             for row_indices in indices_by_load_and_point.values()
@@ -211,7 +211,7 @@ class ProbeDisplacements:
 # --- the model ------------------------------------------------------------------------------------
 
 
-class FaceState(NamedTuple):
+class CrackFaceState(NamedTuple):
     """State of the crack faces at resonances: they breathe, stay open or stay closed.
 
     Attributes
@@ -232,7 +232,7 @@ class FaceState(NamedTuple):
     prior_weight: float = 1.0
 
 
-BREATHING_FACES = FaceState("bilinear")
+BREATHING_FACES = CrackFaceState("bilinear")
 """Crack faces that are open for half of the period."""
 
 
@@ -272,9 +272,9 @@ class ForwardModel:
 
     def make_predictor(
         self, rows: Sequence[Measurement], candidate_rows: Sequence[Measurement] = ()
-    ) -> Predictor:
+    ) -> MeasurementPredictor:
         """Make a predictor for measurements, and for candidates."""
-        return Predictor(self, rows, candidate_rows)
+        return MeasurementPredictor(self, rows, candidate_rows)
 
     def get_damping_ratios(self, x: np.ndarray) -> np.ndarray:
         """Return the damping ratio at values x (m, d) of the unknowns: (m, 1)."""
@@ -334,7 +334,7 @@ class ForwardModel:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class MeasurementPrediction:
     """Prediction of q measurements, at m values of the unknowns.
 
     Attributes
@@ -369,7 +369,7 @@ class FeaturePrediction(NamedTuple):
         The features: logarithms of natural frequencies, and complex harmonics.
     interpolation_variances : (m, f)
         Mean squares of their errors by the interpolation.
-    covariance : (m, 2f, 2f)
+    smooth_covariance : (m, 2f, 2f)
         Covariance of their smooth forms, real and imaginary parts in turn.
     """
 
@@ -378,10 +378,10 @@ class FeaturePrediction(NamedTuple):
     smoothing_factors: np.ndarray
     feature_values: np.ndarray
     interpolation_variances: np.ndarray
-    covariance: np.ndarray
+    smooth_covariance: np.ndarray
 
 
-class Predictor:
+class MeasurementPredictor:
     """Predictions of measurements, and of candidates for further measurements, by a model.
 
     Attributes
@@ -432,7 +432,7 @@ class Predictor:
         )
         self._face_states = (
             _list_face_states(model)
-            if any(row.resonance for row in self.rows)
+            if any(measurement.resonance for measurement in self.rows)
             else (BREATHING_FACES,)
         )
         self._is_free_at_rest = scales_with_load(model.scene.at_rest())
@@ -440,7 +440,9 @@ class Predictor:
 
     def _index_features(self) -> None:
         """List the features, their indices in each row, and pairs with and without a crack."""
-        features_by_row = [Feature.list_for_measurement(row, self.model.scene) for row in self.rows]
+        features_by_row = [
+            Feature.list_for_measurement(measurement, self.model.scene) for measurement in self.rows
+        ]
         features = [feature for row_features in features_by_row for feature in row_features]
         features += [
             feature.uncracked_feature for feature in features if feature.is_cracked_frequency
@@ -498,7 +500,9 @@ class Predictor:
             ]
         )
 
-    def with_change_factors(self, *, clamp_factor: float, temperature_factor: float) -> Predictor:
+    def with_change_factors(
+        self, *, clamp_factor: float, temperature_factor: float
+    ) -> MeasurementPredictor:
         """Return a copy with the priors of changes since the baseline multiplied.
 
         The factors are for the clamp and for an unknown temperature.
@@ -509,7 +513,9 @@ class Predictor:
         )
         return changed_predictor
 
-    def iterate_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+    def iterate_face_states(
+        self, x: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """Iterate over possible states of the crack faces at x (m, d).
 
         Under a steady load, a preload or a clearance a crack may stay open or closed. The motion
@@ -526,7 +532,7 @@ class Predictor:
             Points among x at which the state is possible.
         probabilities : (n,)
             Its probability there.
-        prediction : Prediction
+        prediction : MeasurementPrediction
             Predictions there.
         """
         motionless_fractions = np.zeros((len(x), 0))
@@ -629,7 +635,7 @@ class Predictor:
             :, self._load_indices
         ]
 
-    def __call__(self, x: np.ndarray) -> Prediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at x (m, d) in the first state of the faces.
 
         If several states are possible at resonances, that is the least certain one.
@@ -650,11 +656,11 @@ class Predictor:
         zero_features = np.zeros((len(x), 2 * len(self._features)))
 
         def propagate_covariance(covariance: np.ndarray) -> np.ndarray:
-            changed_prediction = feature_prediction._replace(covariance=covariance)
+            changed_prediction = feature_prediction._replace(smooth_covariance=covariance)
             prediction = self._predict_measurements(changed_prediction, None, self._face_states[0])
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
-        other_variances = propagate_covariance(np.zeros_like(feature_prediction.covariance))
+        other_variances = propagate_covariance(np.zeros_like(feature_prediction.smooth_covariance))
         variances_by_unknown = []
         for weighted_errors in self._coarse_interpolation.compute_weighted_errors_by_axis(x)[
             : x.shape[1]
@@ -667,7 +673,7 @@ class Predictor:
                 - other_variances
             )
         return np.stack(variances_by_unknown, axis=1), propagate_covariance(
-            feature_prediction.covariance
+            feature_prediction.smooth_covariance
         )
 
     def _predict_features(self, x: np.ndarray) -> FeaturePrediction:
@@ -728,8 +734,8 @@ class Predictor:
         self,
         feature_prediction: FeaturePrediction,
         is_zero_feature: np.ndarray | None,
-        face_state: FaceState,
-    ) -> Prediction:
+        face_state: CrackFaceState,
+    ) -> MeasurementPrediction:
         """Predict all measurements from features and a state of the crack faces.
 
         Features with ``is_zero_feature`` (f,) are 0.
@@ -782,7 +788,7 @@ class Predictor:
             complex_slopes[..., is_zero_feature] = 0.0
         real_slopes = _split_complex_columns(complex_slopes.conj())
         covariance = (
-            real_slopes @ feature_prediction.covariance @ real_slopes.transpose(0, 2, 1)
+            real_slopes @ feature_prediction.smooth_covariance @ real_slopes.transpose(0, 2, 1)
             + omitted_covariance
         )
         shared_errors = np.concatenate(
@@ -792,7 +798,7 @@ class Predictor:
             :, :, None
         ] * np.eye(len(self.rows))
         predicted_values = np.where(self.is_predictable, predicted_values, np.nan)
-        return Prediction(
+        return MeasurementPrediction(
             predicted_values,
             covariance,
             np.concatenate(load_change_blocks, axis=2),
@@ -868,7 +874,7 @@ class Predictor:
         damping_ratios: np.ndarray,
         feature_values: np.ndarray,
         smoothing_factors: np.ndarray,
-        face_state: FaceState,
+        face_state: CrackFaceState,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Predict all measurements but displacements, with errors of the state of the crack faces.
 
@@ -1043,7 +1049,7 @@ def _split_complex_columns(complex_columns: np.ndarray) -> np.ndarray:
     )
 
 
-def _list_face_states(model: ForwardModel) -> tuple[FaceState, ...]:
+def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     """List possible states of the crack faces at resonances, with weights that sum to 1.
 
     The faces breathe. If the motion's shape depends on the load's size, they breathe for any part
@@ -1057,12 +1063,13 @@ def _list_face_states(model: ForwardModel) -> tuple[FaceState, ...]:
         ufunc.reduce(closed_shares, axis=None) for ufunc in (np.fmin, np.fmax)
     )
     held_states = itertools.compress(
-        (FaceState("open"), FaceState("tied")), (min_closed_share < 1.0, max_closed_share > 0.0)
+        (CrackFaceState("open"), CrackFaceState("tied")),
+        (min_closed_share < 1.0, max_closed_share > 0.0),
     )
     # Breathing for another part of the period at each resonance, or for the same at all.
     partly_open_states = (
-        FaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
-        FaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
+        CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
+        CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
     )
     face_states = (*partly_open_states, BREATHING_FACES, *held_states)
     total_weight = sum(face_state.prior_weight for face_state in face_states)
@@ -1078,13 +1085,13 @@ def has_load_independent_shape(scene: Scene) -> bool:
 
 
 def _combine_features(
-    row: Measurement, feature_sizes: np.ndarray, state_index: int
+    measurement: Measurement, feature_sizes: np.ndarray, state_index: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Combine feature sizes (m, k) to a measured quantity.
 
     Returns the quantity (m,) and its slopes (m, k) by the sizes. A resonance is near the frequency
     with the state's index."""
-    if row.natural or feature_sizes.shape[1] == 1:
+    if measurement.natural or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
             len(feature_sizes), axis=0
         )

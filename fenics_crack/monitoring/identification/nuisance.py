@@ -269,7 +269,9 @@ class UncrackedPlate:
         independent_crack_deviation = identify_table.crack_deviation * np.sqrt(
             1.0 - identify_table.crack_correlation
         )
-        is_damping_unknown = any(axis.key == "damping.ratio" for axis in identify_table.unknown)
+        is_damping_unknown = any(
+            unknown_axis.key == "damping.ratio" for unknown_axis in identify_table.unknown
+        )
         sensitivity_blocks = [
             np.einsum("mfn,fns->mfs", slopes_by_mode * ~is_cracked_frequency, mode_sensitivities)
             + ~is_natural_frequency * harmonic_size_changes,
@@ -285,7 +287,7 @@ class UncrackedPlate:
         That of an unknown is 0.
         """
         identify_table = self.identify_table
-        unknown_keys = {axis.key for axis in self.identify_table.unknown}
+        unknown_keys = {unknown_axis.key for unknown_axis in self.identify_table.unknown}
         prior_keys = ("material.young", "material.density", "geometry.thickness")
         relative_deviations = (
             identify_table.young_deviation,
@@ -440,8 +442,10 @@ class BaselineChanges:
         """
         identify_table = uncracked_plate.identify_table
         n_modes = len(uncracked_plate.natural_frequencies)
-        is_baseline = np.array([row.quantity == "frequency_uncracked" for row in rows])
-        stated_temperatures = np.array([row.temperature for row in rows])
+        is_baseline = np.array(
+            [measurement.quantity == "frequency_uncracked" for measurement in rows]
+        )
+        stated_temperatures = np.array([measurement.temperature for measurement in rows])
         current_temperatures = stated_temperatures[~is_baseline & np.isfinite(stated_temperatures)]
         temperature_offsets = np.nan_to_num(
             stated_temperatures
@@ -457,19 +461,21 @@ class BaselineChanges:
             speed_ratio: uncracked_plate.compute_baseline_sensitivities(speed_ratio)
             for speed_ratio in set(speed_ratios)
         }
-        for row_index, (row, speed_ratio) in enumerate(zip(rows, speed_ratios, strict=True)):
-            if row.natural and row.mode <= n_modes:
+        for row_index, (measurement, speed_ratio) in enumerate(
+            zip(rows, speed_ratios, strict=True)
+        ):
+            if measurement.natural and measurement.mode <= n_modes:
                 clamp_sensitivities, kelvin_sensitivities = sensitivities_by_ratio[speed_ratio]
                 self.clamp_changes[row_index] = (
-                    is_baseline[row_index] * clamp_sensitivities[row.mode - 1]
+                    is_baseline[row_index] * clamp_sensitivities[measurement.mode - 1]
                 )
-                kelvin_changes[row_index] = kelvin_sensitivities[row.mode - 1]
+                kelvin_changes[row_index] = kelvin_sensitivities[measurement.mode - 1]
                 modulus_ratio = (
                     1.0 + identify_table.temperature_coefficient * temperature_offsets[row_index]
                 )
                 self.temperature_factors[row_index] = uncracked_plate.compute_stiffening_factors(
                     speed_ratio, modulus_ratio
-                )[row.mode - 1]
+                )[measurement.mode - 1]
         has_unknown_offset = (is_baseline & ~has_known_offset)[:, None]
         self.unknown_temperature_changes = (
             -identify_table.priors["temperature_deviation"] * has_unknown_offset * kelvin_changes
@@ -561,15 +567,17 @@ def compute_crack_deviations(
     identify_table = scene.given("identify")
     crack_deviations = np.zeros_like(x)
     crack_reaches = np.zeros(len(x))
-    for key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
-        crack_sizes = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
-        if key in unknown_keys:
-            crack_sizes = x[:, unknown_keys.index(key)]
+    for size_key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
+        crack_sizes = np.full(
+            len(x), getattr(scene.crack, size_key.removeprefix("crack."), None) or 0.0
+        )
+        if size_key in unknown_keys:
+            crack_sizes = x[:, unknown_keys.index(size_key)]
             common_deviation = identify_table.crack_deviation * np.sqrt(
                 identify_table.crack_correlation
             )
             # Frequencies change with its square.
-            crack_deviations[:, unknown_keys.index(key)] = common_deviation / 2.0 * crack_sizes
+            crack_deviations[:, unknown_keys.index(size_key)] = common_deviation / 2.0 * crack_sizes
         crack_reaches = np.where(crack_sizes > 0.0, crack_sizes, crack_reaches)
     if "crack.height" in unknown_keys:
         tilt_slope = np.tan(np.radians(identify_table.angle_deviation))

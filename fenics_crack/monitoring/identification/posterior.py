@@ -7,7 +7,7 @@ have a covariance T(x):
 
 Since det V is at least det diag(e^2), both terms are squares, and least squares find the maxima. If
 a crack may breathe or not, L is the sum over both, each with its probability
-(:meth:`fenics_crack.monitoring.identification.model.Predictor.iterate_states`).
+(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_states`).
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
 crack. L is convolved on the grid with the distribution of the difference
@@ -34,7 +34,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import UnknownGrid
-from fenics_crack.monitoring.identification.model import Prediction, Predictor
+from fenics_crack.monitoring.identification.model import MeasurementPrediction, MeasurementPredictor
 from fenics_crack.monitoring.identification.options import OPTIONS
 
 FIRST_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
@@ -61,13 +61,13 @@ class Likelihood:
     ----------
     measured_values, measured_deviations : (q,)
         Measured values and their standard deviations.
-    predictor : Predictor
+    predictor : MeasurementPredictor
         Their predictions.
     """
 
     measured_values: np.ndarray
     measured_deviations: np.ndarray
-    predictor: Predictor
+    predictor: MeasurementPredictor
 
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
         """Return residuals at x (m, d): (m, q + 1).
@@ -93,7 +93,7 @@ class Likelihood:
             )
         return log_likelihoods
 
-    def predict_most_probable(self, x: np.ndarray) -> Prediction:
+    def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at x (d,) in the most probable state of the crack faces."""
         state_residuals = self._iterate_state_residuals(x[None])
         return min(
@@ -103,7 +103,7 @@ class Likelihood:
 
     def _iterate_state_residuals(
         self, x: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """Iterate over the possible states of the crack faces.
 
         Yields
@@ -112,10 +112,10 @@ class Likelihood:
             Points among x at which the state is possible.
         (n, q + 1)
             Residuals there.
-        Prediction
+        MeasurementPrediction
             Predictions there.
         """
-        for point_indices, probabilities, prediction in self.predictor.iterate_states(x):
+        for point_indices, probabilities, prediction in self.predictor.iterate_face_states(x):
             cholesky_factor = np.linalg.cholesky(
                 compute_scaled_covariance(
                     prediction, self.measured_values, self.measured_deviations
@@ -188,8 +188,8 @@ class Likelihood:
         """Return the likelihood of all measurements but one."""
         is_kept = np.arange(len(self.measured_values)) != omitted_row
         rows = [
-            row
-            for row, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
+            measurement
+            for measurement, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
             if is_kept_row
         ]
         predictor = self.predictor.model.make_predictor(rows)
@@ -199,7 +199,7 @@ class Likelihood:
 
 
 def compute_scaled_covariance(
-    prediction: Prediction, values: np.ndarray, deviations: np.ndarray
+    prediction: MeasurementPrediction, values: np.ndarray, deviations: np.ndarray
 ) -> np.ndarray:
     """Return V over the products of standard deviations (q,): (m, q, q).
 
@@ -247,9 +247,9 @@ class Branch:
         Optima of the likelihood, best first.
     axes : tuple of arrays
         Values of each unknown in the grid.
-    log_likelihood : array
+    grid_log_likelihood : array
         log L on the grid, convolved with the difference from the equivalent crack.
-    prior_mass : array
+    prior_masses : array
         Prior mass of each grid point; their sum is 1.
     """
 
@@ -258,9 +258,9 @@ class Branch:
         n_unknowns = len(unknown_grid.axes)
         self.axes: tuple[np.ndarray, ...] = ()
         if n_unknowns == 0:
-            self.log_likelihood = likelihood(np.zeros((1, 0))).reshape(())
-            self.prior_mass = np.ones(())
-            self.optima = [Optimum(np.zeros(0), float(self.log_likelihood), np.zeros((0, 0)))]
+            self.grid_log_likelihood = likelihood(np.zeros((1, 0))).reshape(())
+            self.prior_masses = np.ones(())
+            self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
         first_axes = _list_first_axes(unknown_grid)
         first_log_likelihood = _evaluate_log_likelihood(
@@ -297,7 +297,7 @@ class Branch:
                     )
             refined_axes.append(np.unique(np.concatenate(axis_pieces)))
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in refined_axes]
-        self.axes, self.prior_mass = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
+        self.axes, self.prior_masses = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
         grid_points = _list_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
         neighbourhood_maxima = maximum_filter(first_log_likelihood, size=3, mode="nearest")
@@ -315,8 +315,8 @@ class Branch:
             likelihood, grid_points[is_evaluated]
         )
         crack_deviations = compute_crack_deviations(grid_points)
-        self.log_likelihood = _convolve_crack_deviations(
-            refined_log_likelihood.reshape(self.prior_mass.shape),
+        self.grid_log_likelihood = _convolve_crack_deviations(
+            refined_log_likelihood.reshape(self.prior_masses.shape),
             refined_axes,
             axis_weights,
             crack_deviations,
@@ -325,7 +325,7 @@ class Branch:
     @property
     def log_evidence(self) -> float:
         """Return the log of the integral of L over the prior."""
-        return float(logsumexp(self.log_likelihood, b=self.prior_mass))
+        return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
 
     def get_value_by_key(self, x: np.ndarray) -> dict[str, Any]:
         """Return all unknowns by key, words and numbers x (d,)."""
@@ -335,9 +335,13 @@ class Branch:
     def interpolate_log_likelihood(self, x: np.ndarray) -> float:
         """Interpolate the convolved log L to x (d,)."""
         if not self.axes:
-            return float(self.log_likelihood)
-        bounded_x = np.clip(x, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes])
-        return float(RegularGridInterpolator(self.axes, self.log_likelihood)(bounded_x)[0])
+            return float(self.grid_log_likelihood)
+        bounded_x = np.clip(
+            x,
+            [axis_values[0] for axis_values in self.axes],
+            [axis_values[-1] for axis_values in self.axes],
+        )
+        return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def compute_interpolation_shares(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the share of interpolation in the variance of each measurement.
@@ -382,16 +386,20 @@ def _convolve_crack_deviations(
     """
     max_log_likelihood = log_likelihood.max()
     relative_likelihood = np.exp(log_likelihood - max_log_likelihood)
-    for unknown_index, (axis, axis_weight) in enumerate(zip(axes, axis_weights, strict=True)):
+    for unknown_index, (axis_values, axis_weight) in enumerate(
+        zip(axes, axis_weights, strict=True)
+    ):
         kernel_width = np.moveaxis(
             crack_deviations[:, unknown_index].reshape(log_likelihood.shape), unknown_index, -1
         )
         if not kernel_width.any():
             continue
-        kernel_width = np.maximum(kernel_width, 0.1 * np.gradient(axis))[
+        kernel_width = np.maximum(kernel_width, 0.1 * np.gradient(axis_values))[
             ..., None
         ]  # no effect below
-        kernel_matrix = axis_weight * np.exp(-0.5 * ((axis - axis[:, None]) / kernel_width) ** 2)
+        kernel_matrix = axis_weight * np.exp(
+            -0.5 * ((axis_values - axis_values[:, None]) / kernel_width) ** 2
+        )
         kernel_matrix /= kernel_matrix.sum(axis=-1, keepdims=True)
         node_masses = np.moveaxis(relative_likelihood, unknown_index, -1) * axis_weight
         relative_likelihood = np.moveaxis(
@@ -407,7 +415,9 @@ def _convolve_crack_deviations(
 def _list_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
     """Return equally spaced values of each unknown for the first grid."""
     n_values = FIRST_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
-    return [np.linspace(axis[0], axis[-1], n_values) for axis in unknown_grid.axes]
+    return [
+        np.linspace(axis_values[0], axis_values[-1], n_values) for axis_values in unknown_grid.axes
+    ]
 
 
 def list_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
@@ -449,7 +459,10 @@ def _find_optima(
     unknown_ranges = unknown_grid.upper_bounds - unknown_grid.lower_bounds
     for grid_index in start_indices:
         start_point = np.array(
-            [axis[axis_index] for axis, axis_index in zip(axes, grid_index, strict=True)]
+            [
+                axis_values[axis_index]
+                for axis_values, axis_index in zip(axes, grid_index, strict=True)
+            ]
         )
 
         def fractions_to_residuals(fractions: np.ndarray) -> np.ndarray:
@@ -514,12 +527,12 @@ class Posterior:
         self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
         log_evidence_sum = logsumexp(log_evidences)
         self.mass_by_words = {
-            words: np.exp(branch.log_likelihood - log_evidence_sum) * branch.prior_mass
+            words: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
             for words, branch in self.branch_by_words.items()
         }
         """Probability of each grid point; the sum is 1."""
         self._log_likelihoods = np.concatenate(
-            [branch.log_likelihood.ravel() for branch in self.branch_by_words.values()]
+            [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
         )
         self._point_masses = np.concatenate(
             [point_masses.ravel() for point_masses in self.mass_by_words.values()]
@@ -586,13 +599,13 @@ class Posterior:
         """
         unresolved_sum = 0.0
         for words, branch in self.branch_by_words.items():
-            is_unresolved = np.zeros(branch.log_likelihood.shape, dtype=bool)
+            is_unresolved = np.zeros(branch.grid_log_likelihood.shape, dtype=bool)
             for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
                 neighbour_footprint = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
                 neighbour_maxima = maximum_filter(
-                    branch.log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
+                    branch.grid_log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
                 )
-                is_unresolved |= branch.log_likelihood - neighbour_maxima > 2.0
+                is_unresolved |= branch.grid_log_likelihood - neighbour_maxima > 2.0
             unresolved_sum += float(np.sum(self.mass_by_words[words][is_unresolved]))
         return unresolved_sum
 
@@ -624,7 +637,7 @@ class Posterior:
         for unknown_index, end_index in product(range(len(branches[0].axes)), (0, -1)):
             if any(
                 np.any(
-                    branch.log_likelihood.take(end_index, axis=unknown_index)
+                    branch.grid_log_likelihood.take(end_index, axis=unknown_index)
                     >= border_log_likelihood
                 )
                 for branch in branches
@@ -652,10 +665,10 @@ class Posterior:
         unknown_values, value_masses = self.compute_marginal(unknown_index)
         cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
         tail_probability = 0.5 * (1.0 - probability)
-        lower_end, upper_end = np.interp(
+        lower_quantile, upper_quantile = np.interp(
             [tail_probability, 1.0 - tail_probability], cumulative_masses, unknown_values
         )
-        return float(lower_end), float(upper_end)
+        return float(lower_quantile), float(upper_quantile)
 
     def find_region_parts(
         self, probability: float, min_probability: float
@@ -670,7 +683,7 @@ class Posterior:
         border_log_likelihood = self.find_region_level(probability)
         region_parts = []
         for words, branch in self.branch_by_words.items():
-            is_inside = branch.log_likelihood >= border_log_likelihood
+            is_inside = branch.grid_log_likelihood >= border_log_likelihood
             part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
             for part_number in range(1, n_parts + 1):
                 is_part_point = part_numbers == part_number
@@ -678,8 +691,10 @@ class Posterior:
                 if point_masses.sum() >= min_probability:
                     grid_indices = np.argwhere(is_part_point)
                     unknown_columns = [
-                        axis[axis_indices]
-                        for axis, axis_indices in zip(branch.axes, grid_indices.T, strict=True)
+                        axis_values[axis_indices]
+                        for axis_values, axis_indices in zip(
+                            branch.axes, grid_indices.T, strict=True
+                        )
                     ]
                     part_points = (
                         np.stack(unknown_columns, axis=1) if unknown_columns else np.zeros((1, 0))
@@ -704,7 +719,7 @@ class Posterior:
         self, words: str, first_index: int, second_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a branch's mass over two unknowns, and its density: (n_first, n_second) each."""
-        mass_and_prior = self.mass_by_words[words], self.branch_by_words[words].prior_mass
+        mass_and_prior = self.mass_by_words[words], self.branch_by_words[words].prior_masses
         other_axes = tuple(
             axis_index
             for axis_index in range(mass_and_prior[0].ndim)

@@ -58,7 +58,7 @@ class FrequencyResponse:
     """
 
     frequencies: np.ndarray
-    values: np.ndarray
+    response_values: np.ndarray
     derivative_order: int
 
 
@@ -201,7 +201,7 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     omega = TURN * frequencies[is_positive]
     receptances = np.stack(
         [
-            response.values[is_positive] / (1j * omega) ** response.derivative_order
+            response.response_values[is_positive] / (1j * omega) ** response.derivative_order
             for response in responses
         ]
     )
@@ -243,14 +243,14 @@ def _lines_around_peak(response_power: np.ndarray, peak_index: int, min_power: f
 
     Lines with more power than the peak end it, too.
     """
-    outside_indices = np.flatnonzero(
+    excluded_indices = np.flatnonzero(
         (response_power < min_power) | (response_power > response_power[peak_index])
     )
-    outside_before = outside_indices[outside_indices < peak_index]
-    outside_after = outside_indices[outside_indices > peak_index]
+    excluded_before_peak = excluded_indices[excluded_indices < peak_index]
+    excluded_after_peak = excluded_indices[excluded_indices > peak_index]
     return slice(
-        outside_before[-1] + 1 if len(outside_before) else 0,
-        outside_after[0] if len(outside_after) else len(response_power),
+        excluded_before_peak[-1] + 1 if len(excluded_before_peak) else 0,
+        excluded_after_peak[0] if len(excluded_after_peak) else len(response_power),
     )
 
 
@@ -295,10 +295,10 @@ def _fit_mode(
         )
     if fit_coefficients[0] <= 0.0 or fit_coefficients[1] <= 0.0:
         return None
-    residuals = real_targets - real_matrix @ fit_coefficients
+    equation_residuals = real_targets - real_matrix @ fit_coefficients
     coefficient_variance = (
-        residuals
-        @ residuals
+        equation_residuals
+        @ equation_residuals
         / (len(real_targets) - len(fit_coefficients))
         * np.linalg.inv(real_matrix.T @ real_matrix)[0, 0]
     )

@@ -29,7 +29,11 @@ from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import Table, Tabular, counted
 from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
-from fenics_crack.monitoring.identification.model import ForwardModel, Predictor, ProbeDisplacements
+from fenics_crack.monitoring.identification.model import (
+    ForwardModel,
+    MeasurementPredictor,
+    ProbeDisplacements,
+)
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
@@ -74,9 +78,9 @@ class Worth(Tabular):
         """Return columns with a row for every measurement."""
         rows = self.measurements
         values_by_column: dict[str, Any] = {
-            "measurement": [row.name for row in rows],
-            "value": [row.value for row in rows],
-            "deviation": [row.deviation for row in rows],
+            "measurement": [measurement.name for measurement in rows],
+            "value": [measurement.value for measurement in rows],
+            "deviation": [measurement.deviation for measurement in rows],
             "information": self.information.tolist(),
         }
         return values_by_column | {
@@ -114,14 +118,14 @@ def rank_measurements(
         check_number(argument_name, deviation, 0.0, above=True)
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
     candidate_rows = tuple(measurements or ())
-    for row in candidate_rows:
-        row.check(model.scene)
+    for measurement in candidate_rows:
+        measurement.check(model.scene)
     if measurements is None:
         candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
     n_measured = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
     predicted_values = predictor(x[None]).values[0]
-    candidate_deviations = np.array([row.deviation for row in candidate_rows])
+    candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     if measurements is None:
         candidate_deviations = _assume_deviations(
             candidate_rows, predicted_values[n_measured:], deviations
@@ -183,10 +187,12 @@ def _assume_deviations(
 
     Displacements keep their own. Others have relative ones, of frequencies and of harmonics.
     """
-    own_deviations = np.array([row.deviation for row in candidate_rows])
-    is_at_probe = np.array([row.quantity == "displacement" for row in candidate_rows])
+    own_deviations = np.array([measurement.deviation for measurement in candidate_rows])
+    is_at_probe = np.array(
+        [measurement.quantity == "displacement" for measurement in candidate_rows]
+    )
     row_relative_deviations = np.where(
-        [row.natural for row in candidate_rows], *relative_deviations
+        [measurement.natural for measurement in candidate_rows], *relative_deviations
     )
     return np.where(is_at_probe, own_deviations, row_relative_deviations * predicted_values)
 
@@ -198,8 +204,10 @@ def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str
     measurement. Advice that changes no printed digit is left out.
     """
     model, rows = likelihood.predictor.model, likelihood.predictor.rows
-    measured_modes = {row.mode for row in rows if row.natural} or {1, 2}
-    calibrated_modes = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
+    measured_modes = {measurement.mode for measurement in rows if measurement.natural} or {1, 2}
+    calibrated_modes = {
+        measurement.mode for measurement in rows if measurement.quantity == "frequency_uncracked"
+    }
     advice_texts, relative_deviation = [], OPTIONS.advised_frequency_deviation
     if model.coarse_cases.uncracked_cases is not None and (
         missing_modes := sorted(measured_modes - calibrated_modes)
@@ -260,7 +268,7 @@ def _compute_deviations_with(
     model = likelihood.predictor.model
     predictor = model.make_predictor(likelihood.predictor.rows, further_rows)
     all_deviations = np.concatenate(
-        [likelihood.measured_deviations, [row.deviation for row in further_rows]]
+        [likelihood.measured_deviations, [measurement.deviation for measurement in further_rows]]
     )
     return _compute_log_determinant_and_deviations(
         model,
@@ -302,14 +310,14 @@ def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measure
     phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
     for probe_group in ProbeDisplacements.group_measurements(measured_rows, ()):
         group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
-        deviation = float(np.median([row.deviation for row in group_rows]))
+        deviation = float(np.median([measurement.deviation for measurement in group_rows]))
         probe_row = replace(group_rows[0], value=0.0, deviation=deviation)
         candidates += [replace(probe_row, phase=phase) for phase in phases.tolist()]
     return candidates
 
 
 def _compute_covariance_and_slopes(
-    predictor: Predictor, x: np.ndarray, deviations: np.ndarray
+    predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance of measurements and their slopes by the unknowns at x (d,).
 
@@ -471,10 +479,13 @@ class Identification(Tabular):
 
         They follow from both hypotheses' misfits, the log Bayes factor, and the intervals.
         """
-        undecided_verdict, priors = "undecided", self.priors
+        undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
             return undecided_verdict, "there is no plate without a crack to compare with"
-        min_p_value, min_log_bayes_factor = 1.0 - priors["confidence"], priors["log_bayes_factor"]
+        min_p_value, min_log_bayes_factor = (
+            1.0 - prior_by_key["confidence"],
+            prior_by_key["log_bayes_factor"],
+        )
         crack_p_value = self.misfit[1]
         uncracked_p_value = self.plain.misfit[1]
         log_bayes_factor = self.log_bayes_factor
@@ -601,10 +612,10 @@ class Identification(Tabular):
         data_by_name: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
         for branch_number, (words, branch) in enumerate(self.posterior.branch_by_words.items()):
             data_by_name[f"words_{branch_number}"] = words
-            data_by_name[f"log_likelihood_{branch_number}"] = branch.log_likelihood
+            data_by_name[f"log_likelihood_{branch_number}"] = branch.grid_log_likelihood
             data_by_name[f"probability_{branch_number}"] = self.posterior.mass_by_words[words]
-            for key, axis in zip(self.unknown, branch.axes, strict=True):
-                data_by_name[f"{key}_{branch_number}"] = axis
+            for key, axis_values in zip(self.unknown, branch.axes, strict=True):
+                data_by_name[f"{key}_{branch_number}"] = axis_values
         summary_text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         data_by_name["summary"] = summary_text
         write(data_by_name, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
@@ -736,11 +747,16 @@ def _warn_of_small_deviations(measurements: Measurements) -> list[str]:
 
     It is below the change by 0.1 K.
     """
-    rows = [row for row in measurements.rows if row.natural and row.deviation < 1e-5 * row.value]
+    rows = [
+        measurement
+        for measurement in measurements.rows
+        if measurement.natural and measurement.deviation < 1e-5 * measurement.value
+    ]
     return [
-        f"{row.name} has a standard deviation of {row.deviation:.3g} Hz, less than its change by "
-        f"0.1 K: if a relative one is meant, it is {row.deviation * row.value:.3g} Hz"
-        for row in rows[:1]
+        f"{measurement.name} has a standard deviation of {measurement.deviation:.3g} Hz, less than "
+        "its change by 0.1 K: if a relative one is meant, it is "
+        f"{measurement.deviation * measurement.value:.3g} Hz"
+        for measurement in rows[:1]
     ]
 
 
@@ -762,7 +778,7 @@ def _warn_of_misfit(identification: Identification) -> list[str]:
             "intervals may be far too small; use larger priors (identify.*_deviation), or measure "
             "more"
         )
-    n_current_rows = sum(row.quantity != "frequency_uncracked" for row in rows)
+    n_current_rows = sum(measurement.quantity != "frequency_uncracked" for measurement in rows)
     if p_value < min_p_value:
         misfit_text = f"chi^2 = {chi_square:.3g} of {len(rows)}"
         if n_current_rows > 1:
@@ -781,8 +797,8 @@ def _warn_of_misfit(identification: Identification) -> list[str]:
     ):
         rows_and_misfits = zip(rows, identification.plain.misfits_without_measurement, strict=True)
         if row_names := [
-            row.name
-            for row, (_, p_value_without_row) in rows_and_misfits
+            measurement.name
+            for measurement, (_, p_value_without_row) in rows_and_misfits
             if p_value_without_row >= min_p_value
         ]:
             rows_pronoun = "these" if len(row_names) > 1 else "that"
@@ -799,11 +815,15 @@ def _describe_single_crack_condition(identification: Identification) -> str:
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     number_keys = [
-        axis.key for axis in identify_table.unknown if not isinstance(axis.values[0], str)
+        unknown_axis.key
+        for unknown_axis in identify_table.unknown
+        if not isinstance(unknown_axis.values[0], str)
     ]
     n_numbers = len(identify_table.mesh_axes) + sum(key.startswith("crack.") for key in number_keys)
-    modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
-    if not all(row.natural for row in rows) or len(modes) > 2 * n_numbers:
+    modes = {
+        measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
+    }
+    if not all(measurement.natural for measurement in rows) or len(modes) > 2 * n_numbers:
         return ""
     frequencies_text = f"may have the same frequencies of {counted(len(modes), 'mode')}"
     return (
@@ -820,7 +840,7 @@ def _describe_unchanged_plate_condition(identification: Identification) -> str:
     explain them, but only by the prior of changes."""
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain
-    has_baseline = any(row.quantity == "frequency_uncracked" for row in rows)
+    has_baseline = any(measurement.quantity == "frequency_uncracked" for measurement in rows)
     thermal_frequency_change = abs(
         0.5
         * identify_table.temperature_coefficient

@@ -30,7 +30,7 @@ from fenics_crack.monitoring.identification.interpolation import (
     UnknownGrid,
     compute_leave_one_out_errors,
 )
-from fenics_crack.monitoring.identification.model import Prediction, ProbeDisplacements
+from fenics_crack.monitoring.identification.model import MeasurementPrediction, ProbeDisplacements
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate, compute_crack_deviations
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
 from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
@@ -150,18 +150,20 @@ class Linear:
         places = [*range(len(self.matrix)), *range(len(more))]
         return replace(self, matrix=self.matrix[places], offset=self.offset[places])
 
-    def __call__(self, x: np.ndarray) -> Prediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         return exact(x @ self.matrix.T + self.offset)
 
-    def iterate_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+    def iterate_face_states(
+        self, x: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """One alone."""
         yield np.arange(len(x)), np.ones(len(x)), self(x)
 
 
-def exact(values: np.ndarray) -> Prediction:
+def exact(values: np.ndarray) -> MeasurementPrediction:
     """Predictions (m, q) without an error."""
     (m, q), known = values.shape, np.ones(values.shape[1], dtype=bool)
-    return Prediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
+    return MeasurementPrediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
 
 
 def test_ridge_that_is_narrower_than_the_grid() -> None:
@@ -315,7 +317,7 @@ class Rows(Linear):
 class Even(Linear):
     """s = (x - 5)^2, which does not tell 2 from 8."""
 
-    def __call__(self, x: np.ndarray) -> Prediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         return exact(np.column_stack([(x[:, 0] - 5.0) ** 2, x[:, 1]]))
 
 
