@@ -192,14 +192,16 @@ def infer_unknowns(
     measurements.check(forward_models.scene)
     measurements, doubt_texts = _select_predictable_rows(forward_models, measurements)
     measurement_rows = measurements.rows
-    measured_values, measured_deviations = np.array(
+    measurement_values, measurement_deviations = np.array(
         [(measurement.value, measurement.deviation) for measurement in measurement_rows]
     ).T
     branch_by_words, uncracked_branch_by_words = (
         {
             words: Branch(
                 Likelihood(
-                    measured_values, measured_deviations, model.make_predictor(measurement_rows)
+                    measurement_values,
+                    measurement_deviations,
+                    model.make_predictor(measurement_rows),
                 )
             )
             for words, model in model_by_words.items()

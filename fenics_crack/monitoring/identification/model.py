@@ -80,7 +80,7 @@ class ProbeDisplacements:
         ]
         self._phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
         self._n_measured = len(own_rows)
-        self._measured_values = np.array([measurement.value for measurement in own_rows])
+        self._measurement_values = np.array([measurement.value for measurement in own_rows])
         self._weights = 1.0 / np.array([measurement.deviation for measurement in own_rows])
 
     @classmethod
@@ -143,7 +143,7 @@ class ProbeDisplacements:
         # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
         # times the largest displacement.
         phase_changes = np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_parts).sum(axis=2).imag
-        constant_change = 10.0 * np.max(np.abs(self._measured_values), initial=0.0)
+        constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
         load_changes = np.stack(
             [displacements, phase_changes, np.full_like(displacements, constant_change)], axis=2
         )
@@ -162,7 +162,7 @@ class ProbeDisplacements:
         )
         displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
         weight_shares = self._weights**2 / np.sum(self._weights**2)
-        centred_values = self._measured_values - weight_shares @ self._measured_values
+        centred_values = self._measurement_values - weight_shares @ self._measurement_values
         centred_displacements = displacements - (displacements @ weight_shares)[..., None]
         projections = centred_displacements @ (weight_shares * centred_values)
         squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
@@ -174,7 +174,7 @@ class ProbeDisplacements:
             / squared_norms[all_indices, best_phase_indices]
         )
         load_phases = tried_phases[best_phase_indices]
-        constants = weight_shares @ self._measured_values - load_sizes * (
+        constants = weight_shares @ self._measurement_values - load_sizes * (
             displacements[all_indices, best_phase_indices] @ weight_shares
         )
         for _ in range(4):
@@ -186,10 +186,10 @@ class ProbeDisplacements:
             displacements = harmonic_parts.sum(axis=2).real
             phase_slopes = load_sizes[:, None] * (harmonic_orders * harmonic_parts).sum(axis=2).imag
             weighted_residuals = self._weights * (
-                self._measured_values - load_sizes[:, None] * displacements - constants[:, None]
+                self._measurement_values - load_sizes[:, None] * displacements - constants[:, None]
             )
             parameter_scales = np.array(
-                [1.0, 1.0, np.max(np.abs(self._measured_values)) + np.finfo(float).tiny]
+                [1.0, 1.0, np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny]
             )
             weighted_columns = np.stack(
                 [displacements * load_sizes[:, None], phase_slopes, np.ones_like(displacements)],

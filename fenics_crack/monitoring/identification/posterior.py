@@ -59,14 +59,14 @@ class Likelihood:
 
     Attributes
     ----------
-    measured_values, measured_deviations : (q,)
+    measurement_values, measurement_deviations : (q,)
         Measured values and their standard deviations.
     predictor : MeasurementPredictor
         Their predictions.
     """
 
-    measured_values: np.ndarray
-    measured_deviations: np.ndarray
+    measurement_values: np.ndarray
+    measurement_deviations: np.ndarray
     predictor: MeasurementPredictor
 
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class Likelihood:
         The last is the root of log(det L L^T / p^2). All are in the most probable state of the
         crack faces, with its probability p.
         """
-        residual_rows = np.full((len(x), len(self.measured_values) + 1), np.inf)
+        residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
             is_more_probable = np.sum(state_residuals**2, axis=1) < np.sum(
                 residual_rows[point_indices] ** 2, axis=1
@@ -118,12 +118,12 @@ class Likelihood:
         for point_indices, probabilities, prediction in self.predictor.iterate_face_states(x):
             cholesky_factor = np.linalg.cholesky(
                 compute_scaled_covariance(
-                    prediction, self.measured_values, self.measured_deviations
+                    prediction, self.measurement_values, self.measurement_deviations
                 )
             )
             scaled_differences = (
-                self.measured_values - prediction.values
-            ) / self.measured_deviations
+                self.measurement_values - prediction.values
+            ) / self.measurement_deviations
             half_log_determinants = np.log(np.diagonal(cholesky_factor, axis1=1, axis2=2)).sum(
                 axis=1
             ) - np.log(probabilities)
@@ -148,13 +148,13 @@ class Likelihood:
         temperature_slopes = (
             prediction.values[0]
             * self.predictor.baseline_changes.unknown_temperature_changes[:, 0]
-            / self.measured_deviations
+            / self.measurement_deviations
         )
         scaled_differences = (
-            self.measured_values - prediction.values[0]
-        ) / self.measured_deviations
+            self.measurement_values - prediction.values[0]
+        ) / self.measurement_deviations
         covariance = compute_scaled_covariance(
-            prediction, self.measured_values, self.measured_deviations
+            prediction, self.measurement_values, self.measurement_deviations
         )[0]
         return float(temperature_slopes @ np.linalg.solve(covariance, scaled_differences))
 
@@ -180,13 +180,13 @@ class Likelihood:
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
-            len(self.measured_values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
+            len(self.measurement_values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
     def without_measurement(self, omitted_row: int) -> Likelihood:
         """Return the likelihood of all measurements but one."""
-        is_kept = np.arange(len(self.measured_values)) != omitted_row
+        is_kept = np.arange(len(self.measurement_values)) != omitted_row
         rows = [
             measurement
             for measurement, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
@@ -194,7 +194,7 @@ class Likelihood:
         ]
         predictor = self.predictor.model.make_predictor(rows)
         return Likelihood(
-            self.measured_values[is_kept], self.measured_deviations[is_kept], predictor
+            self.measurement_values[is_kept], self.measurement_deviations[is_kept], predictor
         )
 
 
@@ -354,7 +354,7 @@ class Branch:
             Share of the interpolation along each unknown there.
         """
         likelihood, explaining_points = self.likelihood, [np.zeros((0, len(self.axes)))]
-        share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measured_values)))]
+        share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
         grid_points_and_optima = np.vstack(
             [
                 list_first_grid_points(likelihood.predictor.model.unknown_grid),
@@ -369,7 +369,7 @@ class Branch:
                 explaining_points.append(x)
                 share_arrays.append(
                     variances_by_unknown
-                    / (total_variances + likelihood.measured_deviations**2)[:, None]
+                    / (total_variances + likelihood.measurement_deviations**2)[:, None]
                 )
         return np.vstack(explaining_points), np.vstack(share_arrays)
 
@@ -565,7 +565,7 @@ class Posterior:
         likelihood, x = self._best_likelihood_and_unknowns
         return [
             likelihood.without_measurement(row_index).compute_misfit(x)
-            for row_index in range(len(likelihood.measured_values))
+            for row_index in range(len(likelihood.measurement_values))
         ]
 
     def compute_misfit_with_changes(

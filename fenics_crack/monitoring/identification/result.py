@@ -132,7 +132,7 @@ def rank_measurements(
         )
     is_usable = np.isfinite(predicted_values[n_measured:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
-        [likelihood.measured_deviations, np.where(is_usable, candidate_deviations, 1.0)]
+        [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
     )
     covariance_and_slopes = _compute_covariance_and_slopes(predictor, x, all_deviations)
     measured_indices = np.arange(n_measured)
@@ -268,7 +268,7 @@ def _compute_deviations_with(
     model = likelihood.predictor.model
     predictor = model.make_predictor(likelihood.predictor.rows, further_rows)
     all_deviations = np.concatenate(
-        [likelihood.measured_deviations, [measurement.deviation for measurement in further_rows]]
+        [likelihood.measurement_deviations, [measurement.deviation for measurement in further_rows]]
     )
     return _compute_log_determinant_and_deviations(
         model,
@@ -674,12 +674,12 @@ class Identification(Tabular):
         model_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
-        residuals = (likelihood.measured_values - predicted_values) / np.hypot(
-            likelihood.measured_deviations, model_deviations
+        residuals = (likelihood.measurement_values - predicted_values) / np.hypot(
+            likelihood.measurement_deviations, model_deviations
         )
         table_columns = (
-            likelihood.measured_values,
-            likelihood.measured_deviations,
+            likelihood.measurement_values,
+            likelihood.measurement_deviations,
             predicted_values,
             model_deviations,
             residuals,
