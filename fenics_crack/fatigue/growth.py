@@ -576,7 +576,7 @@ def _find_max_ellipse_length(scene: Scene) -> float:
     """Return the maximum length [m] of a half-ellipse in the table.
 
     Around a point the distance to the sides is unknown. There the length is a crack's with three
-    times the growth along the face.
+    times the relative growth along the face.
     """
     crack, law = scene.given("crack"), scene.given("growth")
     if crack.point is not None:
@@ -755,8 +755,8 @@ def _integrate_cycles(
 def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None = None) -> Scene:
     """Return the scene with another crack size at a load frequency.
 
-    It has no curve and no sweep. The load frequency omega [rad/s] replaces an engine order, and the
-    quantities are the ranges that drive growth.
+    The scene must have no curve and no sweep. The load frequency omega [rad/s] replaces an engine
+    order, and the quantities are the ranges that drive growth.
     """
     value_by_key = {"crack.length": length, "excitation.omega": omega}
     quantity_names = names_of(Place.TIPS if depth is None else Place.ELLIPSE, where=Where.GROWING)

@@ -116,7 +116,8 @@ def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarra
     """Return the spline's error at each node if that node is left out.
 
     The values (n, ...) and errors (n, ...) are on an axis (n,). The ends are never left out, and
-    take their neighbours' errors."""
+    take their neighbours' errors.
+    """
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis_values) - 1):
         is_other_node = np.arange(len(axis_values)) != node_index
@@ -192,7 +193,8 @@ class Interpolation:
         """Return weighted errors of all quantities around x (m, d): (m, k, q).
 
         They belong to the nodes around, along each axis and at failed cases; the sum of their
-        squares is the covariance."""
+        squares is the covariance.
+        """
         errors_by_axis = self.compute_weighted_errors_by_axis(x)
         return (
             np.concatenate(errors_by_axis, axis=1)

@@ -579,10 +579,10 @@ class MeasurementPredictor:
         )
 
     def _estimate_error_scales(self) -> np.ndarray:
-        """Return interpolation errors halfway between nodes over the estimated ones, at least 1:
-        (2f,).
+        """Return factors (2f,), at least 1, by which interpolation errors are understated.
 
-        Features with more waves than nodes look smooth, as higher modes along the height do.
+        They compare the errors halfway between nodes with the estimated errors. Features with more
+        waves than nodes look smooth, as higher modes along the height do.
         """
         halfway_cases = self.model.halfway_cases
         if halfway_cases is None:
@@ -1053,7 +1053,8 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     """List possible states of the crack faces at resonances, with weights that sum to 1.
 
     The faces breathe. If the motion's shape depends on the load's size, they breathe for any part
-    of the period. They may also stay open or closed, if any solved case does.
+    of the period. They may stay open if any solved case is ever open, and closed if any is ever
+    closed.
     """
     if has_load_independent_shape(model.scene):
         return (BREATHING_FACES,)
@@ -1090,7 +1091,8 @@ def _combine_features(
     """Combine feature sizes (m, k) to a measured quantity.
 
     Returns the quantity (m,) and its slopes (m, k) by the sizes. A resonance is near the frequency
-    with the state's index."""
+    with the state's index.
+    """
     if measurement.natural or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
             len(feature_sizes), axis=0

@@ -167,11 +167,11 @@ class UncrackedPlate:
         )
 
     def compute_clamp_sensitivities(self, speed_ratio: float) -> np.ndarray:
-        """Return relative changes of natural frequencies by a soft clamp, at a relative speed.
+        """Return relative changes of natural frequencies by a soft clamp.
 
-        (n, 2): by a turning clamp and by a moving clamp, over the change of the first frequency at
-        the rotor's speed by both. If the clamp is unknown, they are the same for all modes and by
-        turning only, as of a slender beam.
+        (n, 2) at a speed relative to the rotor's: by a turning clamp and by a moving clamp, over
+        the change of the first frequency at the rotor's speed by both. If the clamp is unknown,
+        they are the same for all modes and by turning only, as of a slender beam.
         """
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])

@@ -574,7 +574,8 @@ class Posterior:
         """Return chi^2 and its p-value with larger changes since the baseline.
 
         They are at the same x. The factors multiply the prior changes by the clamp and by an
-        unknown temperature."""
+        unknown temperature.
+        """
         likelihood, x = self._best_likelihood_and_unknowns
         predictor = likelihood.predictor.with_change_factors(
             clamp_factor=clamp_factor, temperature_factor=temperature_factor

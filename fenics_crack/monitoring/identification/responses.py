@@ -52,7 +52,7 @@ class FrequencyResponse:
     Attributes
     ----------
     frequencies : (n,) [Hz]
-    values : (n,) complex
+    response_values : (n,) complex
     derivative_order : int
         0 for a displacement over a force, 1 for a velocity, 2 for an acceleration.
     """

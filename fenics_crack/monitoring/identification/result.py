@@ -397,8 +397,7 @@ class Identification(Tabular):
 
     @cached_property
     def _region_parts(self) -> list[tuple[str, np.ndarray, float]]:
-        """Return words, middle (d,) and probability of the region's separate parts, largest
-        first."""
+        """List the region's separate parts: words, middle (d,) and probability, largest first."""
         return self.posterior.find_region_parts(
             self._identify_table.confidence, OPTIONS.min_part_probability
         )
@@ -453,8 +452,8 @@ class Identification(Tabular):
     def conclusion(self) -> str:
         """Return the verdict in words.
 
-        No crack has the sizes, ends of :attr:`intervals`, up to which a crack may exist all the
-        same.
+        "No crack" comes with the sizes, upper ends of :attr:`intervals`, up to which a crack may
+        exist all the same.
         """
         upper_ends = [
             (key, upper_end)
@@ -837,7 +836,8 @@ def _describe_unchanged_plate_condition(identification: Identification) -> str:
 
     The condition applies if a plate without a crack does not explain the measurements, but would
     with changes since the baseline as large as a clamp can make. It also applies if the plate does
-    explain them, but only by the prior of changes."""
+    explain them, but only by the prior of changes.
+    """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain
     has_baseline = any(measurement.quantity == "frequency_uncracked" for measurement in rows)
