@@ -410,7 +410,7 @@ def _collect_life_errors(
     vibration_error: float,
     interpolation_error: float,
 ) -> dict[str, float]:
-    """Return errors of ln N by cause: growth law, range and interpolation.
+    """Return errors in ln N by cause: growth law, range and interpolation.
 
     Parameters
     ----------
@@ -573,7 +573,7 @@ def _collect_ellipse_remarks(
 
 
 def _find_max_ellipse_length(scene: Scene) -> float:
-    """Return the maximum length [m] of a half-ellipse in the table.
+    """Find the maximum length [m] for half-ellipses in the table.
 
     Around a point the distance to the sides is unknown. There the length is a crack's with three
     times the relative growth along the face.
@@ -645,7 +645,7 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
 
 
 def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) -> str:
-    """Return depth and length of a case in words."""
+    """Describe a case by depth and length."""
     depth, length = (
         axis.values[size_index]
         for axis, size_index in zip(sweep_result.axes, case_index, strict=True)
@@ -949,7 +949,7 @@ class LengthPath:
     ) -> LengthPath:
         """Return the path with the cases of one more sweep.
 
-        The sweep is over lengths and the levels of a spectrum, with the cycles of each level.
+        The sweep is over lengths and a spectrum's levels, with the cycles at each level.
         """
         sweep_lengths = np.array(sweep_result.axes[0].values)
         is_solved = sweep_result.converged.reshape(len(sweep_lengths), -1).all(axis=1)
@@ -1120,7 +1120,7 @@ def _solve_lengths(
 
 
 def _list_load_levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """Return load frequencies [rad/s] of a spectrum and the cycles of each.
+    """List a spectrum's load frequencies [rad/s], and the cycles at each.
 
     Without a spectrum: no frequencies, and one cycle.
     """
@@ -1160,7 +1160,7 @@ def _sweep_crack_sizes(
 def _estimate_interval_errors(
     previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
 ) -> np.ndarray:
-    """Return the spline's error of ln delta K in each interval between lengths: (k - 1,).
+    """Return the spline's error in ln delta K between neighbouring lengths: (k - 1,).
 
     In new intervals it is the previous spline's error at the interval ends, a quarter of the
     largest difference. In other intervals it is the previous error or, if larger, the difference

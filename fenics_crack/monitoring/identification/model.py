@@ -162,9 +162,9 @@ class ProbeDisplacements:
         )
         displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
         weight_shares = self._weights**2 / np.sum(self._weights**2)
-        centred_values = self._measurement_values - weight_shares @ self._measurement_values
+        centred_measurements = self._measurement_values - weight_shares @ self._measurement_values
         centred_displacements = displacements - (displacements @ weight_shares)[..., None]
-        projections = centred_displacements @ (weight_shares * centred_values)
+        projections = centred_displacements @ (weight_shares * centred_measurements)
         squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
         explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
         best_phase_indices = explained_squares.argmax(axis=1)

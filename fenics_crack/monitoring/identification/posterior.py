@@ -527,8 +527,9 @@ class Posterior:
         self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
         log_evidence_sum = logsumexp(log_evidences)
         self.mass_by_words = {
-            words: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
-            for words, branch in self.branch_by_words.items()
+            branch_words: np.exp(branch.grid_log_likelihood - log_evidence_sum)
+            * branch.prior_masses
+            for branch_words, branch in self.branch_by_words.items()
         }
         """Probability of each grid point; the sum is 1."""
         self._log_likelihoods = np.concatenate(
@@ -541,17 +542,17 @@ class Posterior:
     @property
     def best_words_and_unknowns(self) -> tuple[str, np.ndarray]:
         """Return the words and the unknowns (d,) with the largest L."""
-        words = max(
+        branch_words = max(
             self.branch_by_words,
-            key=lambda words: self.branch_by_words[words].optima[0].log_likelihood,
+            key=lambda branch_words: self.branch_by_words[branch_words].optima[0].log_likelihood,
         )
-        return words, self.branch_by_words[words].optima[0].x
+        return branch_words, self.branch_by_words[branch_words].optima[0].x
 
     @property
     def _best_likelihood_and_unknowns(self) -> tuple[Likelihood, np.ndarray]:
         """Return the likelihood and the unknowns (d,) with the largest L."""
-        words, x = self.best_words_and_unknowns
-        return self.branch_by_words[words].likelihood, x
+        branch_words, x = self.best_words_and_unknowns
+        return self.branch_by_words[branch_words].likelihood, x
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
@@ -599,7 +600,7 @@ class Posterior:
         an unknown, as on a thin ridge.
         """
         unresolved_sum = 0.0
-        for words, branch in self.branch_by_words.items():
+        for branch_words, branch in self.branch_by_words.items():
             is_unresolved = np.zeros(branch.grid_log_likelihood.shape, dtype=bool)
             for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
                 neighbour_footprint = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
@@ -607,7 +608,7 @@ class Posterior:
                     branch.grid_log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
                 )
                 is_unresolved |= branch.grid_log_likelihood - neighbour_maxima > 2.0
-            unresolved_sum += float(np.sum(self.mass_by_words[words][is_unresolved]))
+            unresolved_sum += float(np.sum(self.mass_by_words[branch_words][is_unresolved]))
         return unresolved_sum
 
     def find_region_level(self, probability: float) -> float:
@@ -652,12 +653,12 @@ class Posterior:
     def compute_marginal(self, unknown_index: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of an unknown and their probabilities: (n,) each."""
         value_arrays, mass_arrays = [], []
-        for words, branch in self.branch_by_words.items():
+        for branch_words, branch in self.branch_by_words.items():
             other_axes = tuple(
                 axis_index for axis_index in range(len(branch.axes)) if axis_index != unknown_index
             )
             value_arrays.append(branch.axes[unknown_index])
-            mass_arrays.append(self.mass_by_words[words].sum(axis=other_axes))
+            mass_arrays.append(self.mass_by_words[branch_words].sum(axis=other_axes))
         value_order = np.argsort(np.concatenate(value_arrays), kind="stable")
         return np.concatenate(value_arrays)[value_order], np.concatenate(mass_arrays)[value_order]
 
@@ -683,12 +684,12 @@ class Posterior:
         """
         border_log_likelihood = self.find_region_level(probability)
         region_parts = []
-        for words, branch in self.branch_by_words.items():
+        for branch_words, branch in self.branch_by_words.items():
             is_inside = branch.grid_log_likelihood >= border_log_likelihood
             part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
             for part_number in range(1, n_parts + 1):
                 is_part_point = part_numbers == part_number
-                point_masses = self.mass_by_words[words][is_part_point]
+                point_masses = self.mass_by_words[branch_words][is_part_point]
                 if point_masses.sum() >= min_probability:
                     grid_indices = np.argwhere(is_part_point)
                     unknown_columns = [
@@ -708,7 +709,7 @@ class Posterior:
                                 np.sum(((part_points - part_middle) / part_widths) ** 2, axis=1)
                             )
                         ]
-                    region_parts.append((words, part_middle, float(point_masses.sum())))
+                    region_parts.append((branch_words, part_middle, float(point_masses.sum())))
         return sorted(region_parts, key=lambda part: -part[2])
 
     def compute_deviation(self, unknown_index: int) -> float:
@@ -717,10 +718,13 @@ class Posterior:
         return float(np.sqrt(np.cov(unknown_values, aweights=value_masses, ddof=0)))
 
     def compute_pair_marginal(
-        self, words: str, first_index: int, second_index: int
+        self, branch_words: str, first_index: int, second_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a branch's mass over two unknowns, and its density: (n_first, n_second) each."""
-        mass_and_prior = self.mass_by_words[words], self.branch_by_words[words].prior_masses
+        mass_and_prior = (
+            self.mass_by_words[branch_words],
+            self.branch_by_words[branch_words].prior_masses,
+        )
         other_axes = tuple(
             axis_index
             for axis_index in range(mass_and_prior[0].ndim)

@@ -273,7 +273,7 @@ def _fit_mode(
     receptance_vector, tiled_r = fitted_receptances.ravel(), np.tile(r, n_responses)
     equation_weights = np.ones(len(receptance_vector))
     for _ in range(10):
-        weighted_columns = (
+        weighted_design_matrix = (
             np.column_stack(
                 [
                     receptance_vector,
@@ -285,22 +285,22 @@ def _fit_mode(
             * equation_weights[:, None]
         )
         weighted_targets = receptance_vector * tiled_r**2 * equation_weights
-        real_matrix, real_targets = (
+        real_design_matrix, real_targets = (
             np.concatenate([complex_array.real, complex_array.imag])
-            for complex_array in (weighted_columns, weighted_targets)
+            for complex_array in (weighted_design_matrix, weighted_targets)
         )
-        fit_coefficients = np.linalg.lstsq(real_matrix, real_targets, rcond=None)[0]
+        fit_coefficients = np.linalg.lstsq(real_design_matrix, real_targets, rcond=None)[0]
         equation_weights = 1.0 / np.abs(
             fit_coefficients[0] + 1j * fit_coefficients[1] * tiled_r - tiled_r**2
         )
     if fit_coefficients[0] <= 0.0 or fit_coefficients[1] <= 0.0:
         return None
-    equation_residuals = real_targets - real_matrix @ fit_coefficients
+    equation_residuals = real_targets - real_design_matrix @ fit_coefficients
     coefficient_variance = (
         equation_residuals
         @ equation_residuals
         / (len(real_targets) - len(fit_coefficients))
-        * np.linalg.inv(real_matrix.T @ real_matrix)[0, 0]
+        * np.linalg.inv(real_design_matrix.T @ real_design_matrix)[0, 0]
     )
     mode_frequency = omega[peak_index] / TURN * np.sqrt(fit_coefficients[0])
     frequency_deviation = 0.5 * mode_frequency / fit_coefficients[0] * np.sqrt(coefficient_variance)

@@ -299,8 +299,8 @@ def _compute_log_determinant_and_deviations(
     crack_and_fit_deviations = np.hypot(
         equivalent_deviations, model.compute_crack_deviations(x[None])[0]
     )
-    log_determinant = float(np.linalg.slogdet(fisher_information)[1])
-    return log_determinant, dict(
+    information_log_determinant = float(np.linalg.slogdet(fisher_information)[1])
+    return information_log_determinant, dict(
         zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
     )
 
@@ -405,12 +405,12 @@ class Identification(Tabular):
     @cached_property
     def _estimate_branch_and_unknowns(self) -> tuple[Branch, np.ndarray]:
         """Return the branch and the unknowns (d,) of the estimate."""
-        words, x = (
+        branch_words, x = (
             self._region_parts[0][:2]
             if self._region_parts
             else self.posterior.best_words_and_unknowns
         )
-        return self.posterior.branch_by_words[words], x
+        return self.posterior.branch_by_words[branch_words], x
 
     @property
     def estimate(self) -> dict[str, Any]:
@@ -545,8 +545,8 @@ class Identification(Tabular):
         """
         branch_by_words = self.posterior.branch_by_words
         return [
-            (branch_by_words[words].get_value_by_key(part_middle), part_probability)
-            for words, part_middle, part_probability in self._region_parts
+            (branch_by_words[branch_words].get_value_by_key(part_middle), part_probability)
+            for branch_words, part_middle, part_probability in self._region_parts
         ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
@@ -609,12 +609,16 @@ class Identification(Tabular):
             A file cannot be written.
         """
         data_by_name: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
-        for branch_number, (words, branch) in enumerate(self.posterior.branch_by_words.items()):
-            data_by_name[f"words_{branch_number}"] = words
+        for branch_number, (branch_words, branch) in enumerate(
+            self.posterior.branch_by_words.items()
+        ):
+            data_by_name[f"words_{branch_number}"] = branch_words
             data_by_name[f"log_likelihood_{branch_number}"] = branch.grid_log_likelihood
-            data_by_name[f"probability_{branch_number}"] = self.posterior.mass_by_words[words]
-            for key, axis_values in zip(self.unknown, branch.axes, strict=True):
-                data_by_name[f"{key}_{branch_number}"] = axis_values
+            data_by_name[f"probability_{branch_number}"] = self.posterior.mass_by_words[
+                branch_words
+            ]
+            for unknown_key, axis_values in zip(self.unknown, branch.axes, strict=True):
+                data_by_name[f"{unknown_key}_{branch_number}"] = axis_values
         summary_text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         data_by_name["summary"] = summary_text
         write(data_by_name, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
@@ -706,8 +710,8 @@ class Identification(Tabular):
         if len(alternatives) > 1:
             crack_texts = [
                 " and ".join(
-                    f"{key_in_words(key)} {value_in_words(key, value)}"
-                    for key, value in value_by_key.items()
+                    f"{key_in_words(unknown_key)} {value_in_words(unknown_key, unknown_value)}"
+                    for unknown_key, unknown_value in value_by_key.items()
                 )
                 + f" ({part_probability:.0%})"
                 for value_by_key, part_probability in alternatives
@@ -717,10 +721,10 @@ class Identification(Tabular):
         for unknown_index, side_text, bound_value in self.posterior.iterate_reached_bounds(
             self._identify_table.confidence
         ):
-            key = self.unknown[unknown_index]
-            bound_text = f"{side_text} {value_in_words(key, bound_value)}"
+            unknown_key = self.unknown[unknown_index]
+            bound_text = f"{side_text} {value_in_words(unknown_key, bound_value)}"
             warning_texts.append(
-                f"{key_in_words(key)} may be {bound_text}, outside the bounds of the search"
+                f"{key_in_words(unknown_key)} may be {bound_text}, outside the bounds of the search"
             )
         return warning_texts
 
@@ -730,10 +734,12 @@ class Identification(Tabular):
             title_parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
         if self.verdict == NO_CRACK_VERDICT:
             return title_parts[0]
-        for unknown_index, key in enumerate(self.unknown):
-            value = value_in_words(key, self.estimate[key])
-            deviation = value_in_words(key, self.posterior.compute_deviation(unknown_index))
-            title_parts.append(f"{key} = {value} ± {deviation}")
+        for unknown_index, unknown_key in enumerate(self.unknown):
+            estimate_text = value_in_words(unknown_key, self.estimate[unknown_key])
+            deviation_text = value_in_words(
+                unknown_key, self.posterior.compute_deviation(unknown_index)
+            )
+            title_parts.append(f"{unknown_key} = {estimate_text} ± {deviation_text}")
         if len(self.alternatives) > 1:
             title_parts.append("NOT THE ONLY ONE")
         title_parts += ["IF IT IS ONE CRACK"] * bool(_describe_single_crack_condition(self))
