@@ -28,7 +28,11 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.monitoring.identification.identify import Forward, infer, solve_forward
+from fenics_crack.monitoring.identification.identify import (
+    SolvedForwardModels,
+    infer_unknowns,
+    solve_forward,
+)
 
 WIDTH, HEIGHT = 0.1, 0.3
 LOADS = (150.0, 500.0, 1100.0)
@@ -205,7 +209,7 @@ class Score:
         )
 
 
-def cracked(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str]) -> None:
+def cracked(forward: SolvedForwardModels, scene: fc.Scene, seed: int, kinds: list[str]) -> None:
     """Print how cracks are found in plates that differ from the scene's."""
     cracks, others = places(seed), list(PLATES)[1:]
     plates = [others[k % len(others)] for k in range(len(cracks))]
@@ -219,7 +223,7 @@ def cracked(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str]) -> N
             for rows, name, crack in zip(measured, plates, cracks, strict=True):
                 more = bare[name] if known else []
                 some = noisy([*rows, *more], (*KINDS[kind], BEFORE), rng)
-                score.add(infer(forward, some), crack)
+                score.add(infer_unknowns(forward, some), crack)
             print(f"cracks, {kind}{', and before' if known else ''}: {score}", flush=True)
 
 
@@ -250,7 +254,7 @@ def inclined_mesh(crack: np.ndarray, degrees: float, path: Path) -> None:
     gmsh.finalize()
 
 
-def inclined(forward: Forward, scene: fc.Scene, seed: int, folder: Path) -> None:
+def inclined(forward: SolvedForwardModels, scene: fc.Scene, seed: int, folder: Path) -> None:
     """Print how cracks are found that are inclined."""
     gone = ("edge", "height", "length")
     changes = {f"crack.{key}": None for key in gone} | {"identify": None, "output": None}
@@ -265,12 +269,14 @@ def inclined(forward: Forward, scene: fc.Scene, seed: int, folder: Path) -> None
         rows = natural(scene.replace(changes | {"mesh.file": str(path)}))
         for known, score in scores.items():
             some = noisy([*rows, *(bare if known else [])], (*KINDS["frequencies"], BEFORE), rng)
-            score.add(infer(forward, some), crack)
+            score.add(infer_unknowns(forward, some), crack)
     for known, score in scores.items():
         print(f"inclined cracks, frequencies{', and before' if known else ''}: {score}", flush=True)
 
 
-def whole(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str], draws: int) -> None:
+def whole(
+    forward: SolvedForwardModels, scene: fc.Scene, seed: int, kinds: list[str], draws: int
+) -> None:
     """Print how often a crack is claimed in plates without one."""
     rows = {name: exact(another(scene, name)) for name in PLATES}
     for kind in kinds:
@@ -281,7 +287,7 @@ def whole(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str], draws:
                 for _ in range(draws):
                     more = before(plate) if known else []
                     some = noisy([*plate, *more], (*KINDS[kind], BEFORE), rng)
-                    claimed += infer(forward, some).verdict == "crack"
+                    claimed += infer_unknowns(forward, some).verdict == "crack"
                 claims.append(claimed)
             counts = ", ".join(map(str, claims))
             name = f"none, {kind}{', and before' if known else ''}"

@@ -244,18 +244,23 @@ def _convert_arrivals(
     """
     from fenics_crack.arrivals.arrival_times import STEADY
     from fenics_crack.monitoring import scene_timing
-    from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
+    from fenics_crack.monitoring.identification.measurements import (
+        Measurements,
+        list_crack_removal_changes,
+    )
 
     arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, arrival_source, console.comm)
     [arrivals] = arrivals_by_blade.values()
-    console.print_remarks(*([] if run else scene_timing.remarks_on_arrivals(arrivals)))
+    console.print_remarks(*([] if run else scene_timing.list_arrival_remarks(arrivals)))
     option_name = "--before" if is_uncracked else "arrivals"
     if scene_timing.is_run_up(arrivals, run):
         with console.report_stage("resonances"):
-            blade_scene = scene.replace(without_crack(scene) or {}) if is_uncracked else scene
-            passed_modes = scene_timing.modes_passed(blade_scene, arrivals)
+            blade_scene = (
+                scene.replace(list_crack_removal_changes(scene) or {}) if is_uncracked else scene
+            )
+            passed_modes = scene_timing.find_passed_modes(blade_scene, arrivals)
         console.print_notes(
-            *(scene_timing.passed_in_words(*passed_mode) for passed_mode in passed_modes)
+            *(scene_timing.describe_passage(*passed_mode) for passed_mode in passed_modes)
         )
         passage_fits, mode_numbers, _ = (
             zip(*passed_modes, strict=True) if passed_modes else ((), (), ())
@@ -276,8 +281,8 @@ def _convert_arrivals(
             f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"
         )
         raise InputError(option_name, measured_speed, requirement_text)
-    engine_order = scene_timing.engine_order(scene.given("tip_timing"), scene)
-    tip_displacement, reference_text = scene_timing.probed_displacement(scene)
+    engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
+    tip_displacement, reference_text = scene_timing.find_probed_displacement(scene)
     return Measurements.from_arrivals(
         arrivals, engine_order, tip_displacement, against=reference_text
     )
@@ -287,7 +292,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     """Identify a crack from measurements, and propose where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy
-    from fenics_crack.monitoring.identification.report import Identified
+    from fenics_crack.monitoring.identification.report import IdentificationOutput
 
     scene, folder = inputs.scene, inputs.folder
     measurement_sets = [] if inputs.measurements is None else [inputs.measurements]
@@ -323,7 +328,9 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     console.print_table(identification.table())
     file_names = f"posterior.{console.picture_format}, fit.csv, where_to_measure.csv"
     console.print_notes(f"{folder / 'identify.h5'}, .json; {file_names}", replacement_note)
-    report = build_report(Identified(scene, identification.summary(), folder / "posterior.png"))
+    report = build_report(
+        IdentificationOutput(scene, identification.summary(), folder / "posterior.png")
+    )
     remark_texts = [*report.remarks, *remarks_on_scene(scene)]
     return print_report_sentences(
         replace(report, remarks=remark_texts, has_converged=not identification.doubts), console

@@ -272,14 +272,19 @@ def _read_measurements(
         raise InputError("measurements", None, requirement_text)
     if not measurement_paths and uncracked_path is None and not mode_numbers:
         return None
-    from fenics_crack.monitoring.identification.measurements import UNIVERSAL, Measurements
+    from fenics_crack.monitoring.identification.measurements import (
+        UNIVERSAL_FILE_SUFFIXES,
+        Measurements,
+    )
 
     if (
         mode_numbers
         and uncracked_path is None
-        and not any(path.suffix.lower() in UNIVERSAL for path in measurement_paths)
+        and not any(path.suffix.lower() in UNIVERSAL_FILE_SUFFIXES for path in measurement_paths)
     ):
-        requirement_text = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
+        requirement_text = (
+            f"left out without frequency responses ({', '.join(UNIVERSAL_FILE_SUFFIXES)})"
+        )
         raise InputError("--modes", list(mode_numbers), requirement_text)
     measurement_sets = [Measurements.read(path, mode_numbers) for path in measurement_paths]
     if uncracked_path is not None:

@@ -112,7 +112,7 @@ def _write_arrivals(
         f".{console.picture_format}"
     )
     if run is not None:
-        console.print_notes(scene_timing.tip_in_words(scene.given("tip_timing"), run))
+        console.print_notes(scene_timing.describe_tip(scene.given("tip_timing"), run))
 
 
 def _fit_blade_vibrations(
@@ -150,7 +150,7 @@ def _describe_timing_warnings(
 ) -> Iterator[str]:
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
-        yield from scene_timing.remarks_on_arrivals(arrivals)
+        yield from scene_timing.list_arrival_remarks(arrivals)
         record_and_scene_speeds = arrivals.mean_speed, scene.speed
         if (
             scene.speed > 0.0
@@ -169,7 +169,7 @@ def _describe_timing_warnings(
         scene_timing.describe_run_up_end(scene, run),
     )
     yield from filter(None, doubt_texts)
-    if scene_timing.curve_of(run) is None:
+    if scene_timing.get_response_curve(run) is None:
         motion = run.result
         yield from describe_large_error(run.scene, motion.report, motion.harmonics)
         yield from describe_instability(run.scene, run, motion.stability)
@@ -214,7 +214,7 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     fits_by_blade = _fit_blade_vibrations(
         TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
     )
-    doubt_texts = tuple(scene_timing.remarks_on_arrivals(first_arrivals))
+    doubt_texts = tuple(scene_timing.list_arrival_remarks(first_arrivals))
     return _write_timing_report(
         Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )

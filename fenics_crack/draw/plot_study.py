@@ -100,8 +100,12 @@ def draw_posterior(
     first, second = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
     grids = {
-        name: (branch.axes[first], branch.axes[second], *posterior.pair(name, first, second))
-        for name, branch in posterior.branches.items()
+        name: (
+            branch.axes[first],
+            branch.axes[second],
+            *posterior.compute_pair_marginal(name, first, second),
+        )
+        for name, branch in posterior.branch_by_words.items()
     }
     levels = _levels(list(grids.values()))
     within = [np.array([[found.estimate[x], found.estimate[y]]])]
@@ -120,7 +124,7 @@ def draw_posterior(
         within.append(np.column_stack([right[across], up[upwards]]))
     look = {"color": "black", "ms": 10, "mew": 1.5, "clip_on": False, "label": "estimate"}
     panel.plot(*within[0].T, "+", **look)
-    axes = next(iter(posterior.branches.values())).axes
+    axes = next(iter(posterior.branch_by_words.values())).axes
     _set_limits(panel, np.concatenate(within), (axes[first], axes[second]))
     label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of_key(y))
@@ -132,9 +136,11 @@ def _draw_density(panel: Axes, found: Identification, x: str) -> None:
     place, posterior = found.unknown.index(x), found.posterior
     low, high = found.intervals[x]
     lines = {}
-    for name, branch in posterior.branches.items():
+    for name, branch in posterior.branch_by_words.items():
         others = tuple(k for k in range(len(branch.axes)) if k != place)
-        density = posterior.mass[name].sum(axis=others) / branch.weight.sum(axis=others)
+        density = posterior.mass_by_words[name].sum(axis=others) / branch.prior_masses.sum(
+            axis=others
+        )
         values = np.unique([*branch.axes[place], low, high])
         lines[name] = values, np.interp(values, branch.axes[place], density)
     most = max(density.max() for _, density in lines.values())

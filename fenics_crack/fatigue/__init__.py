@@ -1,3 +1,3 @@
-"""Cracks that grow under the vibration of their structure."""
+"""Crack growth under vibration."""
 
 import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

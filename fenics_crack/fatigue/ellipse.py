@@ -1,12 +1,13 @@
-"""Growth of a crack that is half of an ellipse, or a quarter of one, in depth and along the face.
+"""Growth of a crack shaped as half or a quarter of an ellipse, in depth and along the face.
 
-With the ranges of K_I at the deepest place and at the ends, on the face of the solid,
+Let delta K_a be the range of K_I at the deepest point, and delta K_c the range at the ends, on the
+solid's face. The depth a and the half axis c along the face grow in a cycle by
 
-    da/dN = C delta K_a^m,      dc/dN = C delta K_c^m,
+    da/dN = C delta K_a^m,      dc/dN = C delta K_c^m.
 
-a being the depth and c the half axis along the face; the front stays an ellipse (Newman, Raju,
-NASA TM-83200, 1981). Ranges are known at a grid of shapes, and between them K / a^(1/2) is a
-spline over ln a and ln c: no logarithm of K, which in bending comes to zero at the deepest place.
+The front stays an ellipse (Newman, Raju, NASA TM-83200, 1981). Ranges are known on a grid of
+depths and lengths. Between them, K / a^(1/2) is a spline over ln a and ln c. The spline has no
+logarithm of K, since in bending K falls to zero at the deepest point.
 """
 
 from __future__ import annotations
@@ -20,127 +21,187 @@ import numpy as np
 
 from fenics_crack.scene.tables import Growth as Law
 
-End = Literal["reached", "arrested", "broken", "side"]
-ROWS = 200
-"""Of the path of the shape."""
-SOFT = 0.01
-"""Part of the threshold over which a rate begins, below the errors of K: with a jump a shape that
-goes along the threshold, as deep cracks in bending do, would need steps without end."""
-DEEPEST, SURFACE = "delta_K_{}_deepest", "delta_K_{}_surface"
-DRIVING = tuple(name.format("equivalent") for name in (DEEPEST, SURFACE))
-RANGES = tuple(name.format("effective") for name in (DEEPEST, SURFACE))
+GrowthEnd = Literal["reached", "arrested", "broken", "side"]
+N_PATH_ROWS = 200
+"""Number of rows in the path of the crack shape."""
+THRESHOLD_RAMP_FRACTION = 0.01
+"""Range above the threshold at which the rate is full, relative to the threshold.
+
+The rate rises linearly from zero. The fraction is below the errors of K. With a jump instead, a
+shape that grows along the threshold, as deep cracks in bending do, needs endless steps.
+"""
+DEEPEST_COLUMN_FORMAT, SURFACE_COLUMN_FORMAT = "delta_K_{}_deepest", "delta_K_{}_surface"
+EQUIVALENT_RANGE_COLUMNS = tuple(
+    name.format("equivalent") for name in (DEEPEST_COLUMN_FORMAT, SURFACE_COLUMN_FORMAT)
+)
+EFFECTIVE_RANGE_COLUMNS = tuple(
+    name.format("effective") for name in (DEEPEST_COLUMN_FORMAT, SURFACE_COLUMN_FORMAT)
+)
 
 
 @dataclass(frozen=True)
 class EllipseTable:
-    """Numbers at a grid of shapes, and splines through them.
+    """Columns on a grid of depths and lengths, and their splines.
 
     Attributes
     ----------
     depths : (k,) [m]
-        a, ascending.
+        Depths a in ascending order.
     lengths : (l,) [m]
-        Of the crack along the face, ascending: c, or 2 c.
-    columns : dict of str to (k, l)
-        Those of stress intensities begin with "K" or "delta_K".
+        Lengths of the crack along the face in ascending order: c, or 2 c.
+    column_by_name : dict of str to (k, l)
+        Values at all sizes. Names of stress intensities begin with "K" or "delta_K".
     """
 
     depths: np.ndarray
     lengths: np.ndarray
-    columns: Mapping[str, np.ndarray]
+    column_by_name: Mapping[str, np.ndarray]
 
     @cached_property
-    def _splines(self) -> dict[str, Any]:
+    def _spline_by_column(self) -> dict[str, Any]:
+        """Fit a spline over ln a and ln c to each column, by name."""
         from scipy.interpolate import RectBivariateSpline  # takes a while, and is needed here alone
 
-        axes = np.log(self.depths), np.log(self.lengths)
-        kx, ky = (min(3, len(axis) - 1) for axis in axes)
-        scales = np.sqrt(self.depths)[:, None], 1.0
+        log_axes = np.log(self.depths), np.log(self.lengths)
+        depth_degree, length_degree = (min(3, len(log_axis) - 1) for log_axis in log_axes)
+        column_divisors = np.sqrt(self.depths)[:, None], 1.0
         return {
-            name: RectBivariateSpline(*axes, values / scales[not _rooted(name)], kx=kx, ky=ky)
-            for name, values in self.columns.items()
+            column_name: RectBivariateSpline(
+                *log_axes,
+                column / column_divisors[not _is_stress_intensity(column_name)],
+                kx=depth_degree,
+                ky=length_degree,
+            )
+            for column_name, column in self.column_by_name.items()
         }
 
-    def at(self, name: str, depth: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """A column at any shapes within; ranges are at least zero."""
-        found = self._splines[name].ev(np.log(depth), np.log(length))
-        found = found.clip(0.0) if name.startswith("delta_K") else found
-        return np.asarray(found * np.sqrt(depth) if _rooted(name) else found)
+    def interpolate_column(
+        self, column_name: str, depth: np.ndarray, length: np.ndarray
+    ) -> np.ndarray:
+        """Interpolate a column at depths and lengths (n,) within the grid.
 
-    def coarser(self) -> EllipseTable:
-        """Of every other depth and length."""
-        some = {name: values[::2, ::2] for name, values in self.columns.items()}
-        return EllipseTable(self.depths[::2], self.lengths[::2], some)
+        Ranges are at least zero.
+        """
+        column_values = self._spline_by_column[column_name].ev(np.log(depth), np.log(length))
+        column_values = (
+            column_values.clip(0.0) if column_name.startswith("delta_K") else column_values
+        )
+        return np.asarray(
+            column_values * np.sqrt(depth) if _is_stress_intensity(column_name) else column_values
+        )
+
+    def with_every_second_size(self) -> EllipseTable:
+        """Return the table with every second depth and length."""
+        coarse_column_by_name = {
+            column_name: column[::2, ::2] for column_name, column in self.column_by_name.items()
+        }
+        return EllipseTable(self.depths[::2], self.lengths[::2], coarse_column_by_name)
 
 
-def _rooted(name: str) -> bool:
-    """True of a stress intensity, which goes with the root of the depth."""
-    return name.startswith(("K", "delta_K"))
+def _is_stress_intensity(column_name: str) -> bool:
+    """Return True for a stress intensity, which scales with the root of the depth."""
+    return column_name.startswith(("K", "delta_K"))
 
 
 class EllipsePath(NamedTuple):
-    """Depths and lengths (n,) [m] over the cycles (n,), what they grow by in a cycle (n, 2) [m],
-    and how it ends."""
+    """Sizes of a growing crack over the cycles.
+
+    Attributes
+    ----------
+    depth, length : (n,) [m]
+        Depth, and length along the face.
+    cycles : (n,)
+        Cycles until each size.
+    growth_per_cycle : (n, 2) [m]
+        Growth of depth and length in a cycle.
+    end_reason : str
+        Why growth ends: "reached", "arrested", "broken" or "side".
+    """
 
     depth: np.ndarray
     length: np.ndarray
     cycles: np.ndarray
-    rates: np.ndarray
-    end: End
+    growth_per_cycle: np.ndarray
+    end_reason: GrowthEnd
 
 
-def growth_in_a_cycle(
-    table: EllipseTable, law: Law, ends: int, depth: np.ndarray, length: np.ndarray
+def compute_growth_per_cycle(
+    table: EllipseTable, law: Law, n_surface_ends: int, depth: np.ndarray, length: np.ndarray
 ) -> np.ndarray:
-    """Of depths and lengths (n,), of cracks of one or two ends on the face: (n, 2) [m]."""
-    found = []
-    for drive, reach in zip(DRIVING, RANGES, strict=True):
-        rate = law.rate * (table.at(drive, depth, length) / 1e6) ** law.exponent
+    """Return the growth of depths and lengths (n,) in a cycle: (n, 2) [m].
+
+    The crack has one or two ends on the face, ``n_surface_ends``.
+    """
+    growth_rates = []
+    for equivalent_column, effective_column in zip(
+        EQUIVALENT_RANGE_COLUMNS, EFFECTIVE_RANGE_COLUMNS, strict=True
+    ):
+        growth_rate = (
+            law.rate
+            * (table.interpolate_column(equivalent_column, depth, length) / 1e6) ** law.exponent
+        )
         if law.threshold > 0.0:
-            above = table.at(reach, depth, length) / law.threshold - 1.0
-            rate = rate * np.clip(above / SOFT, 0.0, 1.0)
-        found.append(rate)
-    return np.stack([found[0], ends * found[1]], axis=-1)
+            threshold_excess = (
+                table.interpolate_column(effective_column, depth, length) / law.threshold - 1.0
+            )
+            growth_rate = growth_rate * np.clip(
+                threshold_excess / THRESHOLD_RAMP_FRACTION, 0.0, 1.0
+            )
+        growth_rates.append(growth_rate)
+    return np.stack([growth_rates[0], n_surface_ends * growth_rates[1]], axis=-1)
 
 
-def grown(table: EllipseTable, law: Law, ends: int) -> EllipsePath:
-    """The path from the first depth and length of a table to where it ends.
+def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int) -> EllipsePath:
+    """Integrate the growth from the first size of a table to its end.
 
-    With the sum s of what depth and length have grown by as the variable, da/ds and dl/ds are
-    bounded, and dN/ds = 1 / (da/dN + dl/dN): a depth that stops, and nearly a crack, is no trouble.
+    The variable s is the sum of the growth in depth a and length l. Then da/ds and dl/ds are
+    bounded, and dN/ds = 1 / (da/dN + dl/dN). A depth that stops growing causes no difficulty.
     """
     from scipy.integrate import solve_ivp
 
-    tough = law.toughness or np.inf
+    toughness = law.toughness or np.inf
 
-    def rates(at: np.ndarray) -> np.ndarray:
-        return growth_in_a_cycle(table, law, ends, *at[:2, None])[0]
+    def growth_rates(state: np.ndarray) -> np.ndarray:
+        return compute_growth_per_cycle(table, law, n_surface_ends, *state[:2, None])[0]
 
-    def slope(_s: float, at: np.ndarray) -> np.ndarray:
-        both = rates(at)
-        whole = both.sum()
-        return np.append(both, 1.0) / whole if whole > 0.0 else np.zeros(3)
+    def state_slope(_s: float, state: np.ndarray) -> np.ndarray:
+        growth_per_cycle = growth_rates(state)
+        total_growth = growth_per_cycle.sum()
+        return (
+            np.append(growth_per_cycle, 1.0) / total_growth if total_growth > 0.0 else np.zeros(3)
+        )
 
-    events = {
-        "reached": lambda _s, at: at[0] - table.depths[-1],
-        "side": lambda _s, at: at[1] - table.lengths[-1],
-        "broken": lambda _s, at: float(table.at("K_max", *at[:2, None])[0]) / tough - 1.0,
-        "arrested": lambda _s, at: -1.0 if rates(at).any() else 0.0,
+    event_function_by_reason = {
+        "reached": lambda _s, state: state[0] - table.depths[-1],
+        "side": lambda _s, state: state[1] - table.lengths[-1],
+        "broken": lambda _s, state: (
+            float(table.interpolate_column("K_max", *state[:2, None])[0]) / toughness - 1.0
+        ),
+        "arrested": lambda _s, state: -1.0 if growth_rates(state).any() else 0.0,
     }
-    for event in events.values():
-        event.terminal = True  # type: ignore[attr-defined]
-    start = np.array([table.depths[0], table.lengths[0], 0.0])
-    most = np.ptp(table.depths) + np.ptp(table.lengths)
-    found = solve_ivp(
-        slope, (0.0, most), start, "LSODA", rtol=1e-8, atol=1e-12, max_step=most / ROWS,
-        events=list(events.values()), dense_output=True,
+    for event_function in event_function_by_reason.values():
+        event_function.terminal = True  # type: ignore[attr-defined]
+    start_state = np.array([table.depths[0], table.lengths[0], 0.0])
+    max_growth_sum = np.ptp(table.depths) + np.ptp(table.lengths)
+    ode_solution = solve_ivp(
+        state_slope, (0.0, max_growth_sum), start_state, "LSODA", rtol=1e-8, atol=1e-12,
+        max_step=max_growth_sum / N_PATH_ROWS,
+        events=list(event_function_by_reason.values()), dense_output=True,
     )  # fmt: skip
-    ends_of = [name for name, places in zip(events, found.t_events, strict=True) if len(places)]
-    end: End = ends_of[0] if ends_of else "arrested"  # type: ignore[assignment]
-    if float(table.at("K_max", *start[:2, None])[0]) >= tough:
-        end, last = "broken", 0.0
+    met_reasons = [
+        reason
+        for reason, event_growth_sums in zip(
+            event_function_by_reason, ode_solution.t_events, strict=True
+        )
+        if len(event_growth_sums)
+    ]
+    end_reason: GrowthEnd = met_reasons[0] if met_reasons else "arrested"  # type: ignore[assignment]
+    if float(table.interpolate_column("K_max", *start_state[:2, None])[0]) >= toughness:
+        end_reason, last_growth_sum = "broken", 0.0
     else:
-        last = found.t[-1] if rates(start).any() else 0.0
-    depth, length, cycles = found.sol(np.linspace(0.0, last, ROWS if last else 1))
-    both = growth_in_a_cycle(table, law, ends, depth, length)
-    return EllipsePath(depth, length, cycles, both, end)
+        last_growth_sum = ode_solution.t[-1] if growth_rates(start_state).any() else 0.0
+    depth, length, cycles = ode_solution.sol(
+        np.linspace(0.0, last_growth_sum, N_PATH_ROWS if last_growth_sum else 1)
+    )
+    growth_per_cycle = compute_growth_per_cycle(table, law, n_surface_ends, depth, length)
+    return EllipsePath(depth, length, cycles, growth_per_cycle, end_reason)

@@ -1,18 +1,17 @@
-"""Growth of a crack under the vibration of its plate, and the change of the vibration with it.
+"""Growth of a crack under vibration, and the change in the vibration.
 
-At each length a the vibration is periodic and settled: growth by a cycle is far less than what
-changes it. With the effective ranges of K_I of the vibration itself, closed faces and all,
+At each length a the vibration is periodic and settled, since a crack grows very little in a cycle.
+With the effective ranges delta K_i of K_I and their ratios R_i, closing faces included,
 
-    da/dN = C sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m,      N = int da / (da/dN),
+    da/dN = C sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m,      N = int da / (da/dN).
 
-over the cycles of K_I in one of the load, of which there is more than one where the crack opens
-several times; C in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic Engineering 85,
-1963, 528; closure: Elber, ASTM STP 486, 1971, 230; R: Walker, ASTM STP 462, 1970, 1).
+The sum is over the cycles of K_I in a cycle of the load; several occur if the crack opens several
+times. C is in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic Engineering 85, 1963,
+528; closure: Elber, ASTM STP 486, 1971, 230; R: Walker, ASTM STP 462, 1970, 1).
 
-Few lengths are solved, and between them are splines; lengths are halved where a spline misses what
-is then found. Each round is a sweep: its cases are shared among ranks, and it goes on where it was
-killed. Of a solid whose crack is half of an ellipse they are depths and lengths
-(:mod:`fenics_crack.fatigue.ellipse`).
+Few lengths are solved, with splines between them. Intervals are halved if a spline misses the
+solutions that follow. Each round is a sweep: ranks share its cases, and a killed run continues.
+For a half-ellipse in a solid, depths and lengths are solved (:mod:`fenics_crack.fatigue.ellipse`).
 """
 
 from __future__ import annotations
@@ -41,7 +40,13 @@ from fenics_crack.basics.tables import (
     hertz_property,
 )
 from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
-from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
+from fenics_crack.fatigue.ellipse import (
+    EQUIVALENT_RANGE_COLUMNS,
+    EllipsePath,
+    EllipseTable,
+    GrowthEnd,
+    integrate_ellipse_growth,
+)
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
@@ -59,50 +64,49 @@ from fenics_crack.sweep.result import (
 
 # --- the result, and its file ---------------------------------------------------------------------
 
-ENDS: dict[End, str] = {
+END_TEXT_BY_REASON: dict[GrowthEnd, str] = {
     "reached": "growth.until is reached",
     "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
     "broken": "there it breaks: K_max is growth.toughness",
     "side": "there its ends come near to the sides",
 }
-"""Descriptions of the end of growth."""
+"""Descriptions of the end of growth, by reason."""
 
 
 @dataclass(frozen=True, repr=False)
 class Growth(SavedResult):
-    """A crack's length over the cycles, and what the vibration does meanwhile.
+    """A crack's length over the cycles, and the vibration at each length.
 
     Attributes
     ----------
     scene : Scene
         With the length of the crack at the beginning.
     length, cycles, time : (n,) [m], [-], [s]
-        Of the crack, the cycles until then, and how long they take; one row where it does not grow.
+        Crack length, the cycles until then, and their duration; one row if the crack does not grow.
     omega, omega_open, omega_bilinear : (n,) [rad/s]
-        Of the load, the mean of a spectrum, and natural frequencies with the crack open and of the
-        breathing crack, of the mode that is nearest to the load, or to that load of a spectrum
-        which drives the crack most.
+        Load frequency (the mean of a spectrum), and natural frequencies with the crack open and of
+        the breathing crack. Their mode is nearest to the load, or to the load of a spectrum that
+        drives the crack most.
     response : (n,) [m]
         Half the peak-to-peak displacement of the load's point, in the load's direction.
     largest, smallest, effective, sliding : (n,) [Pa m^1/2]
-        K_max, K_min, delta_K_effective and K_II_max; the largest of a spectrum, K_min and K_II_max
-        of the load that drives most.
+        K_max, K_min, delta_K_effective and K_II_max. For a spectrum, K_max and delta_K_effective
+        are maxima over the loads; K_min and K_II_max belong to the load that drives most.
     rate : (n,) [m]
-        In a cycle; the mean of a spectrum; 0 where the crack is arrested.
+        Growth in a cycle; the mean of a spectrum; 0 for an arrested crack.
     end : "reached", "arrested", "broken" or "side"
         Reason: ``growth.until`` is reached, the range falls below the threshold, K_max reaches the
         toughness, or the ends of a half-ellipse come near to the sides of the solid.
     solved : (k,) [m]
-        Lengths that were solved, of a half-ellipse (k, 2) depths and lengths; between them are
-        splines.
+        Solved lengths, of a half-ellipse (k, 2) depths and lengths; between them are splines.
     errors : dict of str to float
-        Relative standard deviations of the cycles by the "rate", the "exponent", the "vibration"
-        (mesh, modes and harmonics, where half of the cycles are over; also by what part of a
-        spectrum is above the threshold), and by "interpolation" between lengths.
+        Relative standard deviations of the cycles by cause. They are "rate", "exponent",
+        "vibration" (mesh, modes and harmonics, after half of the cycles; also by the part of a
+        spectrum above the threshold), and "interpolation" between lengths.
     remarks : tuple of str
         Doubts about the growth.
     depth : (n,) [m] or None
-        Of a crack in a solid that is half of an ellipse, or a quarter of one.
+        Depth of a crack in a solid shaped as half or a quarter of an ellipse.
     """
 
     scene: Scene
@@ -118,7 +122,7 @@ class Growth(SavedResult):
     effective: np.ndarray
     sliding: np.ndarray
     rate: np.ndarray
-    end: End
+    end: GrowthEnd
     solved: np.ndarray
     errors: dict[str, float]
     remarks: tuple[str, ...]
@@ -130,32 +134,41 @@ class Growth(SavedResult):
 
     @property
     def life(self) -> float:
-        """Cycles to the last length."""
+        """Return the cycles to the last length."""
         return float(self.cycles[-1])
 
     @property
     def factor(self) -> float:
-        """Factor, > 1, within which the life is known with 68 %: its logarithm is normal."""
+        """Return the factor, > 1, that bounds the life with 68 %.
+
+        The logarithm of the life has a normal distribution.
+        """
         return math.exp(math.hypot(*self.errors.values()))
 
     @property
     def repeats(self) -> np.ndarray | None:
-        """Repeats of the spectrum until then (n,); None without a spectrum."""
-        repeat = self.scene.given("growth").repeat_cycles_and_duration
-        return None if repeat is None else self.cycles / repeat[0]
+        """Return the repeats of the spectrum until each row (n,).
+
+        None without a spectrum.
+        """
+        spectrum_repeat = self.scene.given("growth").repeat_cycles_and_duration
+        return None if spectrum_repeat is None else self.cycles / spectrum_repeat[0]
 
     @property
     def frequency_drop(self) -> np.ndarray:
-        """Decrease of the breathing crack's natural frequency, relative to the first: (n,) [-]."""
+        """Return the relative decrease of the breathing crack's natural frequency: (n,) [-]."""
         return np.asarray(1.0 - self.omega_bilinear / self.omega_bilinear[0])
 
     def at(self, cycles: float) -> float:
-        """The crack's length after some cycles [m]; nan beyond the last."""
+        """Return the crack length [m] after some cycles.
+
+        nan beyond the last cycle.
+        """
         return float(np.interp(cycles, self.cycles, self.length, right=math.nan))
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every length."""
-        found = {
+        """Return columns with a row for every length."""
+        values_by_column = {
             "cycles": self.cycles,
             "time": self.time,
             "crack_length": self.length,
@@ -172,73 +185,106 @@ class Growth(SavedResult):
             "K_II_max": self.sliding,
         }
         if self.repeats is not None:
-            found = {"repeats": self.repeats} | found
-        return add_frequency_entries({name: values.tolist() for name, values in found.items()})
-
-    def said(self) -> Conclusion:
-        """What the last sentence on the growth says."""
-        first, last = (self._size(end) for end in (0, -1))
-        if len(self.length) == 1:
-            return Conclusion(f"the crack stays at {first}: {ENDS[self.end]}")
-        way = f"from {first} to {last} in {self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
-        if self.repeats is not None:
-            way += f", {self.repeats[-1]:.4g} repeats of the spectrum"
-        causes = [f"{name} {error:.2g}" for name, error in self.errors.items() if error > 0.0]
-        known = f"the cycles are uncertain by a factor of {self.factor:.3g}"
-        known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
-        drop = f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
-        return Conclusion(f"the crack grows {way}: {ENDS[self.end]}", known, further_clauses=[drop])
-
-    def _size(self, row: int) -> str:
-        length = format_quantity(float(self.length[row]), "m")
-        if self.depth is None:
-            return length
-        return f"{length} x {format_quantity(float(self.depth[row]), 'm')} deep"
-
-    def _title(self) -> str:
-        ends = f"{self._size(0)} to {self._size(-1)}"
-        drop = f"frequency falls by {self.frequency_drop[-1]:.2%}"
-        known = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
-        return (
-            f"{ends}, {known}, {self.end}, {drop}, {format_count(len(self.solved), 'size')} solved"
+            values_by_column = {"repeats": self.repeats} | values_by_column
+        return add_frequency_entries(
+            {column_name: column.tolist() for column_name, column in values_by_column.items()}
         )
 
+    def said(self) -> Conclusion:
+        """Return the sentences on the growth."""
+        start_size, end_size = (self._size_in_words(row) for row in (0, -1))
+        if len(self.length) == 1:
+            return Conclusion(f"the crack stays at {start_size}: {END_TEXT_BY_REASON[self.end]}")
+        life_text = f"{self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
+        growth_text = f"from {start_size} to {end_size} in {life_text}"
+        if self.repeats is not None:
+            growth_text += f", {self.repeats[-1]:.4g} repeats of the spectrum"
+        cause_texts = [
+            f"{cause_name} {relative_error:.2g}"
+            for cause_name, relative_error in self.errors.items()
+            if relative_error > 0.0
+        ]
+        certainty_text = f"the cycles are uncertain by a factor of {self.factor:.3g}"
+        certainty_text += (
+            f", standard deviations of their logarithm: {', '.join(cause_texts)}"
+            if cause_texts
+            else ""
+        )
+        frequency_text = (
+            f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
+        )
+        return Conclusion(
+            f"the crack grows {growth_text}: {END_TEXT_BY_REASON[self.end]}",
+            certainty_text,
+            further_clauses=[frequency_text],
+        )
 
-def report_of_growth(found: Growth) -> Report:
-    """The table, the life and how sure it is."""
-    table, count = found.table(), len(found.length)
-    places = sorted({*np.linspace(0, count - 1, N_SELECTED_ROWS).round().astype(int).tolist()})
+    def _size_in_words(self, row: int) -> str:
+        """Return the crack's length, and depth if any, at a row in words."""
+        length_text = quantity(float(self.length[row]), "m")
+        if self.depth is None:
+            return length_text
+        return f"{length_text} x {format_quantity(float(self.depth[row]), 'm')} deep"
+
+    def _title(self) -> str:
+        sizes_text = f"{self._size_in_words(0)} to {self._size_in_words(-1)}"
+        frequency_text = f"frequency falls by {self.frequency_drop[-1]:.2%}"
+        life_text = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
+        solved_text = f"{counted(len(self.solved), 'size')} solved"
+        return f"{sizes_text}, {life_text}, {self.end}, {frequency_text}, {solved_text}"
+
+
+def report_of_growth(growth: Growth) -> Report:
+    """Return the report: table, life and its uncertainty."""
+    table, n_rows = growth.table(), len(growth.length)
+    shown_rows = sorted({*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()})
     return Report(
         table,
-        found.said(),
-        found.scene,
-        printed_table=Table(table.columns, [table.rows[place] for place in places]),
-        warnings=found.remarks,
-        remarks=remarks_on_scene(found.scene),
+        growth.said(),
+        growth.scene,
+        printed_table=Table(table.columns, [table.rows[row] for row in shown_rows]),
+        warnings=growth.remarks,
+        remarks=remarks_on_scene(growth.scene),
     )
 
 
 # --- the growth -----------------------------------------------------------------------------------
 
-NOT_STABLE = "the vibration is unstable or irregular, or its stability undecided"
-UNKNOWN_VIBRATION = "the error of the vibration is unknown"
-SHAPES, SHAPE_MODES = 5, 20
-"""Depths and lengths of half-ellipses, in equal ratios: the cycles to 0.8 % where K is Newman's and
-Raju's (tests/fatigue/test_ellipse.py), in equal steps to 6 %; and modes, whose neglect
-changes every K by 1e-4."""
-WIDEST = 0.9
-"""Largest length of a half-ellipse, of what the sides leave."""
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Quadrature of the integral over each of the table's steps."""
-ROUGH = 0.05
-"""Error of ln delta K above which an interval is halved even where few cycles pass in it: the peak
-of a resonance that passes is seen."""
-LOGARITHMIC_COLUMNS = ("driving", "K_max", "delta_K_effective", "response")
-"""Columns whose logarithm is smooth: resonances pass through them."""
-LINEAR_COLUMNS = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
-NO_COLUMNS = dict.fromkeys((*LOGARITHMIC_COLUMNS, *LINEAR_COLUMNS), np.zeros(0))
-SWEEP_COLUMNS = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR_COLUMNS)
-"""Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
+NOT_STABLE_TEXT = "the vibration is unstable or irregular, or its stability undecided"
+"""Beginning of a remark on vibrations without certain stability."""
+UNKNOWN_VIBRATION_TEXT = "the error of the vibration is unknown"
+"""Remark without an error estimate of the vibration."""
+N_ELLIPSE_SIZES_PER_AXIS = 5
+"""Number of depths, and number of lengths, for half-ellipses, in equal ratios.
+
+With five the cycles are right to 0.8 % for the K of Newman and Raju, in equal steps to 6 %
+(tests/fatigue/test_ellipse.py).
+"""
+N_ELLIPSE_MODES = 20
+"""Number of modes with half-ellipses: neglected modes change every K by 1e-4."""
+MAX_ELLIPSE_LENGTH_FRACTION = 0.9
+"""Maximum length of a half-ellipse, relative to the length between the sides."""
+GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
+"""Gauss-Legendre quadrature of the integral over each step of the table."""
+MAX_LOG_RANGE_ERROR = 0.05
+"""Allowed error of ln delta K in an interval, even if few cycles pass there.
+
+An interval with a larger error is halved, so that the peak of a resonance inside is met.
+"""
+LOGARITHMIC_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
+"""Columns whose logarithm is smooth, since resonances pass through them."""
+LINEAR_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
+"""Columns that are smooth themselves."""
+EMPTY_COLUMN_BY_NAME = dict.fromkeys((*LOGARITHMIC_COLUMN_NAMES, *LINEAR_COLUMN_NAMES), np.zeros(0))
+"""Columns of a path without lengths, by name: (0,) each."""
+SWEEP_COLUMN_NAMES = (
+    "K_max",
+    "delta_K_effective",
+    "delta_K_equivalent",
+    "response",
+    *LINEAR_COLUMN_NAMES,
+)
+"""Columns of the sweep that a path is made from."""
 
 
 def grow(
@@ -258,20 +304,19 @@ def grow(
     in one period of the load.
 
     Few lengths are solved; between them ln delta K is a spline, refined until the cycles are known
-    to ``growth.life_tolerance``. Ranks share the lengths. Of a crack through a solid
-    :math:`\Delta K_i` is that of the place of its front where it is largest, and the front stays
-    straight. One that is half of an ellipse grows from ``crack.depth`` to ``growth.until`` by the
-    range at its deepest place, and along the face by the mean of those at its ends: 5 x 5 shapes
-    are solved.
+    to ``growth.life_tolerance``. Ranks share the lengths. For a crack through a solid,
+    :math:`\Delta K_i` is the largest along the front, and the front stays straight. A half-ellipse
+    grows from ``crack.depth`` to ``growth.until`` by the range at its deepest point, and along the
+    face by the mean range at its ends. Here 5 x 5 shapes are solved.
 
     Parameters
     ----------
     scene : Scene
-        Of a plate with one crack from an edge, or of a solid with one that is through or half of an
+        A plate with one crack from an edge, or a solid with one that is through or half of an
         ellipse, and a table ``[growth]``.
     folder : path, optional
-        For the files of what is solved. Where they exist, of the same scene, they are taken: so a
-        run that was killed goes on. Default: nothing is kept.
+        Folder of the solved sweeps. Existing files of the same scene are used, so that a killed run
+        continues. Default: nothing is kept.
     comm : MPI.Comm
         The ranks.
     progress : bool
@@ -280,7 +325,7 @@ def grow(
     Returns
     -------
     Growth
-        Length, frequencies and stress intensities over the cycles, and how sure the life is.
+        Length, frequencies and stress intensities over the cycles, and the uncertainty of the life.
 
     Raises
     ------
@@ -295,320 +340,553 @@ def grow(
     >>> growing = scene.replace({f"growth.{key}": value for key, value in keys.items()})
     >>> fc.grow(growing).life  # doctest: +SKIP
     """
-    scene = _checked(with_crack_length(scene, comm))
-    law, alone = scene.given("growth"), scene.replace({"curve": None, "sweep": None})
-    where = None if folder is None else Path(folder)
-    if alone.given("crack").is_elliptical:
-        return _grow_ellipse(alone, where, comm, progress=progress)
-    _at_size(alone, alone.excitation.omega, law.until)  # is refused before anything is solved
-    path, missed, jumps = _solve_lengths(alone, where, comm, progress=progress)
-    length, cycles, end = _integrated(path, law)
-    half = float(np.interp(0.5 * cycles[-1], cycles, length))
-    vibration, without = on_root(comm, lambda: _error_at(alone, path, half))
-    rate = _rate(path, law, length)
-    errors = _errors(law, rate, cycles, vibration, missed)
-    errors["vibration"] += _lost(path, law, length, cycles, vibration)
-    seen = {name: path.at(name, length) for name in path.columns}
-    for name in LOGARITHMIC_COLUMNS:
-        seen[name][seen[name] <= SMALLEST_NORMAL] = 0.0
-    rate[-1] *= end != "arrested"
-    time = _summed(RAD_PER_TURN / seen["omega"], cycles)
+    scene = _validate_growth_scene(with_crack_length(scene, comm))
+    law, scene_without_sweep = scene.given("growth"), scene.replace({"curve": None, "sweep": None})
+    folder_path = None if folder is None else Path(folder)
+    if scene_without_sweep.given("crack").is_elliptical:
+        return _grow_ellipse(scene_without_sweep, folder_path, comm, progress=progress)
+    _resize_crack(
+        scene_without_sweep, scene_without_sweep.excitation.omega, law.until
+    )  # is refused before anything is solved
+    length_path, interpolation_error, jump_lengths = _solve_lengths(
+        scene_without_sweep, folder_path, comm, progress=progress
+    )
+    lengths, cycles, end_reason = _integrate_cycles(length_path, law)
+    half_life_length = float(np.interp(0.5 * cycles[-1], cycles, lengths))
+    vibration_error, omission_remarks = on_root(
+        comm, lambda: _estimate_range_error(scene_without_sweep, length_path, half_life_length)
+    )
+    growth_rates = _compute_growth_rates(length_path, law, lengths)
+    error_by_cause = _collect_life_errors(
+        law, growth_rates, cycles, vibration_error, interpolation_error
+    )
+    error_by_cause["vibration"] += _estimate_threshold_sensitivity(
+        length_path, law, lengths, cycles, vibration_error
+    )
+    values_by_column = {
+        column_name: length_path.interpolate_column(column_name, lengths)
+        for column_name in length_path.column_by_name
+    }
+    for column_name in LOGARITHMIC_COLUMN_NAMES:
+        values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
+    growth_rates[-1] *= end_reason != "arrested"
+    elapsed_time = _integrate_over_cycles(RAD_PER_TURN / values_by_column["omega"], cycles)
     return Growth(
-        scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
-        seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
-        seen["K_II_max"], rate, end, path.lengths, errors,
-        (*_remarks(scene, path, jumps, seen, length, vibration, end), *without),
-    )  # fmt: skip
+        scene,
+        lengths,
+        cycles,
+        elapsed_time,
+        values_by_column["omega"],
+        values_by_column["omega_open"],
+        values_by_column["omega_bilinear"],
+        values_by_column["response"],
+        values_by_column["K_max"],
+        values_by_column["K_min"],
+        values_by_column["delta_K_effective"],
+        values_by_column["K_II_max"],
+        growth_rates,
+        end_reason,
+        length_path.lengths,
+        error_by_cause,
+        (
+            *_collect_growth_remarks(
+                scene,
+                length_path,
+                jump_lengths,
+                values_by_column,
+                lengths,
+                vibration_error,
+                end_reason,
+            ),
+            *omission_remarks,
+        ),
+    )
 
 
-def _summed(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
-    """Integral of values (n,) over the cycles until each of them (n,)."""
+def _integrate_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Integrate values (n,) over the cycles until each of them (n,)."""
     return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(cycles)))
 
 
-def _errors(
-    law: Law, rate: np.ndarray, cycles: np.ndarray, vibration: float, missed: float
+def _collect_life_errors(
+    law: Law,
+    growth_rates: np.ndarray,
+    cycles: np.ndarray,
+    vibration_error: float,
+    interpolation_error: float,
 ) -> dict[str, float]:
-    """The errors of the cycles by those of the law, of the range and of the interpolation."""
-    strength = np.log(np.maximum(rate, SMALLEST_NORMAL) / law.rate) / law.exponent
-    mean = float(_summed(strength, cycles)[-1]) / max(float(cycles[-1]), SMALLEST_NORMAL)
+    """Return errors in ln N by cause: growth law, range and interpolation.
+
+    Parameters
+    ----------
+    growth_rates, cycles : (n,) [m], [-]
+        Growth in a cycle, and the cycles until then.
+    vibration_error : float
+        Relative error of the effective range.
+    interpolation_error : float
+        Relative error of the cycles.
+    """
+    log_driving_range = np.log(np.maximum(growth_rates, SMALLEST_NORMAL) / law.rate) / law.exponent
+    mean_log_range = float(_integrate_over_cycles(log_driving_range, cycles)[-1]) / max(
+        float(cycles[-1]), SMALLEST_NORMAL
+    )
     return {
         "rate": law.rate_deviation,
-        "exponent": law.exponent_deviation * abs(mean),
-        "vibration": law.exponent * vibration,
-        "interpolation": missed,
+        "exponent": law.exponent_deviation * abs(mean_log_range),
+        "vibration": law.exponent * vibration_error,
+        "interpolation": interpolation_error,
     }
 
 
-def _checked(scene: Scene) -> Scene:
-    """A scene whose crack can grow; InputError where it cannot."""
+def _validate_growth_scene(scene: Scene) -> Scene:
+    """Return the scene if its crack can grow; raise InputError otherwise."""
     refuse_for_reason(reason_without_stress_intensity(scene), "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
-        allowed = "'graded' with [growth], which meshes many lengths"
-        raise InputError("mesh.layout", scene.mesh.layout, allowed)
+        allowed_text = "'graded' with [growth], which meshes many lengths"
+        raise InputError("mesh.layout", scene.mesh.layout, allowed_text)
     if crack.front == "straight":
-        allowed = "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
-        raise InputError("crack.front", crack.front, allowed)
-    ellipse = crack.is_elliptical
-    if scene.cracks or (crack.edge is None and crack.point is None and not ellipse):
-        allowed = "one crack from an edge with [growth]: its tip is the one that grows"
-        raise InputError("crack", "several tips", allowed)
+        allowed_text = (
+            "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
+        )
+        raise InputError("crack.front", crack.front, allowed_text)
+    is_elliptical = crack.is_elliptical
+    if scene.cracks or (crack.edge is None and crack.point is None and not is_elliptical):
+        allowed_text = "one crack from an edge with [growth]: its tip is the one that grows"
+        raise InputError("crack", "several tips", allowed_text)
     if law.drive == "spectrum" and scene.excitation.order is not None:
-        allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
-        raise InputError("growth.drive", law.drive, allowed)
-    if law.drive == "spectrum" and ellipse:
-        allowed = "another one with crack.front = 'elliptical': each of its shapes has one load"
-        raise InputError("growth.drive", law.drive, allowed)
+        allowed_text = (
+            "another one with excitation.order: the speed of the rotor sets the frequency"
+        )
+        raise InputError("growth.drive", law.drive, allowed_text)
+    if law.drive == "spectrum" and is_elliptical:
+        allowed_text = (
+            "another one with crack.front = 'elliptical': each of its shapes has one load"
+        )
+        raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "resonance" and not can_seek_resonance(scene):
         raise InputError("growth.drive", law.drive, f"another one {SCENES_WITHOUT_PEAK_TEXT}")
-    key, side = ("depth", "thickness") if ellipse else ("length", "width")
-    allowed = "given with [growth], and crack.length: these are what changes"
-    least, most = crack.given(key, allowed), getattr(scene.geometry, side) or math.inf
-    if not least < law.until < most:
-        allowed = f"between crack.{key} = {least:g} and geometry.{side} = {most:g}"
-        raise InputError("growth.until", law.until, allowed)
+    size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
+    allowed_text = "given with [growth], and crack.length: these are what changes"
+    start_size = crack.given(size_key, allowed_text)
+    max_size = getattr(scene.geometry, limit_key) or math.inf
+    if not start_size < law.until < max_size:
+        allowed_text = (
+            f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {max_size:g}"
+        )
+        raise InputError("growth.until", law.until, allowed_text)
     return scene
 
 
 def _grow_ellipse(
     scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
 ) -> Growth:
-    """The growth of a half-ellipse (collective)."""
+    """Return the growth of a half-ellipse (collective)."""
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.reduction is None:
-        scene = scene.replace({"reduction.method": "massless", "reduction.modes": SHAPE_MODES})
-    ends = 1 if crack.edge else 2
-    most = _longest(scene)
-    if crack.given("length") >= most:
-        raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
-    over = {
-        "crack.depth": np.geomspace(crack.given("depth"), law.until, SHAPES),
-        "crack.length": np.geomspace(crack.given("length"), most, SHAPES),
+        scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
+    n_surface_ends = 1 if crack.edge else 2
+    max_length = _find_max_ellipse_length(scene)
+    if crack.given("length") >= max_length:
+        raise InputError(
+            "crack.length", crack.length, f"below {max_length:g} with [growth]: the sides"
+        )
+    sizes_by_key = {
+        "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
+        "crack.length": np.geomspace(crack.given("length"), max_length, N_ELLIPSE_SIZES_PER_AXIS),
     }
-    file = None if folder is None else folder / "growth_1.h5"
-    swept = _swept(scene, over, file, comm, progress=progress)
-    table = _of_shapes(swept)
-    path = grown(table, law, ends)
-    half = int(np.searchsorted(path.cycles, 0.5 * path.cycles[-1]))
-    vibration, without = on_root(comm, lambda: _error_of_shape(scene, table, path, half))
-    missed = missed_by(table, path, law, ends)
-    errors = _errors(law, path.rates.sum(axis=1), path.cycles, vibration, missed)
-    seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
-    time = _summed(RAD_PER_TURN / seen["omega"], path.cycles)
-    unsure = int((swept.not_stable & swept.converged).sum())
-    said = _not_solved(swept, table, path)
-    said += [f"at {format_count(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
-    said += _turning(seen["K_max"], seen["K_II_max"], path.length)
-    said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
-    above = seen["omega"] > seen["omega_bilinear"]
-    if law.drive == "frequency" and np.any(above != above[0]):
-        said.append(
-            f"at a length of {path.length[np.argmax(above != above[0])]:.4g} m the natural "
+    sweep_path = None if folder is None else folder / "growth_1.h5"
+    sweep_result = _sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
+    ellipse_table = _tabulate_ellipses(sweep_result)
+    ellipse_path = integrate_ellipse_growth(ellipse_table, law, n_surface_ends)
+    half_life_row = int(np.searchsorted(ellipse_path.cycles, 0.5 * ellipse_path.cycles[-1]))
+    vibration_error, omission_remarks = on_root(
+        comm,
+        lambda: _estimate_ellipse_range_error(scene, ellipse_table, ellipse_path, half_life_row),
+    )
+    interpolation_error = estimate_ellipse_life_error(
+        ellipse_table, ellipse_path, law, n_surface_ends
+    )
+    error_by_cause = _collect_life_errors(
+        law,
+        ellipse_path.growth_per_cycle.sum(axis=1),
+        ellipse_path.cycles,
+        vibration_error,
+        interpolation_error,
+    )
+    values_by_column = {
+        column_name: ellipse_table.interpolate_column(
+            column_name, ellipse_path.depth, ellipse_path.length
+        )
+        for column_name in ellipse_table.column_by_name
+    }
+    elapsed_time = _integrate_over_cycles(TURN / values_by_column["omega"], ellipse_path.cycles)
+    remark_texts = _collect_ellipse_remarks(
+        sweep_result, ellipse_table, ellipse_path, values_by_column, law
+    )
+    remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_VIBRATION_TEXT]
+    size_grid = np.stack(
+        np.meshgrid(ellipse_table.depths, ellipse_table.lengths, indexing="ij"), axis=-1
+    )
+    return Growth(
+        scene,
+        ellipse_path.length,
+        ellipse_path.cycles,
+        elapsed_time,
+        values_by_column["omega"],
+        values_by_column["omega_open"],
+        values_by_column["omega_bilinear"],
+        values_by_column["response"],
+        values_by_column["K_max"],
+        values_by_column["K_min"],
+        values_by_column["delta_K_effective"],
+        values_by_column["K_II_max"],
+        ellipse_path.growth_per_cycle[:, 1],
+        ellipse_path.end_reason,
+        size_grid[sweep_result.converged],
+        error_by_cause,
+        (*remark_texts, *omission_remarks),
+        ellipse_path.depth,
+    )
+
+
+def _collect_ellipse_remarks(
+    sweep_result: SweepResult,
+    ellipse_table: EllipseTable,
+    ellipse_path: EllipsePath,
+    values_by_column: Mapping[str, np.ndarray],
+    law: Law,
+) -> list[str]:
+    """Return the remarks that cast doubt on the growth of a half-ellipse."""
+    n_not_stable = int((sweep_result.not_stable & sweep_result.converged).sum())
+    remark_texts = _describe_failed_ellipses(sweep_result, ellipse_table, ellipse_path)
+    remark_texts += (
+        [f"at {format_count(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
+    )
+    remark_texts += _describe_crack_turning(
+        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
+    )
+    is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
+    has_passed = is_above_resonance != is_above_resonance[0]
+    if law.drive == "frequency" and np.any(has_passed):
+        remark_texts.append(
+            f"at a length of {ellipse_path.length[np.argmax(has_passed)]:.4g} m the natural "
             "frequency passes that of the load, a resonance between few shapes: the life is not "
             "known, with growth.drive = 'resonance' it is"
         )
-    solved = np.stack(np.meshgrid(table.depths, table.lengths, indexing="ij"), axis=-1)
-    return Growth(
-        scene, path.length, path.cycles, time, seen["omega"], seen["omega_open"],
-        seen["omega_bilinear"], seen["response"], seen["K_max"], seen["K_min"],
-        seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
-        solved[swept.converged], errors, (*said, *without), path.depth,
-    )  # fmt: skip
+    return remark_texts
 
 
-def _longest(scene: Scene) -> float:
-    """Largest length of a half-ellipse for which stress intensities are found [m]; around a point,
-    whose room is not known, that of one which grows three times as fast along the face."""
+def _find_max_ellipse_length(scene: Scene) -> float:
+    """Find the maximum length [m] for half-ellipses in the table.
+
+    Around a point the distance to the sides is unknown. There the length is a crack's with three
+    times the relative growth along the face.
+    """
     crack, law = scene.given("crack"), scene.given("growth")
     if crack.point is not None:
         return float(crack.given("length") * (law.until / crack.given("depth")) ** 3)
-    room = scene.geometry.sides[0]
+    available_length = scene.geometry.sides[0]
     if crack.edge is None:
-        room = 2.0 * min(crack.given("center"), room - crack.given("center"))
-    return WIDEST * room
+        available_length = 2.0 * min(
+            crack.given("center"), available_length - crack.given("center")
+        )
+    return MAX_ELLIPSE_LENGTH_FRACTION * available_length
 
 
-def missed_by(table: EllipseTable, path: EllipsePath, law: Law, ends: int) -> float:
-    """Error of the cycles by interpolation, relative to them: every other depth and length changes
-    them by several times as much."""
-    some = grown(table.coarser(), law, ends).cycles[-1]
-    return abs(math.log(some / path.cycles[-1])) / 4.0 if some * path.cycles[-1] > 0.0 else 0.0
+def estimate_ellipse_life_error(
+    ellipse_table: EllipseTable, ellipse_path: EllipsePath, law: Law, n_surface_ends: int
+) -> float:
+    """Return the interpolation error of the cycles, relative to them.
+
+    It is a quarter of the change with every second depth and length only.
+    """
+    coarse_life = integrate_ellipse_growth(
+        ellipse_table.with_every_second_size(), law, n_surface_ends
+    ).cycles[-1]
+    return (
+        abs(math.log(coarse_life / ellipse_path.cycles[-1])) / 4.0
+        if coarse_life * ellipse_path.cycles[-1] > 0.0
+        else 0.0
+    )
 
 
-def _of_shapes(swept: SweepResult) -> EllipseTable:
-    """The table of a sweep over depths and lengths."""
+def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
+    """Return the table of a sweep over depths and lengths.
+
+    Failed shapes are filled by thin plates. Raises ConvergenceError if the first shape or too many
+    shapes have failed.
+    """
     from scipy.interpolate import RBFInterpolator  # takes a while, and is needed here alone
 
-    depths, lengths = (np.array(axis.values) for axis in swept.axes)
-    solved = swept.converged
-    if not solved[0, 0] or solved.sum() < SHAPES:
-        at, why = swept.failed[0]
-        raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
-    bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in MODE_NUMBERS]
-    mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
-    numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
-    names = (*SWEEP_COLUMNS, *observable_names(Place.ELLIPSE))
-    columns = {name: swept[numbered.get(name, name)].copy() for name in names}
-    columns["response"] = np.nan_to_num(columns["response"])  # nan where nothing moves
-    places = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
-    for values in columns.values() if swept.failed else ():
-        rest = RBFInterpolator(places[solved], values[solved])(places[~solved])
-        values[~solved] = np.maximum(rest, 0.0)
-    return EllipseTable(depths, lengths, columns)
+    depths, lengths = (np.array(axis.values) for axis in sweep_result.axes)
+    is_solved = sweep_result.converged
+    if not is_solved[0, 0] or is_solved.sum() < N_ELLIPSE_SIZES_PER_AXIS:
+        case_index, failure_text = sweep_result.failed[0]
+        raise ConvergenceError(
+            f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
+        )
+    bilinear_omega = [sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in MODE_NUMBERS]
+    nearest_mode = MODE_NUMBERS[
+        int(np.nanargmin(np.abs(bilinear_omega - sweep_result["omega"][0, 0])))
+    ]
+    sweep_name_by_column = {
+        f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode}"
+        for crack_state in ("open", "bilinear")
+    }
+    column_names = (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
+    column_by_name = {
+        column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
+        for column_name in column_names
+    }
+    column_by_name["response"] = np.nan_to_num(
+        column_by_name["response"]
+    )  # nan where nothing moves
+    log_sizes = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
+    for column in column_by_name.values() if sweep_result.failed else ():
+        filled_values = RBFInterpolator(log_sizes[is_solved], column[is_solved])(
+            log_sizes[~is_solved]
+        )
+        column[~is_solved] = np.maximum(filled_values, 0.0)
+    return EllipseTable(depths, lengths, column_by_name)
 
 
-def _shape(swept: SweepResult, at: tuple[int, ...]) -> str:
-    depth, length = (axis.values[place] for axis, place in zip(swept.axes, at, strict=True))
+def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) -> str:
+    """Describe a case by depth and length."""
+    depth, length = (
+        axis.values[size_index]
+        for axis, size_index in zip(sweep_result.axes, case_index, strict=True)
+    )
     return f"a crack {depth:.4g} m deep and {length:.4g} m long"
 
 
-def _not_solved(swept: SweepResult, table: EllipseTable, path: EllipsePath) -> list[str]:
-    """A remark on the shapes that were not solved, away from the path; ConvergenceError where the
-    path is next to one."""
-    sides = (table.depths, path.depth), (table.lengths, path.length)
-    for at, why in swept.failed:
-        near = np.full(len(path.depth), fill_value=True)
-        for place, (values, along) in zip(at, sides, strict=True):
-            low, high = values[max(place - 1, 0)], values[min(place + 1, SHAPES - 1)]
-            near &= (low <= along) & (along <= high)
-        if np.any(near):
-            raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
-    if not swept.failed:
+def _describe_failed_ellipses(
+    sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipsePath
+) -> list[str]:
+    """Return a remark on failed shapes away from the path.
+
+    Raises ConvergenceError if the path is next to one.
+    """
+    table_and_path_sizes = (
+        (ellipse_table.depths, ellipse_path.depth),
+        (ellipse_table.lengths, ellipse_path.length),
+    )
+    for case_index, failure_text in sweep_result.failed:
+        is_near_case = np.full(len(ellipse_path.depth), fill_value=True)
+        for size_index, (table_sizes, path_sizes) in zip(
+            case_index, table_and_path_sizes, strict=True
+        ):
+            smaller_size = table_sizes[max(size_index - 1, 0)]
+            larger_size = table_sizes[min(size_index + 1, N_ELLIPSE_SIZES_PER_AXIS - 1)]
+            is_near_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
+        if np.any(is_near_case):
+            raise ConvergenceError(
+                f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
+            )
+    if not sweep_result.failed:
         return []
-    at, why = swept.failed[0]
-    count = format_count(len(swept.failed), "shape")
-    return [f"{count} away from the growth not solved, as {_shape(swept, at)}: {why}"]
+    case_index, failure_text = sweep_result.failed[0]
+    count_text = format_count(len(sweep_result.failed), "shape")
+    ellipse_text = _ellipse_in_words(sweep_result, case_index)
+    return [f"{count_text} away from the growth not solved, as {ellipse_text}: {failure_text}"]
 
 
-def _error_of_shape(
-    scene: Scene, table: EllipseTable, path: EllipsePath, row: int
+def _estimate_ellipse_range_error(
+    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row: int
 ) -> tuple[float, list[str]]:
-    """Relative error of the range that grows the crack most at a row of its path, and a remark on
-    what it does not have."""
-    at = path.depth[row : row + 1], path.length[row : row + 1]
-    omega = float(table.at("omega", *at)[0])
-    one = _at_size(scene, omega, float(at[1][0]), float(at[0][0]))
-    return _error_of(one, DRIVING[int(path.rates[row].argmax())])
+    """Return the relative error of the range that grows the crack most.
+
+    Returns
+    -------
+    float
+        Error at the row of the path.
+    list of str
+        At most one remark on causes that the error omits.
+    """
+    depth_and_length = (
+        ellipse_path.depth[path_row : path_row + 1],
+        ellipse_path.length[path_row : path_row + 1],
+    )
+    omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
+    shape_scene = _resize_crack(
+        scene, omega, float(depth_and_length[1][0]), float(depth_and_length[0][0])
+    )
+    return _estimate_quantity_error(
+        shape_scene, EQUIVALENT_RANGE_COLUMNS[int(ellipse_path.growth_per_cycle[path_row].argmax())]
+    )
 
 
-def _rate(path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
-    """da/dN [m] at some lengths."""
-    in_mega = path.at("driving", lengths) / 1e6  # MPa m^0.5, of which the rate is
-    return np.asarray(law.rate * in_mega**law.exponent)
+def _compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
+    """Return da/dN [m] at some lengths."""
+    driving_range_mpa = (
+        length_path.interpolate_column("driving", lengths) / 1e6
+    )  # MPa m^0.5, of which the rate is
+    return np.asarray(law.rate * driving_range_mpa**law.exponent)
 
 
-def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, End]:
-    """Lengths, the cycles until then, and how it ends."""
-    length = np.linspace(path.lengths[0], path.lengths[-1], 200)
-    arrested = path.at("delta_K_effective", length) < law.threshold
-    arrested |= _rate(path, law, length) == 0.0  # nothing opens it
-    broken = path.at("K_max", length) >= (law.toughness or math.inf)
-    over = np.flatnonzero(arrested | broken)
-    end: End = "reached"
-    if len(over):
-        end = "arrested" if arrested[over[0]] else "broken"
-        length = length[: int(over[0]) + 1]
-    half = 0.5 * np.diff(length)[:, None]
-    places = length[:-1, None] + half * (1.0 + NODES)
-    steps = np.sum(half * WEIGHTS / _rate(path, law, places.ravel()).reshape(places.shape), axis=1)
-    return length, np.append(0.0, np.cumsum(steps)), end
+def _integrate_cycles(
+    length_path: LengthPath, law: Law
+) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
+    """Integrate the cycles over the length.
+
+    Returns
+    -------
+    lengths : (n,) [m]
+    cycles : (n,)
+        Cycles until each length.
+    end_reason : str
+        "reached", "arrested" or "broken".
+    """
+    lengths = np.linspace(length_path.lengths[0], length_path.lengths[-1], 200)
+    is_arrested = length_path.interpolate_column("delta_K_effective", lengths) < law.threshold
+    is_arrested |= _compute_growth_rates(length_path, law, lengths) == 0.0  # nothing opens it
+    is_broken = length_path.interpolate_column("K_max", lengths) >= (law.toughness or math.inf)
+    end_indices = np.flatnonzero(is_arrested | is_broken)
+    end_reason: GrowthEnd = "reached"
+    if len(end_indices):
+        end_reason = "arrested" if is_arrested[end_indices[0]] else "broken"
+        lengths = lengths[: int(end_indices[0]) + 1]
+    half_steps = 0.5 * np.diff(lengths)[:, None]
+    quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_NODES)
+    cycles_per_step = np.sum(
+        half_steps
+        * GAUSS_WEIGHTS
+        / _compute_growth_rates(length_path, law, quadrature_lengths.ravel()).reshape(
+            quadrature_lengths.shape
+        ),
+        axis=1,
+    )
+    return lengths, np.append(0.0, np.cumsum(cycles_per_step)), end_reason
 
 
-def _at_size(scene: Scene, omega: float, length: float, depth: float | None = None) -> Scene:
-    """A scene, without a curve or a sweep, with another crack length [m], and depth, at a load
-    frequency [rad/s], which replaces an engine order, with the ranges that drive growth as
-    quantities."""
-    place = {"crack.length": length, "excitation.omega": omega}
-    asked = observable_names(
+def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None = None) -> Scene:
+    """Return the scene with another crack size at a load frequency.
+
+    The scene must have no curve and no sweep. The load frequency omega [rad/s] replaces an engine
+    order, and the quantities are the ranges that drive growth.
+    """
+    value_by_key = {"crack.length": length, "excitation.omega": omega}
+    quantity_names = observable_names(
         Place.TIPS if depth is None else Place.ELLIPSE,
         required_flags=ObservableFlag.REQUIRES_GROWTH_LAW,
     )
-    deep = {} if depth is None else {"crack.depth": depth}
-    return scene.replace(place | deep | {"output.quantities": asked})
+    depth_by_key = {} if depth is None else {"crack.depth": depth}
+    return scene.replace(value_by_key | depth_by_key | {"output.quantities": quantity_names})
 
 
-def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
-    """Relative error of the effective range by mesh, modes and harmonics at a length; and a remark
-    on what it does not have."""
-    omega = float(path.at("omega", np.array([length]))[0])
+def _estimate_range_error(
+    scene: Scene, length_path: LengthPath, length: float
+) -> tuple[float, list[str]]:
+    """Return the relative error of the equivalent range at a length.
+
+    Returns
+    -------
+    float
+        Error by mesh, modes and harmonics.
+    list of str
+        At most one remark on causes that the error omits.
+    """
+    omega = float(length_path.interpolate_column("omega", np.array([length]))[0])
     if scene.given("growth").drive == "spectrum":
-        omega = float(path.leading[np.abs(path.lengths - length).argmin()])
-    return _error_of(_at_size(scene, omega, length), "delta_K_equivalent")
+        omega = float(length_path.leading_omega[np.abs(length_path.lengths - length).argmin()])
+    return _estimate_quantity_error(_resize_crack(scene, omega, length), "delta_K_equivalent")
 
 
-def _error_of(scene: Scene, name: str) -> tuple[float, list[str]]:
-    """The same of a number of a scene."""
-    run = solve(scene, MPI.COMM_SELF)
-    causes = [cause for cause in STATED_CAUSES if cause != "friction"]
-    of_peak = scene.given("growth").drive == "resonance"
-    stated = stated_errors(run, run.result, of_peak=of_peak, causes=causes)
-    without = [f"vibration: {stated.left_out}"] if stated.left_out else []
-    return stated.stated(name)[0], without
+def _estimate_quantity_error(scene: Scene, quantity_name: str) -> tuple[float, list[str]]:
+    """Return the relative error of a quantity, and a remark on omitted causes."""
+    solved_run = solve(scene, MPI.COMM_SELF)
+    cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
+    is_at_peak = scene.given("growth").drive == "resonance"
+    error_statement = stated_errors(
+        solved_run, solved_run.result, of_peak=is_at_peak, causes=cause_names
+    )
+    omission_remarks = (
+        [f"vibration: {error_statement.left_out}"] if error_statement.left_out else []
+    )
+    return error_statement.stated(quantity_name)[0], omission_remarks
 
 
-def _lost(
-    path: LengthPath, law: Law, length: np.ndarray, cycles: np.ndarray, error: float
+def _estimate_threshold_sensitivity(
+    length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
 ) -> float:
-    """Return the rise of ln N, beside the power of the exponent, if all ranges are smaller by a
-    relative error: more of a spectrum is below the threshold then."""
-    above = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
-    if not (above and 0.0 < error < 1.0):
+    """Return the rise of ln N by the threshold if all ranges fall.
+
+    It is over the exponent. The ranges fall by a relative error, which leaves more of a spectrum
+    below the threshold."""
+    is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
+    if not (is_threshold_relevant and 0.0 < range_error < 1.0):
         return 0.0
-    higher = replace(law, threshold=law.threshold / (1.0 - error))
-    less = LengthPath(np.zeros(0), NO_COLUMNS, ())
-    for table in path.tables:
-        less = less.joined(table, higher, _levels(law)[1])
-    middle = 0.5 * (length[1:] + length[:-1])
-    ratio = path.at("driving", middle) / less.at("driving", middle)
-    return math.log(float(np.average(ratio**law.exponent, weights=np.diff(cycles))))
+    raised_law = replace(law, threshold=law.threshold / (1.0 - range_error))
+    raised_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
+    for sweep_result in length_path.sweep_results:
+        raised_path = raised_path.with_sweep(sweep_result, raised_law, _list_load_levels(law)[1])
+    middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
+    driving_range_ratio = length_path.interpolate_column(
+        "driving", middle_lengths
+    ) / raised_path.interpolate_column("driving", middle_lengths)
+    return math.log(float(np.average(driving_range_ratio**law.exponent, weights=np.diff(cycles))))
 
 
-def _remarks(
+def _collect_growth_remarks(
     scene: Scene,
-    path: LengthPath,
-    jumps: list[float],
-    seen: Mapping[str, np.ndarray],
-    length: np.ndarray,
-    vibration: float,
-    end: str,
+    length_path: LengthPath,
+    jump_lengths: list[float],
+    values_by_column: Mapping[str, np.ndarray],
+    lengths: np.ndarray,
+    vibration_error: float,
+    end_reason: str,
 ) -> list[str]:
     """Return the remarks that cast doubt on a crack's growth."""
-    remarks = _turning(seen["K_max"], seen["K_II_max"], length)
+    remark_texts = _describe_crack_turning(
+        values_by_column["K_max"], values_by_column["K_II_max"], lengths
+    )
     law = scene.given("growth")
-    passed = (path.not_stable, jumps)
-    unsure, jumps = ([at for at in places if at <= length[-1]] for places in passed)
-    if unsure:
-        count = format_count(len(unsure), "length")
-        remarks.append(f"at {count} {NOT_STABLE}")
-    if jumps:
-        remarks.append(
-            f"near {jumps[0]:.4g} m the stress intensity jumps: several vibrations may be "
+    doubtful_lengths = (length_path.not_stable_lengths, jump_lengths)
+    not_stable_lengths, jump_lengths = (
+        [doubtful_length for doubtful_length in length_list if doubtful_length <= lengths[-1]]
+        for length_list in doubtful_lengths
+    )
+    if not_stable_lengths:
+        count_text = format_count(len(not_stable_lengths), "length")
+        remark_texts.append(f"at {count_text} {NOT_STABLE_TEXT}")
+    if jump_lengths:
+        remark_texts.append(
+            f"near {jump_lengths[0]:.4g} m the stress intensity jumps: several vibrations may be "
             "possible there, of which growth takes the one that is found first; a curve shows them"
         )
-    remarks += [f"a crack of {at:.4g} m was not solved: {why}" for at, why in path.failed]
+    remark_texts += [
+        f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
+        for doubtful_length, failure_text in length_path.failures
+    ]
     # A crack that is arrested on its way has been at its threshold, however well that is known.
-    near = np.abs(seen["delta_K_effective"] - law.threshold) < vibration * law.threshold
-    if np.any(near) and (end != "arrested" or len(length) == 1):
-        remarks.append(
-            f"at {length[np.argmax(near)]:.4g} m the effective range is growth.threshold within "
-            f"its error of {vibration:.1%}: whether the crack grows there is not known"
+    is_near_threshold = (
+        np.abs(values_by_column["delta_K_effective"] - law.threshold)
+        < vibration_error * law.threshold
+    )
+    if np.any(is_near_threshold) and (end_reason != "arrested" or len(lengths) == 1):
+        remark_texts.append(
+            f"at {lengths[np.argmax(is_near_threshold)]:.4g} m the effective range is "
+            f"growth.threshold within its error of {vibration_error:.1%}: "
+            "whether the crack grows there is not known"
         )
-    if not math.isfinite(vibration):
-        remarks.append(UNKNOWN_VIBRATION)
-    return remarks
+    if not math.isfinite(vibration_error):
+        remark_texts.append(UNKNOWN_VIBRATION_TEXT)
+    return remark_texts
 
 
-def _turning(largest: np.ndarray, two: np.ndarray, length: np.ndarray) -> list[str]:
-    """A remark where a crack would turn, by K_max and K_II_max at its lengths."""
-    one = np.maximum(largest, SMALLEST_NORMAL)
-    turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
-    if not np.any(turning := turn > math.radians(10.0)):
+def _describe_crack_turning(K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray) -> list[str]:
+    """Return a remark if a crack would turn.
+
+    K_max and K_II_max (n,) are at its lengths.
+    """
+    K_I = np.maximum(K_max, SMALLEST_NORMAL)
+    kink_angles = 2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
+    if not np.any(is_turning := kink_angles > math.radians(10.0)):
         return []
     return [
-        f"from {length[np.argmax(turning)]:.4g} m on a straight crack is no longer right: it would "
-        f"turn by up to {math.degrees(turn.max()):.0f} degrees, K_II_max being up to "
-        f"{np.max(two / one):.0%} of K_max"
+        f"from {lengths[np.argmax(is_turning)]:.4g} m on a straight crack is no longer right: "
+        f"it would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, "
+        f"K_II_max being up to {np.max(K_II / K_I):.0%} of K_max"
     ]
 
 
@@ -617,199 +895,306 @@ def _turning(largest: np.ndarray, two: np.ndarray, length: np.ndarray) -> list[s
 
 @dataclass(frozen=True)
 class LengthPath:
-    """Columns of a sweep over the crack's length, and splines through them.
+    """Columns of sweeps over the crack's length, and splines through them.
 
     Attributes
     ----------
     lengths : (k,) [m]
-        Ascending.
-    columns : dict of str to (k,)
-        The :data:`LOGARITHMIC_COLUMNS` and the linear ones.
-    tables : tuple of SweepResult
-        Of which they are.
-    leading : (k,) [rad/s]
+        Solved lengths in ascending order.
+    column_by_name : dict of str to (k,)
+        The :data:`LOGARITHMIC_COLUMN_NAMES` and the linear ones.
+    sweep_results : tuple of SweepResult
+        Sweeps that the columns come from.
+    leading_omega : (k,) [rad/s]
         Load frequencies at which most of the growth happens.
     mode : int or None
-        Whose natural frequencies the columns have, from 1: the nearest to the leading load of the
-        first length; None before there is one.
+        Mode of the natural frequencies, from 1: nearest to the leading load of the first length.
+        None before the first length.
     """
 
     lengths: np.ndarray
-    columns: dict[str, np.ndarray]
-    tables: tuple[SweepResult, ...]
-    leading: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    column_by_name: dict[str, np.ndarray]
+    sweep_results: tuple[SweepResult, ...]
+    leading_omega: np.ndarray = field(default_factory=lambda: np.zeros(0))
     mode: int | None = None
 
     @property
-    def failed(self) -> list[tuple[float, str]]:
-        """Lengths [m] that were not solved, and why."""
-        found = {t.axes[0].values[at[0]]: why for t in self.tables for at, why in t.failed}
-        return list(found.items())
+    def failures(self) -> list[tuple[float, str]]:
+        """Return failed lengths [m], each with the reason."""
+        failure_by_length = {
+            sweep_result.axes[0].values[case_index[0]]: failure_text
+            for sweep_result in self.sweep_results
+            for case_index, failure_text in sweep_result.failed
+        }
+        return list(failure_by_length.items())
 
     @property
-    def not_stable(self) -> list[float]:
-        """Lengths [m] at which the vibration is unstable, irregular or undecided."""
-        cases = ((t, at) for t in self.tables for at in np.argwhere(t.not_stable & t.converged))
-        return list(dict.fromkeys(t.axes[0].values[at[0]] for t, at in cases))
+    def not_stable_lengths(self) -> list[float]:
+        """Return lengths [m] with unstable, irregular or undecided vibration."""
+        not_stable_cases = (
+            (sweep_result, case_index)
+            for sweep_result in self.sweep_results
+            for case_index in np.argwhere(sweep_result.not_stable & sweep_result.converged)
+        )
+        return list(
+            dict.fromkeys(
+                sweep_result.axes[0].values[case_index[0]]
+                for sweep_result, case_index in not_stable_cases
+            )
+        )
 
-    def at(self, name: str, lengths: np.ndarray) -> np.ndarray:
-        """A column at any lengths within."""
+    def interpolate_column(self, column_name: str, lengths: np.ndarray) -> np.ndarray:
+        """Interpolate a column at any lengths (n,) within the path."""
         from scipy.interpolate import CubicSpline  # takes a while, and is needed here alone
 
-        values = self.columns[name]
-        if name not in LOGARITHMIC_COLUMNS:
-            return np.asarray(CubicSpline(self.lengths, values)(lengths))
-        floor = 1e-4 * max(float(values.max()), SMALLEST_NORMAL)  # closed cracks
-        spline = CubicSpline(self.lengths, np.log(np.maximum(values, floor)))
-        return np.asarray(np.exp(spline(lengths)))
+        column = self.column_by_name[column_name]
+        if column_name not in LOGARITHMIC_COLUMN_NAMES:
+            return np.asarray(CubicSpline(self.lengths, column)(lengths))
+        min_column_value = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
+        column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, min_column_value)))
+        return np.asarray(np.exp(column_spline(lengths)))
 
-    def joined(self, table: SweepResult, law: Law, cycles: np.ndarray) -> LengthPath:
-        """With the cases of one more sweep, over lengths and the levels of a spectrum, each of
-        which has so many cycles."""
-        swept = np.array(table.axes[0].values)
-        solved = table.converged.reshape(len(swept), -1).all(axis=1)
+    def with_sweep(
+        self, sweep_result: SweepResult, law: Law, level_cycles: np.ndarray
+    ) -> LengthPath:
+        """Return the path with the cases of one more sweep.
 
-        def of_lengths(name: str) -> np.ndarray:
-            return table[name].reshape(len(swept), -1)[solved]
+        The sweep is over lengths and a spectrum's levels, with the cycles at each level.
+        """
+        sweep_lengths = np.array(sweep_result.axes[0].values)
+        is_solved = sweep_result.converged.reshape(len(sweep_lengths), -1).all(axis=1)
 
-        lengths = np.append(self.lengths, swept[solved])
-        order = np.argsort(lengths)
-        rows = {name: of_lengths(name) for name in SWEEP_COLUMNS}
-        rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
-        new, leading = _driving(rows, law, cycles)
+        def solved_levels(column_name: str) -> np.ndarray:
+            return sweep_result[column_name].reshape(len(sweep_lengths), -1)[is_solved]
+
+        path_lengths = np.append(self.lengths, sweep_lengths[is_solved])
+        length_order = np.argsort(path_lengths)
+        levels_by_column = {
+            column_name: solved_levels(column_name) for column_name in SWEEP_COLUMN_NAMES
+        }
+        levels_by_column["response"] = np.nan_to_num(
+            levels_by_column["response"]
+        )  # nan where nothing moves
+        new_column_by_name, new_leading_omega = _reduce_load_levels(
+            levels_by_column, law, level_cycles
+        )
         mode = self.mode  # that of the first length, whichever is nearest later on
-        if mode is None and solved.any():
-            bilinear = [of_lengths(f"omega_bilinear_{number}")[0, 0] for number in MODE_NUMBERS]
-            mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear - leading[0])))]
+        if mode is None and is_solved.any():
+            bilinear_omega = [
+                solved_levels(f"omega_bilinear_{candidate_mode}")[0, 0]
+                for candidate_mode in MODE_NUMBERS
+            ]
+            mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega - new_leading_omega[0])))]
         if mode is not None:
-            for name in ("omega_open", "omega_bilinear"):
-                new[name] = of_lengths(f"{name}_{mode}")[:, 0]
-        columns = {name: np.append(old, new[name])[order] for name, old in self.columns.items()}
+            for column_name in ("omega_open", "omega_bilinear"):
+                new_column_by_name[column_name] = solved_levels(f"{column_name}_{mode}")[:, 0]
+        column_by_name = {
+            column_name: np.append(column, new_column_by_name[column_name])[length_order]
+            for column_name, column in self.column_by_name.items()
+        }
         return replace(
             self,
-            lengths=lengths[order],
-            columns=columns,
-            leading=np.append(self.leading, leading)[order],
-            tables=(*self.tables, table),
+            lengths=path_lengths[length_order],
+            column_by_name=column_by_name,
+            leading_omega=np.append(self.leading_omega, new_leading_omega)[length_order],
+            sweep_results=(*self.sweep_results, sweep_result),
             mode=mode,
         )
 
 
-def _driving(
-    rows: dict[str, np.ndarray], law: Law, cycles: np.ndarray
+def _reduce_load_levels(
+    levels_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Columns of lengths, and their leading frequencies, from those of their levels (k, levels).
+    """Reduce the load levels (k, levels) of each length to columns (k,).
 
-    What drives the crack is the range of constant amplitude that makes it grow as much,
+    The driving range is the range of constant amplitude with the same growth,
 
-        (sum n_i delta K_i^m / sum n_i)^(1 / m)
+        (sum n_i delta K_i^m / sum n_i)^(1 / m),
 
-    of the equivalent ranges, levels below the threshold left out where another is above it."""
-    effective, drive = rows["delta_K_effective"], rows["delta_K_equivalent"]
-    found = {name: rows[name].max(axis=1) for name in ("K_max", "delta_K_effective")}
-    limit = np.minimum(law.threshold, found["delta_K_effective"])[:, None]
-    largest = np.maximum(drive.max(axis=1, keepdims=True), SMALLEST_NORMAL)
-    grown = (effective >= limit) * (drive / largest) ** law.exponent
-    shares = cycles / cycles.sum() * grown
-    place = shares.argmax(axis=1)[:, None]
-    of_place = {name: np.take_along_axis(rows[name], place, axis=1)[:, 0] for name in rows}
-    leading = of_place["omega"]
-    found["driving"] = largest[:, 0] * shares.sum(axis=1) ** (1.0 / law.exponent)
-    found["omega"] = cycles.sum() / (cycles / rows["omega"]).sum(axis=1)
-    return of_place | found, leading
+    with n_i cycles of the equivalent range delta K_i at level i. Levels below the threshold are
+    left out if another level is above it.
+
+    Returns
+    -------
+    dict of str to (k,)
+        Columns by name.
+    (k,) [rad/s]
+        Load frequency of the level with most growth.
+    """
+    effective_ranges = levels_by_column["delta_K_effective"]
+    equivalent_ranges = levels_by_column["delta_K_equivalent"]
+    column_by_name = {
+        column_name: levels_by_column[column_name].max(axis=1)
+        for column_name in ("K_max", "delta_K_effective")
+    }
+    range_limit = np.minimum(law.threshold, column_by_name["delta_K_effective"])[:, None]
+    max_equivalent_range = np.maximum(equivalent_ranges.max(axis=1, keepdims=True), SMALLEST_NORMAL)
+    relative_growth = (effective_ranges >= range_limit) * (
+        equivalent_ranges / max_equivalent_range
+    ) ** law.exponent
+    growth_shares = level_cycles / level_cycles.sum() * relative_growth
+    leading_level = growth_shares.argmax(axis=1)[:, None]
+    leading_value_by_column = {
+        column_name: np.take_along_axis(levels_by_column[column_name], leading_level, axis=1)[:, 0]
+        for column_name in levels_by_column
+    }
+    leading_omega = leading_value_by_column["omega"]
+    column_by_name["driving"] = max_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
+        1.0 / law.exponent
+    )
+    column_by_name["omega"] = level_cycles.sum() / (level_cycles / levels_by_column["omega"]).sum(
+        axis=1
+    )
+    return leading_value_by_column | column_by_name, leading_omega
 
 
 def _solve_lengths(
     scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
 ) -> tuple[LengthPath, float, list[float]]:
-    """Solve a scene at lengths from its crack's to its growth's, until the cycles are known to
-    ``growth.life_tolerance``; the error of the cycles by interpolation, relative to them; and the
-    lengths [m] at which the spline of ln delta K misses by more than :data:`ROUGH`, however close
-    they are, the steepest first (collective). A folder keeps the sweeps, one for each round.
+    """Solve a scene at crack lengths until the cycles are known (collective).
+
+    The lengths are from the crack's to the last of growth, and the tolerance is
+    ``growth.life_tolerance``. A folder keeps the sweeps, one for each round.
+
+    Returns
+    -------
+    LengthPath
+        Solved lengths.
+    float
+        Interpolation error of the cycles, relative to them.
+    list of float
+        Lengths [m] at which the spline of ln delta K misses by more than
+        :data:`MAX_LOG_RANGE_ERROR` in spite of all rounds, the steepest first.
 
     Raises
     ------
     ConvergenceError
-        Ctrl-C has stopped it, or too few lengths were solved.
+        The first round has failed lengths.
+    StoppedError
+        Ctrl-C has stopped it.
     """
     law = scene.given("growth")
-    start, stop = scene.given("crack").length, law.until
-    levels, cycles = _levels(law)
+    first_length, last_length = scene.given("crack").length, law.until
+    level_omega, level_cycles = _list_load_levels(law)
     # Five are the fewest of which a spline through every other one can be made.
-    wanted, missed, own = np.linspace(start, stop, 5), np.inf, np.zeros(0)
-    path = LengthPath(np.zeros(0), NO_COLUMNS, ())
-    for number in range(1, 7):  # 129 lengths are as close as meshes are similar
-        file = None if folder is None else folder / f"growth_{number}.h5"
-        over = {"crack.length": wanted} | ({"excitation.omega": levels} if len(levels) else {})
-        table = _swept(scene, over, file, comm, progress=progress)
-        before, path = path, path.joined(table, law, cycles)
-        if number == 1:
-            if path.failed:
-                at, why = path.failed[0]
-                raise ConvergenceError(f"growth, a crack of {at:.4g} m: {why}")
-            few = {name: values[::2] for name, values in path.columns.items()}
-            before, own = LengthPath(path.lengths[::2], few, ()), np.zeros(len(path.lengths) // 2)
-        own = _missed(before, path, own)
-        length, passed, _ = _integrated(path, law)
-        steps = np.diff(np.interp(path.lengths, length, passed))
-        shares = law.exponent * own * steps / max(float(steps.sum()), SMALLEST_NORMAL)
-        missed = float(shares.sum())
-        left = (shares > law.life_tolerance / len(shares)) & (missed > law.life_tolerance)
-        wanted = (0.5 * (path.lengths[1:] + path.lengths[:-1]))[left | (own > ROUGH)]
-        wanted = wanted[~np.isin(wanted, [at for at, _ in path.failed])]
-        if not len(wanted):
+    next_lengths = np.linspace(first_length, last_length, 5)
+    life_error = np.inf
+    interval_errors = np.zeros(0)
+    length_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
+    for round_number in range(1, 7):  # 129 lengths are as close as meshes are similar
+        sweep_path = None if folder is None else folder / f"growth_{round_number}.h5"
+        sizes_by_key = {"crack.length": next_lengths} | (
+            {"excitation.omega": level_omega} if len(level_omega) else {}
+        )
+        sweep_result = _sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
+        previous_path = length_path
+        length_path = length_path.with_sweep(sweep_result, law, level_cycles)
+        if round_number == 1:
+            if length_path.failures:
+                failed_length, failure_text = length_path.failures[0]
+                raise ConvergenceError(f"growth, a crack of {failed_length:.4g} m: {failure_text}")
+            coarse_column_by_name = {
+                column_name: column[::2]
+                for column_name, column in length_path.column_by_name.items()
+            }
+            previous_path = LengthPath(length_path.lengths[::2], coarse_column_by_name, ())
+            interval_errors = np.zeros(len(length_path.lengths) // 2)
+        interval_errors = _estimate_interval_errors(previous_path, length_path, interval_errors)
+        integration_lengths, integration_cycles, _ = _integrate_cycles(length_path, law)
+        interval_cycles = np.diff(
+            np.interp(length_path.lengths, integration_lengths, integration_cycles)
+        )
+        interval_life_errors = (
+            law.exponent
+            * interval_errors
+            * interval_cycles
+            / max(float(interval_cycles.sum()), SMALLEST_NORMAL)
+        )
+        life_error = float(interval_life_errors.sum())
+        has_large_error = (
+            interval_life_errors > law.life_tolerance / len(interval_life_errors)
+        ) & (life_error > law.life_tolerance)
+        next_lengths = (0.5 * (length_path.lengths[1:] + length_path.lengths[:-1]))[
+            has_large_error | (interval_errors > MAX_LOG_RANGE_ERROR)
+        ]
+        next_lengths = next_lengths[
+            ~np.isin(next_lengths, [failed_length for failed_length, _ in length_path.failures])
+        ]
+        if not len(next_lengths):
             break
-    sharpest = np.argsort(-own / np.diff(path.lengths))
-    rough = path.lengths[:-1][sharpest[own[sharpest] > ROUGH]]
-    return path, missed, rough.tolist()
+    steepness_order = np.argsort(-interval_errors / np.diff(length_path.lengths))
+    jump_lengths = length_path.lengths[:-1][
+        steepness_order[interval_errors[steepness_order] > MAX_LOG_RANGE_ERROR]
+    ]
+    return length_path, life_error, jump_lengths.tolist()
 
 
-def _levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each."""
+def _list_load_levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
+    """List a spectrum's load frequencies [rad/s], and the cycles at each.
+
+    Without a spectrum: no frequencies, and one cycle.
+    """
     if law.frequencies is None:
         return np.zeros(0), np.ones(1)
     return RAD_PER_TURN * np.array(law.frequencies), np.array(law.cycles)
 
 
-def _swept(
+def _sweep_crack_sizes(
     scene: Scene,
-    over: dict[str, np.ndarray],
-    file: Path | None,
+    values_by_key: dict[str, np.ndarray],
+    sweep_path: Path | None,
     comm: MPI.Comm,
     *,
     progress: bool = False,
 ) -> SweepResult:
-    """A sweep of the scene over sizes of its crack, and the levels of a spectrum (collective)."""
-    resonant = scene.given("growth").drive == "resonance"
-    swept = {key: values.tolist() for key, values in over.items()}
-    table = {"sweep.over": swept, "sweep.at_resonance": resonant}
-    places = (Place.TIPS, Place.ELLIPSE) if "crack.depth" in over else (Place.TIPS,)
-    asked = observable_names(*places, excluded_flags=ObservableFlag.REQUIRES_SOLID)
-    with StopRequest() as stop:
-        found = run_sweep(
-            scene.replace({**table, "output.quantities": asked}),
-            file, comm, progress=progress, judged=False,
+    """Run a sweep over crack sizes and the levels of a spectrum (collective)."""
+    is_at_resonance = scene.given("growth").drive == "resonance"
+    value_list_by_key = {
+        sweep_key: key_values.tolist() for sweep_key, key_values in values_by_key.items()
+    }
+    sweep_value_by_key = {"sweep.over": value_list_by_key, "sweep.at_resonance": is_at_resonance}
+    observable_places = (
+        (Place.TIPS, Place.ELLIPSE) if "crack.depth" in values_by_key else (Place.TIPS,)
+    )
+    quantity_names = observable_names(
+        *observable_places, excluded_flags=ObservableFlag.REQUIRES_SOLID
+    )
+    with StopRequest() as stop_request:
+        sweep_result = run_sweep(
+            scene.replace({**sweep_value_by_key, "output.quantities": quantity_names}),
+            sweep_path, comm, progress=progress, judged=False,
         )  # fmt: skip
-    if stop.is_requested(comm):
+    if stop_request.is_requested(comm):
         raise StoppedError("growth was stopped; the same command goes on with it")
-    return found
+    return sweep_result
 
 
-def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:
-    """Return the error of the spline's ln delta K on each interval between lengths: (k - 1,).
+def _estimate_interval_errors(
+    previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
+) -> np.ndarray:
+    """Return the spline's error in ln delta K between neighbouring lengths: (k - 1,).
 
-    Of new intervals it is what the spline before missed at their ends. Of the others it is what it
-    was, or how far both splines are apart in their middle, if that is more: a resonance that passes
-    within shows around it, too.
+    In new intervals it is the previous spline's error at the interval ends, a quarter of the
+    largest difference. In other intervals it is the previous error or, if larger, the difference
+    between both splines in the middle. A resonance inside an interval shows around the interval,
+    too.
     """
 
-    def apart(lengths: np.ndarray) -> np.ndarray:
-        here, there = (one.at("driving", lengths) for one in (path, before))
-        return np.abs(np.log(here / there))
+    def log_range_difference(lengths: np.ndarray) -> np.ndarray:
+        driving_range, previous_driving_range = (
+            compared_path.interpolate_column("driving", lengths)
+            for compared_path in (length_path, previous_path)
+        )
+        return np.abs(np.log(driving_range / previous_driving_range))
 
     # Halved, a spline's error falls by 16, and here by 4 at least.
-    at_ends, new = apart(path.lengths) / 4.0, ~np.isin(path.lengths, before.lengths)
-    middle = 0.5 * (path.lengths[1:] + path.lengths[:-1])
-    known = missed[np.searchsorted(before.lengths, middle) - 1]
-    old = np.maximum(known, apart(middle))
-    return np.where(new[1:] | new[:-1], np.maximum(at_ends[1:], at_ends[:-1]), old)
+    end_errors = log_range_difference(length_path.lengths) / 4.0
+    is_new_length = ~np.isin(length_path.lengths, previous_path.lengths)
+    middle_lengths = 0.5 * (length_path.lengths[1:] + length_path.lengths[:-1])
+    inherited_errors = previous_errors[np.searchsorted(previous_path.lengths, middle_lengths) - 1]
+    kept_interval_errors = np.maximum(inherited_errors, log_range_difference(middle_lengths))
+    return np.where(
+        is_new_length[1:] | is_new_length[:-1],
+        np.maximum(end_errors[1:], end_errors[:-1]),
+        kept_interval_errors,
+    )

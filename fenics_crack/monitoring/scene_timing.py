@@ -23,7 +23,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import scene_with_full_paths
-from fenics_crack.monitoring.simulate import run_up_points, tip_timing
+from fenics_crack.monitoring.simulate import find_run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
@@ -34,14 +34,20 @@ from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE
 
-TABLES_NOT_COMPARED = (*RESULT_TABLE_NAMES, "reduction")
-"""Tables that may differ between a scene and a result: they choose results, or a run decides
-them."""
-MIN_TIP_SPEED = 1.0
-"""Minimum plausible speed of a blade tip [m/s]; times in ms in place of s turn 200 into 0.2."""
-TOO_SLOW = "the blade tip moves at {:.3g} m/s, where rotors with probes have 1 to 700"
-MAX_MODE_DISTANCE = 0.1
-"""Maximum distance between a resonance and a mode, relative to the resonance frequency."""
+IGNORED_SCENE_TABLES = (*RESULT_TABLE_NAMES, "reduction")
+"""Tables that may differ between a scene and a result.
+
+They choose results, or a run decides them.
+"""
+MIN_PLAUSIBLE_TIP_SPEED = 1.0
+"""Minimum plausible speed of a blade tip [m/s].
+
+Times in ms in place of s turn 200 m/s into 0.2.
+"""
+TOO_SLOW_FORMAT = "the blade tip moves at {:.3g} m/s, where rotors with probes have 1 to 700"
+"""Beginning of a remark on slow blade tips."""
+ALLOWED_MODE_DISTANCE = 0.1
+"""Allowed distance between a resonance and a mode, relative to the resonance frequency."""
 
 
 def arrivals_of_blades(
@@ -51,7 +57,7 @@ def arrivals_of_blades(
 ) -> tuple[dict[int, ArrivalTimes], Run[Result] | None]:
     """Return arrival times of every blade by ``[tip_timing]`` of a scene (collective).
 
-    Blade j + 1 of a bladed disk is a sector ahead of blade j in the direction of rotation. Other
+    In a bladed disk, blade j + 1 is a sector ahead of blade j in the direction of rotation. Other
     scenes have one blade.
 
     Parameters
@@ -59,17 +65,17 @@ def arrivals_of_blades(
     scene : Scene
         With [tip_timing].
     source : mapping of int to ArrivalTimes, or path, optional
-        Measured arrivals by the numbers of the blades; or a result of ``solve`` or ``curve``, whose
-        scene has the rotation. A run-up ends where the curve becomes unstable. Default: the steady
-        vibration of the scene, which is solved.
+        Measured arrivals by blade number; or a result of ``solve`` or ``curve``, whose scene has
+        the rotation. A run-up ends where the curve becomes unstable. Default: the steady vibration
+        of the scene, which is solved.
     comm : MPI.Comm
         Ranks that share the structure.
 
     Returns
     -------
     dict of int to ArrivalTimes, Run or None
-        Arrivals by the numbers of the blades, and the run that they are computed from; None for
-        measured arrivals.
+        Arrivals by blade number, and the run that they are computed from; None for measured
+        arrivals.
 
     Raises
     ------
@@ -82,13 +88,17 @@ def arrivals_of_blades(
     """
     if isinstance(source, Mapping):
         return dict(source), None
-    table = scene.given("tip_timing")
-    run, blades = _load_or_solve(scene, source, comm), {}
+    timing_table = scene.given("tip_timing")
+    run, arrivals_by_blade = _load_or_solve(scene, source, comm), {}
     n_blades = run.structure.whole.n_sectors
-    for blade, probes in probes_of_blades(np.radians(table.probes), n_blades).items():
-        begin_stage(f"arrivals of blade {blade}")
-        blades[blade] = _compute_arrivals(table, run, source, np.sort(probes), blade)
-    return blades, run
+    for blade_number, probe_angles in probes_of_blades(
+        np.radians(timing_table.probes), n_blades
+    ).items():
+        begin_stage(f"arrivals of blade {blade_number}")
+        arrivals_by_blade[blade_number] = _compute_arrivals(
+            timing_table, run, source, np.sort(probe_angles), blade_number
+        )
+    return arrivals_by_blade, run
 
 
 def _load_or_solve(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
@@ -102,65 +112,81 @@ def _load_or_solve(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Res
     return run
 
 
-def curve_of(run: Run[Any] | None) -> ResponseCurve | None:
+def get_response_curve(run: Run[Any] | None) -> ResponseCurve | None:
     """Return the curve of computed arrivals, or None of another source."""
     result = None if run is None else run.result
     return result if isinstance(result, ResponseCurve) else None
 
 
 def _compute_arrivals(
-    table: TipTiming, run: Run[Any], source: Path | None, probes: np.ndarray, blade: int
+    timing_table: TipTiming,
+    run: Run[Any],
+    source: Path | None,
+    probe_angles: np.ndarray,
+    blade_number: int,
 ) -> ArrivalTimes:
     """Compute arrivals of a blade at probes (n,) [rad] (collective)."""
     result: Any = run.result
-    if (curve := curve_of(run)) is not None:
-        indices, unstable_index = run_up_points(curve)
+    if (curve := get_response_curve(run)) is not None:
+        passed_indices, unstable_index = find_run_up_points(curve)
         # The part before the curve becomes unstable; all of a curve that is so at once.
-        result = curve if unstable_index is None or len(indices) < 2 else curve.part(indices)
-    options = {key: getattr(table, key) for key in ("tip_radius", "revolutions", "noise", "clock")}
-    options |= {"probes": probes, "seed": table.seed + blade - 1}
+        result = (
+            curve
+            if unstable_index is None or len(passed_indices) < 2
+            else curve.part(passed_indices)
+        )
+    timing_arguments = {
+        key: getattr(timing_table, key) for key in ("tip_radius", "revolutions", "noise", "clock")
+    }
+    timing_arguments |= {"probes": probe_angles, "seed": timing_table.seed + blade_number - 1}
     return tip_timing(
         result,
-        tip_direction(table, run, blade),
-        **options,
-        **_choose_speed_or_order(table, run, source),
+        find_tip_factors(timing_table, run, blade_number),
+        **timing_arguments,
+        **_choose_speed_or_order(timing_table, run, source),
     )
 
 
 def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
     """Describe where a run-up becomes unstable, or return ""."""
-    if (curve := curve_of(run)) is None:
+    if (curve := get_response_curve(run)) is None:
         return ""
-    indices, unstable_index = run_up_points(curve)
+    passed_indices, unstable_index = find_run_up_points(curve)
     if unstable_index is None:
         return ""
-    speeds = curve.omega[[indices[-1], unstable_index]] / engine_order(
+    last_and_unstable_speeds = curve.omega[[passed_indices[-1], unstable_index]] / get_engine_order(
         scene.given("tip_timing"), run.scene
     )
-    last_speed, unstable_speed = (format_speed(speed, scene.in_rpm) for speed in speeds)
-    return f"the vibration is unstable at {unstable_speed}: the run-up ends before, at {last_speed}"
+    last_speed_text, unstable_speed_text = (
+        format_speed(speed, scene.in_rpm) for speed in last_and_unstable_speeds
+    )
+    end_text = f"the run-up ends before, at {last_speed_text}"
+    return f"the vibration is unstable at {unstable_speed_text}: {end_text}"
 
 
 def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
     """Describe how the scene of a result differs, or return "" (collective)."""
-    scenes = with_crack_length(scene, run.structure.comm), run.scene
+    scene_pair = with_crack_length(scene, run.structure.comm), run.scene
     compared_scenes = [
-        scene_with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
+        scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLES))
+        for scene in scene_pair
     ]
-    scene_words, result_words = describe_differences(compared_scenes)
+    scene_text, result_text = describe_differences(compared_scenes)
     sentence_start = (
-        f"the arrivals are those of a result with {result_words}; the vibration is sought by this "
+        f"the arrivals are those of a result with {result_text}; the vibration is sought by this "
     )
-    return sentence_start + f"scene, which has {scene_words}" if scene_words else ""
+    return sentence_start + f"scene, which has {scene_text}" if scene_text else ""
 
 
-def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
+def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to be in another unit."""
     remarks, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
-    if not MIN_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
-        template = TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_TIP_SPEED else TOO_SLOW
-        question = "are speed, or times, and tip_radius in the units of their headings?"
-        remarks.append(f"{template.format(tip_speed)}: {question}")
+    if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
+        remark_format = (
+            TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_PLAUSIBLE_TIP_SPEED else TOO_SLOW_FORMAT
+        )
+        question_text = "are speed, or times, and tip_radius in the units of their headings?"
+        remarks.append(f"{remark_format.format(tip_speed)}: {question_text}")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < RAD_PER_TURN:
         probe_range = float(np.degrees(np.ptp(arrivals.probes)))
         remarks.append(f"all probes are within {probe_range:.3g} degrees: are angles in rad?")
@@ -169,11 +195,11 @@ def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
 
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
     """Return True if arrivals have a curve or a varying speed."""
-    return curve_of(run) is not None or not arrivals.steady
+    return get_response_curve(run) is not None or not arrivals.steady
 
 
 def fit_vibration(
-    table: TipTiming,
+    timing_table: TipTiming,
     arrivals: ArrivalTimes,
     scene: Scene | None = None,
     run: Run[Any] | None = None,
@@ -191,33 +217,41 @@ def fit_vibration(
         or a frequency is requested in a run-up, orders in one that is computed, or more than first
         harmonics, or revolutions together, where its resonances are sought.
     """
-    order = table.order or (None if scene is None else scene.excitation.order)
-    options: dict[str, Any] = {"harmonics": table.fitted_harmonics}
-    options["angle_deviation"] = np.radians(table.angle_deviation)
-    passage_arguments = ("stiffening",), "all but a measured run-up in which resonances are sought"
+    load_order = timing_table.order or (None if scene is None else scene.excitation.order)
+    fit_arguments: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
+    fit_arguments["angle_deviation"] = np.radians(timing_table.angle_deviation)
+    passage_keys_and_owner = (
+        ("stiffening",),
+        "all but a measured run-up in which resonances are sought",
+    )
     if is_run_up(arrivals, run):
-        reason = (
+        run_up_text = (
             "a run-up, in which an order is tracked, or the resonances are found that are passed"
         )
-        table.forbid_keys(("frequencies",), reason)
-        if order is None or (run is None and table.orders):
+        timing_table.forbid_keys(("frequencies",), run_up_text)
+        if load_order is None or (run is None and timing_table.orders):
             order_keys = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-            table.forbid_keys(order_keys, "a run-up in which resonances are sought")
-            diagram = _campbell_diagram(scene, arrivals) if scene and scene.rotation else None
-            return _fit_passages(table, arrivals, diagram)
-        table.forbid_keys(*passage_arguments)
-        table.forbid_keys(("orders",), f"a computed run-up: order {order} is tracked")
-        options |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
-        return track_order(arrivals, order, **options)
-    table.forbid_keys(*passage_arguments)
-    if table.frequencies is not None:
-        min_omega, max_omega = (2.0 * np.pi * frequency for frequency in table.frequencies)
-        return fit_frequency(arrivals, min_omega, max_omega, **options)
-    orders = table.orders or ([order] if order else ORDERS)
-    return fit_order(arrivals, orders, **options, subharmonic=table.subharmonic)
+            timing_table.forbid_keys(order_keys, "a run-up in which resonances are sought")
+            diagram = (
+                _compute_campbell_diagram(scene, arrivals) if scene and scene.rotation else None
+            )
+            return _fit_passages(timing_table, arrivals, diagram)
+        timing_table.forbid_keys(*passage_keys_and_owner)
+        timing_table.forbid_keys(("orders",), f"a computed run-up: order {load_order} is tracked")
+        fit_arguments |= {
+            "subharmonic": timing_table.subharmonic,
+            "revolutions": timing_table.fitted_revolutions,
+        }
+        return track_order(arrivals, load_order, **fit_arguments)
+    timing_table.forbid_keys(*passage_keys_and_owner)
+    if timing_table.frequencies is not None:
+        min_omega, max_omega = (2.0 * np.pi * frequency for frequency in timing_table.frequencies)
+        return fit_frequency(arrivals, min_omega, max_omega, **fit_arguments)
+    fitted_orders = timing_table.orders or ([load_order] if load_order else ORDERS)
+    return fit_order(arrivals, fitted_orders, **fit_arguments, subharmonic=timing_table.subharmonic)
 
 
-def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
+def find_passed_modes(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
     """Find the resonances that a record passes, and their modes (collective).
 
     Returns a list of (resonance, mode of the scene from 1, ""), or (resonance, 0, reason).
@@ -228,119 +262,136 @@ def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit,
         As :func:`find_passages`; or the load is no engine order of a table ``[rotation]``.
     """
     if scene.rotation is None or scene.excitation.order is None:
-        requirement = (
+        requirement_text = (
             "those of a constant speed, unless the load is an excitation.order of [rotation]"
         )
-        raise InputError("arrivals", repr(arrivals), requirement)
-    diagram = _campbell_diagram(scene, arrivals)
-    fits = _fit_passages(scene.given("tip_timing"), arrivals, diagram)
-    return [(fit, *mode_of(fit, diagram)) for fit in fits]
+        raise InputError("arrivals", repr(arrivals), requirement_text)
+    diagram = _compute_campbell_diagram(scene, arrivals)
+    passage_fits = _fit_passages(scene.given("tip_timing"), arrivals, diagram)
+    return [(passage_fit, *match_mode(passage_fit, diagram)) for passage_fit in passage_fits]
 
 
-def passed_in_words(fit: PassageFit, mode: int, reason: str) -> str:
+def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
     """Describe a resonance and its mode, with doubts or reasons."""
-    doubts = ["another vibration is near it"] * fit.in_doubt
-    doubts += [f"its {fit.disagreement}"] * fit.disagree
-    remark = "; ".join([reason] * bool(reason) + doubts)
-    name = f"mode {mode}" if mode else "not used"
-    return f"{name}: {fit.in_words}" + f" ({remark})" * bool(remark)
+    doubt_texts = ["another vibration is near it"] * passage_fit.in_doubt
+    doubt_texts += [f"its {passage_fit.disagreement}"] * passage_fit.disagree
+    remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
+    mode_text = f"mode {mode}" if mode else "not used"
+    return f"{mode_text}: {passage_fit.in_words}" + f" ({remark_text})" * bool(remark_text)
 
 
-def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
-    """Return a resonance's mode (from 1) and "", or 0 and why."""
-    omega_open, omega_tied = diagram.between(fit.speed)
+def match_mode(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
+    """Match a resonance with a mode.
+
+    Returns
+    -------
+    int
+        Mode from 1; 0 without a match.
+    str
+        Reason without a match, else empty.
+    """
+    omega_open, omega_tied = diagram.between(passage_fit.speed)
 
     def distances_from(omega: float) -> np.ndarray:
         return np.maximum(np.maximum(omega_open - omega, omega - omega_tied), 0.0) / omega
 
-    distances = distances_from(fit.omega)
-    nearest_modes = np.argsort(distances)
-    ranges = [
+    mode_distances = distances_from(passage_fit.omega)
+    nearest_modes = np.argsort(mode_distances)
+    range_texts = [
         f"mode {mode + 1} has {omega_open[mode] / RAD_PER_TURN:.6g} to "
         f"{omega_tied[mode] / RAD_PER_TURN:.6g} Hz there"
         for mode in nearest_modes[:2]
     ]
-    if distances[nearest_modes[0]] > MAX_MODE_DISTANCE:
-        return 0, f"that of none of the blade's modes to {MAX_MODE_DISTANCE:.0%}; {ranges[0]}"
-    if len(distances) > 1 and distances[nearest_modes[1]] < 0.5 * MAX_MODE_DISTANCE:
-        return 0, "; ".join(ranges)
-    other_orders = [
-        f"{order:g}"
-        for order in fit.ambiguous
-        if min(distances_from(order * fit.speed)) <= MAX_MODE_DISTANCE
-    ]
-    if other_orders:
-        reason = (
-            "may be right, too: two probes test none" if fit.untested else "explains it as well"
+    if mode_distances[nearest_modes[0]] > ALLOWED_MODE_DISTANCE:
+        return (
+            0,
+            f"that of none of the blade's modes to {ALLOWED_MODE_DISTANCE:.0%}; {range_texts[0]}",
         )
-        return 0, f"order {', '.join(other_orders)} {reason}, and meets a mode there, too"
+    if len(mode_distances) > 1 and mode_distances[nearest_modes[1]] < 0.5 * ALLOWED_MODE_DISTANCE:
+        return 0, "; ".join(range_texts)
+    other_order_texts = [
+        f"{ambiguous_order:g}"
+        for ambiguous_order in passage_fit.ambiguous
+        if min(distances_from(ambiguous_order * passage_fit.speed)) <= ALLOWED_MODE_DISTANCE
+    ]
+    if other_order_texts:
+        reason_text = (
+            "may be right, too: two probes test none"
+            if passage_fit.untested
+            else "explains it as well"
+        )
+        return 0, f"order {', '.join(other_order_texts)} {reason_text}, and meets a mode there, too"
     return int(nearest_modes[0]) + 1, ""
 
 
 def _fit_passages(
-    table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
+    timing_table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
 ) -> tuple[PassageFit, ...]:
     """Find resonances, with the stiffening of the table, diagram, or none."""
-    stiffening: float | Follows = table.stiffening or 0.0
-    if table.stiffening is None and diagram is not None:
+    stiffening: float | Follows = timing_table.stiffening or 0.0
+    if timing_table.stiffening is None and diagram is not None:
         stiffening = diagram.stiffening
-    return find_passages(arrivals, table.orders or ORDERS, stiffening=stiffening)
+    return find_passages(arrivals, timing_table.orders or ORDERS, stiffening=stiffening)
 
 
-def _campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
+def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     """Return a scene's Campbell diagram over a record's speeds (collective)."""
     begin_stage("Campbell diagram")
     speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), 5)
     return campbell(scene, speeds, few=10)
 
 
-def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float]:
-    """Return dofs and factors of the tangential tip displacement (collective).
+def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[int, float]:
+    """Return the factor of each dof in the tangential tip displacement (collective).
 
-    Of a wheel, the displacement of one blade: the watched blade if ``blade`` is 0.
+    For a wheel it is a blade's displacement: the watched blade's if ``blade`` is 0.
 
     Raises
     ------
     InputError
         The blade tip of a solid lies on the axis.
     """
-    structure, rotation, tip_factor = (
-        run.structure.whole,
-        _tip_rotation(table, run.scene),
-        table.tangential,
-    )
-    sector, is_disk = structure.sector_structure, structure.n_sectors > 1
+    structure = run.structure.whole
+    rotation = _find_tip_rotation(timing_table, run.scene)
+    tip_factor = timing_table.tangential
+    sector_structure, is_disk = structure.sector_structure, structure.n_sectors > 1
     _, tip_dof = structure.blade_of(run.watched_dof)
-    factors = {tip_dof: 1.0 if tip_factor is None else tip_factor}
+    factor_by_dof = {tip_dof: 1.0 if tip_factor is None else tip_factor}
     if tip_factor is None and (is_disk or rotation):
-        dofs, points = (
-            gather_rows(sector.comm, local_rows)
-            for local_rows in (sector.nodes.dofs, sector.nodes.points)
+        dofs, node_points = (
+            gather_rows(sector_structure.comm, local_rows)
+            for local_rows in (sector_structure.nodes.dofs, sector_structure.nodes.points)
         )
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
         if is_disk or rotation is None:  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
-            Q, center = structure.sector.turn, structure.sector.center
-            direction = (Q - Q.T) @ (points[node_index] - center)
-            direction /= np.linalg.norm(direction)
+            turn_matrix, rotation_center = structure.sector.turn, structure.sector.center
+            find_tip_factors = (turn_matrix - turn_matrix.T) @ (
+                node_points[node_index] - rotation_center
+            )
+            find_tip_factors /= np.linalg.norm(find_tip_factors)
         else:
-            direction = _circumferential_direction(run.scene, points[node_index])
-        dof_factors = zip(dofs[node_index].tolist(), direction.tolist(), strict=True)
-        factors = {dof: factor for dof, factor in dof_factors if dof >= 0 and factor != 0.0}
+            find_tip_factors = _find_circumferential_direction(run.scene, node_points[node_index])
+        dofs_and_factors = zip(dofs[node_index].tolist(), find_tip_factors.tolist(), strict=True)
+        factor_by_dof = {
+            dof: factor for dof, factor in dofs_and_factors if dof >= 0 and factor != 0.0
+        }
     return {
         structure.dof_of(blade or structure.watched_sector + 1, dof): factor
-        for dof, factor in factors.items()
+        for dof, factor in factor_by_dof.items()
     }
 
 
-def tip_in_words(table: TipTiming, run: Run) -> str:
+def describe_tip(timing_table: TipTiming, run: Run) -> str:
     """Describe which displacements the probes measure, and their factors (collective)."""
     structure = run.structure.whole
-    dof_factors = tip_direction(table, run).items()
-    terms = [f"{factor:.4g} times the {structure.dof_name(dof)}" for dof, factor in dof_factors]
-    return f"the probes measure {' and '.join(terms)}"
+    dofs_and_factors = find_tip_factors(timing_table, run).items()
+    term_texts = [
+        f"{factor:.4g} times the {structure.dof_name(dof)}" for dof, factor in dofs_and_factors
+    ]
+    return f"the probes measure {' and '.join(term_texts)}"
 
 
-def probed_displacement(scene: Scene) -> tuple[str, bool]:
+def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
     """Find the displacement that measured arrivals show, without a mesh.
 
     Returns the name ("tip.ux"; "" for the watched displacement), and True if it is against the
@@ -351,34 +402,36 @@ def probed_displacement(scene: Scene) -> tuple[str, bool]:
     InputError
         The blade tip of a solid is not given, lies on the axis, or moves along no coordinate.
     """
-    table = scene.given("tip_timing")
-    rotation = _tip_rotation(table, scene)
+    timing_table = scene.given("tip_timing")
+    rotation = _find_tip_rotation(timing_table, scene)
     if rotation is None:
-        return [*scene.point_names, ""][0], (table.tangential or 1.0) < 0.0
+        return [*scene.point_names, ""][0], (timing_table.tangential or 1.0) < 0.0
     if not scene.points:
-        requirement = "given with arrivals of a solid blade: its tip first"
-        raise InputError("output.points", None, requirement)
-    tip = scene.points[0]
-    direction = _circumferential_direction(scene, np.array(tip.values))
+        requirement_text = "given with arrivals of a solid blade: its tip first"
+        raise InputError("output.points", None, requirement_text)
+    tip_point = scene.points[0]
+    direction = _find_circumferential_direction(scene, np.array(tip_point.values))
     axis_index = int(np.abs(direction).argmax())
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
-        components = ", ".join(f"{component:.3g}" for component in direction)
-        requirement = (
-            f"given: the blade tip moves along ({components}), which is none of x, y and z"
+        components_text = ", ".join(
+            f"{direction_component:.3g}" for direction_component in direction
         )
-        raise InputError("tip_timing.tangential", None, requirement)
-    return f"{tip.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)
+        requirement_text = (
+            f"given: the blade tip moves along ({components_text}), which is none of x, y and z"
+        )
+        raise InputError("tip_timing.tangential", None, requirement_text)
+    return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)
 
 
-def _tip_rotation(table: TipTiming, scene: Scene) -> Rotation | None:
+def _find_tip_rotation(timing_table: TipTiming, scene: Scene) -> Rotation | None:
     """Return the rotation that carries the tip of a solid, or None.
 
     Without it, the watched displacement times ``tip_timing.tangential`` (or 1) is tangential.
     """
-    return scene.rotation if table.tangential is None and scene.dimension == 3 else None
+    return scene.rotation if timing_table.tangential is None and scene.dimension == 3 else None
 
 
-def _circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarray:
+def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarray:
     """Return the direction in which a rotor carries a point: (3,).
 
     The unit vector along a x (x - x_0), with the axis a through x_0.
@@ -390,16 +443,20 @@ def _circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarray:
     """
     axis_point, axis = scene.axis
     direction = np.cross(axis, point - axis_point)
-    length = float(np.linalg.norm(direction))
-    if length <= POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
+    distance_from_axis = float(np.linalg.norm(direction))
+    if distance_from_axis <= POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
         coordinates = [float(x) for x in point]
         raise InputError(
             "output.points", coordinates, "a blade tip first, off the axis of the rotation"
         )
-    return np.where(np.abs(direction) > ROUNDING * length, direction / length, 0.0)
+    return np.where(
+        np.abs(direction) > ROUNDING * distance_from_axis, direction / distance_from_axis, 0.0
+    )
 
 
-def _choose_speed_or_order(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
+def _choose_speed_or_order(
+    timing_table: TipTiming, run: Run, source: Path | None
+) -> dict[str, Any]:
     """Choose the argument of ``tip_timing``: speed of rotation, or engine order.
 
     Raises
@@ -408,28 +465,28 @@ def _choose_speed_or_order(table: TipTiming, run: Run, source: Path | None) -> d
         As :func:`engine_order`; or the curve of a rotor is of one speed, while stiffness and mean
         load change in a run-up.
     """
-    owner = "" if source is None else f" of {str(source)!r}"
-    curve = curve_of(run)
+    owner_text = "" if source is None else f" of {str(source)!r}"
+    curve = get_response_curve(run)
     if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
         speed_text = format_speed(run.scene.speed, run.scene.in_rpm)
-        requirement = (
+        requirement_text = (
             f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed_text} all along it"
         )
-        raise InputError("curve.parameter", run.scene.given("curve").parameter, requirement)
+        raise InputError("curve.parameter", run.scene.given("curve").parameter, requirement_text)
     is_steady = run.scene.excitation.order is None and curve is None
     if is_steady and run.scene.speed > 0.0:
-        table.forbid_keys(("order",), f"a rotor's speed, in [rotation]{owner}")
+        timing_table.forbid_keys(("order",), f"a rotor's speed, in [rotation]{owner_text}")
         return {"speed": run.scene.speed}
-    if source is not None and run.scene.excitation.order is None and table.order is None:
-        requirement = (
+    if source is not None and run.scene.excitation.order is None and timing_table.order is None:
+        requirement_text = (
             "a result whose own scene has [rotation] and excitation.order, which this one lacks; "
             "or given with tip_timing.order, periods of the load in a revolution"
         )
-        raise InputError("source", str(source), requirement)
-    return {"order": engine_order(table, run.scene, owner)}
+        raise InputError("source", str(source), requirement_text)
+    return {"order": get_engine_order(timing_table, run.scene, owner_text)}
 
 
-def engine_order(table: TipTiming, scene: Scene, owner: str = "") -> int:
+def get_engine_order(timing_table: TipTiming, scene: Scene, owner_text: str = "") -> int:
     """Return the engine order of the load, by ``[excitation]`` or ``[tip_timing]``.
 
     ``owner``: words for the owner of the scene, as " of 'curve.h5'".
@@ -440,7 +497,7 @@ def engine_order(table: TipTiming, scene: Scene, owner: str = "") -> int:
         Neither or both of them have it.
     """
     if scene.excitation.order is not None:
-        table.forbid_keys(("order",), f"excitation.order{owner}")
+        timing_table.forbid_keys(("order",), f"excitation.order{owner_text}")
         return scene.excitation.order
-    order: int = table.given("order", "given without excitation.order: a whole number >= 1")
+    order: int = timing_table.given("order", "given without excitation.order: a whole number >= 1")
     return order

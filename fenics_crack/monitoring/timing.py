@@ -26,29 +26,33 @@ from fenics_crack.basics.tables import (
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.scene.scene import Scene
 
-NO_RESONANCE: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
+EMPTY_COLUMN_BY_NAME: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
 """Columns of a table without any resonance."""
-MISSING_HARMONICS = (
+MISSING_HARMONICS_TEXT = (
     "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
 )
-NO_SPARE_PROBE = "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
-FOLDED_HARMONICS = (
+NO_SPARE_PROBE_TEXT = (
+    "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
+)
+FOLDED_HARMONICS_TEXT = (
     "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
 )
-NO_REPETITION = (
+NO_REPETITION_TEXT = (
     "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
 )
-UNCLEAR_HARMONIC = (
+UNCLEAR_HARMONIC_FORMAT = (
     "at no speed larger than its errors, at most {} (more revolutions determine it better)"
 )
-CORRELATED_RESIDUALS = (
+CORRELATED_RESIDUALS_TEXT = (
     "residuals are correlated, by a vibration nearby or drift: order and errors may be wrong"
 )
-UNTESTED_ORDER = "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
-BLIND_PROBE = (
+UNTESTED_ORDER_FORMAT = (
+    "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
+)
+BLIND_PROBE_TEXT = (
     "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
 )
-CONSTANT_FREQUENCY = (
+CONSTANT_FREQUENCY_TEXT = (
     "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "
     "overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
 )
@@ -61,11 +65,11 @@ class Timing(SavedResult):
     Attributes
     ----------
     scene : Scene or None
-        With [tip_timing]; None of a measured record by itself.
+        Scene with [tip_timing]; None for a measured record by itself.
     arrivals : dict of int to ArrivalTimes
-        Of each blade, by its number from 1.
+        Arrival times by blade number from 1.
     fits : dict of int to TipFit, TipTrack or tuple of PassageFit
-        Vibration of each blade at one speed, of known order in a run-up, or the resonances passed.
+        Vibration of each blade at one speed, of known order in a run-up, or the passed resonances.
     doubts : tuple of str
         Sentences that cast doubt on the arrivals.
     """
@@ -79,7 +83,7 @@ class Timing(SavedResult):
 
     @property
     def of_resonances(self) -> bool:
-        """Return True if the fits are of resonances that were passed."""
+        """Return True if the fits are of passed resonances."""
         return any(isinstance(fit, tuple) for fit in self.fits.values())
 
     def to_dict(self) -> dict[str, Any]:
@@ -94,11 +98,20 @@ class Timing(SavedResult):
         elif len(self.fits) == 1:
             return self._first_fit.to_dict()
         else:
-            fits = {blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)}
-            has_ratios = all(map(_has_second_harmonic, fits.values()))
-            rows = [{"blade": blade} | _row_of(fit, has_ratios) for blade, fit in fits.items()]
-        names = [name for name in rows[0] if name != "speed"] if rows else []
-        return {name: [row[name] for row in rows] for name in names} or NO_RESONANCE
+            fit_by_blade = {
+                blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)
+            }
+            have_ratios = all(map(_has_second_harmonic, fit_by_blade.values()))
+            rows = [
+                {"blade": blade} | _tabulate_fit(fit, have_ratios)
+                for blade, fit in fit_by_blade.items()
+            ]
+        column_names = (
+            [column_name for column_name in rows[0] if column_name != "speed"] if rows else []
+        )
+        return {
+            column_name: [row[column_name] for row in rows] for column_name in column_names
+        } or EMPTY_COLUMN_BY_NAME
 
     @property
     def _first_fit(self) -> Any:
@@ -106,12 +119,14 @@ class Timing(SavedResult):
 
     def _units(self) -> Mapping[str, str]:
         is_single_fit = len(self.fits) == 1 and not self.of_resonances
-        units: Mapping[str, str] = self._first_fit._units() if is_single_fit else UNIT_BY_NAME
-        return units
+        unit_by_column: Mapping[str, str] = (
+            self._first_fit._units() if is_single_fit else UNIT_BY_NAME
+        )
+        return unit_by_column
 
     def _title(self) -> str:
-        revolutions = format_count(len(next(iter(self.arrivals.values()))), "revolution")
-        return f"{format_count(len(self.arrivals), 'blade')}, {revolutions}"
+        revolutions_text = format_count(len(next(iter(self.arrivals.values()))), "revolution")
+        return f"{format_count(len(self.arrivals), 'blade')}, {revolutions_text}"
 
 
 def _has_second_harmonic(fit: TipFit) -> bool:
@@ -119,12 +134,18 @@ def _has_second_harmonic(fit: TipFit) -> bool:
     return bool(np.any(np.isclose(fit.multiples, 2.0)))
 
 
-def _row_of(fit: TipFit, has_ratio: bool) -> dict[str, float]:
-    """Return the row of a fit, with the harmonic ratio if ``has_ratio``."""
-    sizes, errors = fit.amplitudes, fit.amplitude_errors
-    row = {"amplitude": float(sizes[0]), "amplitude_error": float(errors[0]), "order": fit.order}
-    names = "ratio_2_1", "ratio_2_1_error"
-    return row | (dict(zip(names, fit.ratio(), strict=True)) if has_ratio else {})
+def _tabulate_fit(fit: TipFit, has_ratio: bool) -> dict[str, float]:
+    """Return the row of a fit by column, with the harmonic ratio if ``has_ratio``."""
+    amplitudes, amplitude_errors = fit.amplitudes, fit.amplitude_errors
+    value_by_column = {
+        "amplitude": float(amplitudes[0]),
+        "amplitude_error": float(amplitude_errors[0]),
+        "order": fit.order,
+    }
+    ratio_columns = "ratio_2_1", "ratio_2_1_error"
+    return value_by_column | (
+        dict(zip(ratio_columns, fit.ratio(), strict=True)) if has_ratio else {}
+    )
 
 
 # --- report ---------------------------------------------------------------------------------------
@@ -134,173 +155,227 @@ def report_of_timing(timing: Timing) -> Report:
     """Report the vibration of each blade, and doubts about it."""
     from fenics_crack.study.plausibility import remarks_on_scene  # with DOLFINx
 
-    passages = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, tuple)}
+    passages_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, tuple)}
     tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
-    table = timing.table()
-    if passages:
-        conclusion, notes, warnings = _report_passages(passages)
+    shown_table = timing.table()
+    if passages_by_blade:
+        conclusion, notes, warnings = _describe_passages(passages_by_blade)
     elif tracks:
-        conclusion, table, notes, warnings = _report_track(tracks[0])
+        conclusion, shown_table, notes, warnings = _describe_track(tracks[0])
     else:
-        conclusion, notes, warnings = _report_fits(timing)
+        conclusion, notes, warnings = _describe_fits(timing)
     return Report(
         timing.table(),
         conclusion,
         timing.scene,
-        printed_table=table,
+        printed_table=shown_table,
         notes=notes,
         warnings=[*timing.doubts, *warnings],
         remarks=() if timing.scene is None else remarks_on_scene(timing.scene),
     )
 
 
-def largest_blade(timing: Timing) -> int | None:
-    """Return the blade with the largest amplitude, or None in a run-up."""
-    fits = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, TipFit)}
-    return max(fits, key=lambda blade: float(fits[blade].amplitudes[0])) if fits else None
+def find_largest_blade(timing: Timing) -> int | None:
+    """Find the blade with the largest amplitude; None in a run-up."""
+    fit_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, TipFit)}
+    return (
+        max(fit_by_blade, key=lambda blade: float(fit_by_blade[blade].amplitudes[0]))
+        if fit_by_blade
+        else None
+    )
 
 
-def _report_passages(
-    passages: Mapping[int, tuple[PassageFit, ...]],
+def _describe_passages(
+    passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
-    """Return conclusion, notes and doubts on the resonances of all blades."""
-    resonances = [(blade, fit) for blade, fits in passages.items() for fit in fits]
-    warnings = ["no resonance stands out"] * (not resonances)
-    clearest_fits = [(blade, fits[0]) for blade, fits in passages.items() if fits]
-    blind_probes = [
-        (blade, np.degrees(angle)) for blade, fit in clearest_fits for angle in fit.blind
+    """Describe all blades' resonances: conclusion, notes and doubts."""
+    blades_and_resonances = [
+        (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
-    warnings += [
-        f"blade {blade}, probe at {angle:.5g} degrees: {BLIND_PROBE}"
-        for blade, angle in blind_probes
+    warning_texts = ["no resonance stands out"] * (not blades_and_resonances)
+    blades_and_clearest_fits = [
+        (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
     ]
-    for blade, fit in resonances:
-        name = f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm"
+    blades_and_probe_angles = [
+        (blade, np.degrees(probe_angle))
+        for blade, fit in blades_and_clearest_fits
+        for probe_angle in fit.blind
+    ]
+    warning_texts += [
+        f"blade {blade}, probe at {probe_angle:.5g} degrees: {BLIND_PROBE_TEXT}"
+        for blade, probe_angle in blades_and_probe_angles
+    ]
+    for blade, fit in blades_and_resonances:
+        resonance_text = f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm"
         if fit.untested:
-            probe_count = format_count(fit.probes, "probe")
-            warnings.append(f"{name}: {probe_count} {UNTESTED_ORDER.format(fit.order)}")
-        elif fit.ambiguous:
-            warnings.append(
-                f"{name}: {_name_orders('explain the arrivals as well', fit.ambiguous)}"
+            probes_text = format_count(fit.probes, "probe")
+            warning_texts.append(
+                f"{resonance_text}: {probes_text} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
             )
+        elif fit.ambiguous:
+            orders_text = _orders_in_words("explain the arrivals as well", fit.ambiguous)
+            warning_texts.append(f"{resonance_text}: {orders_text}")
         if fit.disagree:
-            warnings.append(f"{name}: {fit.disagreement}")
+            warning_texts.append(f"{resonance_text}: {fit.disagreement}")
         if fit.in_doubt:
-            warnings.append(f"{name}: {CORRELATED_RESIDUALS}")
-    notes = [CONSTANT_FREQUENCY] * any(fit.stiffening == 0.0 for _, fit in resonances[:1])
-    lines = [(blade, line) for blade, fit in clearest_fits for line in fit.asynchronous]
-    notes += [f"blade {blade}: {_describe_line(line)}" for blade, line in lines]
+            warning_texts.append(f"{resonance_text}: {CORRELATED_RESIDUALS_TEXT}")
+    note_texts = [CONSTANT_FREQUENCY_TEXT] * any(
+        fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
+    )
+    blades_and_lines = [
+        (blade, line_fit)
+        for blade, fit in blades_and_clearest_fits
+        for line_fit in fit.asynchronous
+    ]
+    note_texts += [
+        f"blade {blade}: {_describe_line(line_fit)}" for blade, line_fit in blades_and_lines
+    ]
     conclusion = Conclusion("no resonance found")
-    if resonances:
-        blade, clearest = resonances[0]
-        answer = f"the clearest of blade {blade} at {clearest.in_words}"
-        conclusion = Conclusion(f"{format_count(len(resonances), 'resonance')} found", answer)
-    return conclusion, notes, warnings
+    if blades_and_resonances:
+        blade, clearest_fit = blades_and_resonances[0]
+        answer_text = f"the clearest of blade {blade} at {clearest_fit.in_words}"
+        conclusion = Conclusion(
+            f"{format_count(len(blades_and_resonances), 'resonance')} found", answer_text
+        )
+    return conclusion, note_texts, warning_texts
 
 
-def _name_orders(words: str, orders: Iterable[float]) -> str:
-    """Return "orders that WORDS: 5, 7"."""
-    return f"orders that {words}: {in_words([*orders])}"
+def _orders_in_words(orders_text: str, orders: Iterable[float]) -> str:
+    """Return "orders that TEXT: 5, 7"."""
+    return f"orders that {orders_text}: {in_words([*orders])}"
 
 
-def _describe_line(line: TipFit) -> str:
+def _describe_line(line_fit: TipFit) -> str:
     """Describe a vibration of constant frequency."""
-    size, error = line.amplitudes[0], line.amplitude_errors[0]
-    numbers = f"{line.omega / RAD_PER_TURN:.6g} Hz, {_with_error(size, error)}"
-    return f"a vibration that follows no order: {numbers}"
+    amplitude, amplitude_error = line_fit.amplitudes[0], line_fit.amplitude_errors[0]
+    line_text = (
+        f"{line_fit.omega / RAD_PER_TURN:.6g} Hz, {_amplitude_in_words(amplitude, amplitude_error)}"
+    )
+    return f"a vibration that follows no order: {line_text}"
 
 
-def _with_error(size: float, error: float) -> str:
-    return f"{format_quantity(size, 'm')} ± {format_quantity(error, 'm')}"
+def _amplitude_in_words(amplitude: float, amplitude_error: float) -> str:
+    """Return "3 µm ± 1 µm"."""
+    return f"{format_quantity(amplitude, 'm')} ± {format_quantity(amplitude_error, 'm')}"
 
 
-def _report_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
-    """Return conclusion, table of peaks, notes and doubts of a run-up."""
-    table = track.table()
-    kept_columns = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
+def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
+    """Describe a run-up: conclusion, table of peaks, notes and doubts."""
+    track_table = track.table()
+    kept_column_indices = [
+        column_index
+        for column_index, column_name in enumerate(track_table.columns)
+        if not column_name.startswith("amplitude")
+    ]
     conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
-    rows, notes = [], []
+    peak_rows, notes = [], []
     # Without any vibration, the largest of so many amplitudes is several errors large.
-    limit = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
-    for column, multiple in enumerate(track.multiples):
-        sizes, errors = track.amplitudes[:, column], track.amplitude_errors[:, column]
-        clear_sizes = np.where(sizes <= limit * errors, np.nan, sizes)
-        if not np.all(np.isnan(clear_sizes)):
-            row = int(np.nanargmax(clear_sizes))
-            peak = (float(sizes[row]), float(errors[row]))
-            rows.append([float(multiple), *(table.rows[row][n] for n in kept_columns), *peak])
-            if len(rows) == 1:
-                peak_place = (
-                    f"{track.omega[row] / RAD_PER_TURN:.6g} Hz, engine order {track.order:g}"
-                )
-                answer = f"harmonic {multiple:g} is largest at {peak_place}: {_with_error(*peak)}"
-                conclusion = Conclusion("run-up tracked", answer)
-        elif not np.all(np.isnan(sizes)):
-            upper_bound = format_quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
-            notes.append(f"harmonic {multiple:g}: {UNCLEAR_HARMONIC.format(upper_bound)}")
-    columns = ["multiple, where it is largest", *(table.columns[n] for n in kept_columns)]
-    peak_table = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
-    doubts = [NO_SPARE_PROBE] if np.isnan(track.misfit) else []
+    max_noise_ratio = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
+    for harmonic_index, harmonic_multiple in enumerate(track.multiples):
+        amplitudes = track.amplitudes[:, harmonic_index]
+        amplitude_errors = track.amplitude_errors[:, harmonic_index]
+        clear_amplitudes = np.where(
+            amplitudes <= max_noise_ratio * amplitude_errors, np.nan, amplitudes
+        )
+        if not np.all(np.isnan(clear_amplitudes)):
+            peak_row_index = int(np.nanargmax(clear_amplitudes))
+            peak_and_error = (
+                float(amplitudes[peak_row_index]),
+                float(amplitude_errors[peak_row_index]),
+            )
+            peak_rows.append(
+                [
+                    float(harmonic_multiple),
+                    *(
+                        track_table.rows[peak_row_index][column_index]
+                        for column_index in kept_column_indices
+                    ),
+                    *peak_and_error,
+                ]
+            )
+            if len(peak_rows) == 1:
+                peak_frequency_text = f"{track.omega[peak_row_index] / RAD_PER_TURN:.6g} Hz, engine order {track.order:g}"
+                peak_text = f"{peak_frequency_text}: {_amplitude_in_words(*peak_and_error)}"
+                answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
+                conclusion = Conclusion("run-up tracked", answer_text)
+        elif not np.all(np.isnan(amplitudes)):
+            upper_bound_text = format_quantity(
+                float(np.nanmax(amplitudes + LEVELS.deviations * amplitude_errors)), "m"
+            )
+            unclear_text = UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)
+            notes.append(f"harmonic {harmonic_multiple:g}: {unclear_text}")
+    peak_columns = [
+        "multiple, where it is largest",
+        *(track_table.columns[column_index] for column_index in kept_column_indices),
+    ]
+    peak_table = Table([*peak_columns, "amplitude [m]", "amplitude_error [m]"], peak_rows)
+    doubts = [NO_SPARE_PROBE_TEXT] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(
-            f"the residual repeats in all revolutions: {MISSING_HARMONICS}, the vibration "
+            f"the residual repeats in all revolutions: {MISSING_HARMONICS_TEXT}, the vibration "
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
     elif track.in_doubt and not doubts:
-        doubts.append(FOLDED_HARMONICS)
+        doubts.append(FOLDED_HARMONICS_TEXT)
     return conclusion, peak_table, notes, doubts
 
 
-def _report_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
-    """Return conclusion, notes and doubts on vibrations at one speed."""
+def _describe_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
+    """Describe vibrations at one speed: conclusion, notes and doubts."""
     has_several_blades, notes, warnings = len(timing.fits) > 1, [], []
     for blade, fit in timing.fits.items():
         assert isinstance(fit, TipFit)
-        prefix = f"blade {blade}: " if has_several_blades else ""
-        fit_notes, doubts = _judge_fit(fit)
+        blade_prefix = f"blade {blade}: " if has_several_blades else ""
+        fit_notes, doubts = _describe_fit(fit)
         notes += [] if has_several_blades else fit_notes
-        warnings += [f"{prefix}{text}" for text in doubts]
-    largest_fit: Any = timing.fits[blade := largest_blade(timing) or 1]
-    size = _with_error(largest_fit.amplitudes[0], largest_fit.amplitude_errors[0])
-    frequency_words = (
+        warnings += [f"{blade_prefix}{doubt}" for doubt in doubts]
+    largest_fit: Any = timing.fits[blade := find_largest_blade(timing) or 1]
+    amplitude_text = _amplitude_in_words(largest_fit.amplitudes[0], largest_fit.amplitude_errors[0])
+    frequency_text = (
         f"engine order {largest_fit.order:g}, {largest_fit.omega / RAD_PER_TURN:.6g} Hz"
     )
     if has_several_blades:
         notes.append(f"the picture shows blade {blade}, whose amplitude is the largest")
-        answer = f"the largest vibration is that of blade {blade}, {size}, {frequency_words}"
+        answer_text = (
+            f"the largest vibration is that of blade {blade}, {amplitude_text}, {frequency_text}"
+        )
         return (
-            Conclusion(f"{format_count(len(timing.fits), 'blade')} fitted", answer),
+            Conclusion(f"{format_count(len(timing.fits), 'blade')} fitted", answer_text),
             notes,
             warnings,
         )
-    return Conclusion("vibration found", f"amplitude {size}, {frequency_words}"), notes, warnings
+    return (
+        Conclusion("vibration found", f"amplitude {amplitude_text}, {frequency_text}"),
+        notes,
+        warnings,
+    )
 
 
-def _judge_fit(fit: TipFit) -> tuple[list[str], list[str]]:
-    """Return notes and doubts about a fit.
+def _describe_fit(fit: TipFit) -> tuple[list[str], list[str]]:
+    """Describe a fit: notes and doubts.
 
-    The ratio of the second harmonic to the first, in a note, indicates a crack.
+    A note has the ratio of the second harmonic to the first, which indicates a crack.
     """
-    notes = [f"in addition, {_describe_line(line)}" for line in fit.asynchronous]
+    notes = [f"in addition, {_describe_line(line_fit)}" for line_fit in fit.asynchronous]
     warnings = []
     if _has_second_harmonic(fit):
-        ratio, error = fit.ratio()
-        notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
+        harmonic_ratio, ratio_error = fit.ratio()
+        notes.append(f"second harmonic over first: {harmonic_ratio:.4g} ± {ratio_error:.2g}")
     if fit.does_not_fit:
         warnings.append(
-            f"residuals differ between the probes by more than their scatter: {MISSING_HARMONICS}, "
-            "probes are misplaced (tip_timing.angle_deviation), or the order is none of "
-            "tip_timing.orders"
+            "residuals differ between the probes by more than their scatter: "
+            f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or the "
+            "order is none of tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:
-        warnings.append(FOLDED_HARMONICS)
+        warnings.append(FOLDED_HARMONICS_TEXT)
     if fit.spare < 1:
-        warnings.append(NO_SPARE_PROBE)
+        warnings.append(NO_SPARE_PROBE_TEXT)
     elif fit.seen_once:
-        warnings.append(NO_REPETITION)
+        warnings.append(NO_REPETITION_TEXT)
     if fit.ambiguous:
-        warnings.append(_name_orders("explain the arrivals as well", fit.ambiguous))
+        warnings.append(_orders_in_words("explain the arrivals as well", fit.ambiguous))
     if fit.hidden:
-        warnings.append(_name_orders("these probes cannot measure", fit.hidden))
+        warnings.append(_orders_in_words("these probes cannot measure", fit.hidden))
     return notes, warnings

@@ -16,7 +16,13 @@ from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 import fenics_crack as fc
 from fenics_crack.fatigue import growth
-from fenics_crack.fatigue.ellipse import DRIVING, RANGES, EllipsePath, EllipseTable, grown
+from fenics_crack.fatigue.ellipse import (
+    EFFECTIVE_RANGE_COLUMNS,
+    EQUIVALENT_RANGE_COLUMNS,
+    EllipsePath,
+    EllipseTable,
+    integrate_ellipse_growth,
+)
 
 THICKNESS, WIDTH = 0.006, 0.03
 STRESS = 1e8
@@ -79,9 +85,11 @@ def table_of(
 ) -> EllipseTable:
     """So many depths, and lengths, as growth takes them."""
     depths = np.geomspace(start[0], until, count)
-    lengths = np.geomspace(start[1], growth.WIDEST * WIDTH, count)
+    lengths = np.geomspace(start[1], growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH, count)
     deepest, ends = both(*np.meshgrid(depths, lengths, indexing="ij"), stress)
-    columns = dict(zip((*DRIVING, *RANGES), 2 * (deepest, ends), strict=True))
+    columns = dict(
+        zip((*EQUIVALENT_RANGE_COLUMNS, *EFFECTIVE_RANGE_COLUMNS), 2 * (deepest, ends), strict=True)
+    )
     return EllipseTable(depths, lengths, columns | {"K_max": np.maximum(deepest, ends)})
 
 
@@ -103,7 +111,7 @@ def brute_force(
         return np.exp(log_cycles) * rate * [1.0, 2.0]
 
     def over(_: float, at: np.ndarray) -> float:
-        return max(at[0] / until, at[1] / (growth.WIDEST * WIDTH)) - 1.0
+        return max(at[0] / until, at[1] / (growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH)) - 1.0
 
     over.terminal = True  # type: ignore[attr-defined]
     found = solve_ivp(rates, (0.0, 40.0), start, "LSODA", events=over, rtol=1e-9, atol=1e-13)
@@ -131,12 +139,12 @@ def test_cycles_of_few_shapes(count: int) -> None:
     error."""
     shares, zeros = [], 0
     for start, until, stress, exponent in CASES[:count]:
-        table = table_of(growth.SHAPES, start, until, stress)
-        path = grown(table, law(exponent), 2)
+        table = table_of(growth.N_ELLIPSE_SIZES_PER_AXIS, start, until, stress)
+        path = integrate_ellipse_growth(table, law(exponent), 2)
         exact = brute_force(start, until, stress, exponent)
         assert path.cycles[-1] == pytest.approx(exact[2], rel=0.015)
         assert [path.depth[-1], path.length[-1]] == pytest.approx(list(exact[:2]), rel=0.02)
-        stated = growth.missed_by(table, path, law(exponent), 2)
+        stated = growth.estimate_ellipse_life_error(table, path, law(exponent), 2)
         shares.append(abs(math.log(path.cycles[-1] / exact[2])) / stated)
         zeros += bool(both(path.depth, path.length, stress)[0].min() == 0.0)
     assert np.median(shares) < 1.0 and np.max(shares) < 15.0
@@ -150,20 +158,26 @@ def test_ends_of_the_path() -> None:
     table = table_of(5, start, 0.0045, stress)
 
     def path_of(**others: Any) -> EllipsePath:
-        return grown(table, law(**others), 2)
+        return integrate_ellipse_growth(table, law(**others), 2)
 
     deepest, ends = (float(x) for x in both(*np.array(start), stress))  # type: ignore[arg-type]
     broken = path_of(toughness=1.3 * ends)
-    assert broken.end == "broken"
+    assert broken.end_reason == "broken"
     last = np.array([broken.depth[-1], broken.length[-1]])
     assert max(both(*last, stress)) == pytest.approx(1.3 * ends, rel=5e-3)
     assert path_of(toughness=0.9 * ends).cycles.tolist() == [0.0]
     still = path_of(threshold=1.01 * ends)
-    assert still.end == "arrested" and still.cycles.tolist() == [0.0] and not still.rates.any()
+    assert (
+        still.end_reason == "arrested"
+        and still.cycles.tolist() == [0.0]
+        and not still.growth_per_cycle.any()
+    )
     limit = 0.5 * (deepest + ends)
     along = path_of(threshold=limit)
-    assert along.end == "side" and along.length[-1] == pytest.approx(growth.WIDEST * WIDTH)
-    ranges = table.at(RANGES[0], along.depth, along.length)
+    assert along.end_reason == "side" and along.length[-1] == pytest.approx(
+        growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH
+    )
+    ranges = table.interpolate_column(EFFECTIVE_RANGE_COLUMNS[0], along.depth, along.length)
     assert ranges[0] == pytest.approx(deepest) and along.depth[1] == 0.0015 < along.depth[20]
     assert ranges[20:80] == pytest.approx(limit, rel=0.011)  # of 200 rows
 
@@ -179,8 +193,14 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         axes = swept.given("sweep").over
         depth, length = np.meshgrid(*(axis.values for axis in axes), indexing="ij")
         deepest, ends = both(depth, length, (0.0, 1.0))
-        columns = dict.fromkeys((*growth.SWEEP_COLUMNS, *NATURAL), 600.0 - 1e4 * length)
-        columns |= dict(zip((*DRIVING, *RANGES), 2 * (deepest, ends), strict=True))
+        columns = dict.fromkeys((*growth.SWEEP_COLUMN_NAMES, *NATURAL), 600.0 - 1e4 * length)
+        columns |= dict(
+            zip(
+                (*EQUIVALENT_RANGE_COLUMNS, *EFFECTIVE_RANGE_COLUMNS),
+                2 * (deepest, ends),
+                strict=True,
+            )
+        )
         columns |= {"K_max": np.maximum(deepest, ends), "K_II_max": 0.0 * depth}
         columns["omega"] = np.full(depth.shape, swept.excitation.omega)
         solved = depth > done.flattest * length
@@ -190,7 +210,7 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         return fc.SweepResult(Path("none.h5"), swept, columns)
 
     monkeypatch.setattr(growth, "run_sweep", sweep)
-    monkeypatch.setattr(growth, "_error_of", lambda *_: (0.02, []))
+    monkeypatch.setattr(growth, "_estimate_quantity_error", lambda *_: (0.02, []))
     return done
 
 

@@ -38,7 +38,11 @@ from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import coriolis_shifts, static_state
-from fenics_crack.monitoring.scene_timing import probed_displacement, tip_direction, tip_in_words
+from fenics_crack.monitoring.scene_timing import (
+    describe_tip,
+    find_probed_displacement,
+    find_tip_factors,
+)
 from fenics_crack.study.plausibility import find_key_figures, remarks_on_scene
 from fenics_crack.sweep.plan import Plan
 
@@ -1021,16 +1025,16 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     radius = math.hypot(LENGTH + 0.1, SIDE)
     shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
     expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
-    assert tip_direction(table, run) == pytest.approx(expected, rel=1e-12)
+    assert find_tip_factors(table, run) == pytest.approx(expected, rel=1e-12)
     parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
-    assert all(part in tip_in_words(table, run) for part in parts)
+    assert all(part in describe_tip(table, run) for part in parts)
     by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
-    assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
+    assert find_tip_factors(by_hand, run) == {run.watched_dof: -0.5}
     above = replace(run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]}))
-    assert tip_direction(table, above) == {structure.find_dof(tip, "z"): 1.0}  # y by rounding
+    assert find_tip_factors(table, above) == {structure.find_dof(tip, "z"): 1.0}  # y by rounding
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
     with pytest.raises(InputError, match="off the axis"):
-        tip_direction(table, through_it)
+        find_tip_factors(table, through_it)
 
 
 @pytest.mark.parametrize(
@@ -1057,20 +1061,20 @@ def test_probes_see_the_displacement_that_rotation_makes(
     away = np.array(tip) - [0.0, -0.1, 0.0]
     moved = Turned.from_rotvec(1e-6 * about).apply(away) - away
     if seen is not None:
-        name, against = probed_displacement(scene)
+        name, against = find_probed_displacement(scene)
         assert (name, against) == seen
         share = (-1.0 if against else 1.0) * moved["xyz".index(name[-1])]
         assert share == pytest.approx(np.linalg.norm(moved), rel=1e-5)
     else:
         assert (
-            refusal(lambda: probed_displacement(scene), "none of x, y and z").key
+            refusal(lambda: find_probed_displacement(scene), "none of x, y and z").key
             == "tip_timing.tangential"
         )
     for tangential in (0.5, -0.5):
         by_hand = scene.replace({"tip_timing.tangential": tangential})
-        assert probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
+        assert find_probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
     with pytest.raises(InputError, match="its tip first"):
-        probed_displacement(scene.replace({"output": None}))
+        find_probed_displacement(scene.replace({"output": None}))
 
 
 def test_coriolis_force_of_a_whirling_bar() -> None:

@@ -22,7 +22,7 @@ from study.test_fronts import STRESS, YOUNG, solid
 
 import fenics_crack as fc
 from fenics_crack.fatigue import growth
-from fenics_crack.fatigue.ellipse import EllipsePath, grown
+from fenics_crack.fatigue.ellipse import EllipsePath, integrate_ellipse_growth
 from fenics_crack.fem.fronts import TETRAHEDRON_EDGES, front_functionals
 from fenics_crack.study.prepare import prepare
 
@@ -378,10 +378,12 @@ def lives() -> tuple[list[EllipsePath], list[np.ndarray], list[float]]:
     without a table; and cycles by 8 x 8 shapes."""
     paths, exact, many = [], [], []
     for start, until, stress, exponent in CASES:
-        own, fine = (table_of(count, start, until, stress) for count in (growth.SHAPES, 8))
-        paths.append(grown(own, law(exponent), 2))
+        own, fine = (
+            table_of(count, start, until, stress) for count in (growth.N_ELLIPSE_SIZES_PER_AXIS, 8)
+        )
+        paths.append(integrate_ellipse_growth(own, law(exponent), 2))
         exact.append(brute_force(start, until, stress, exponent))
-        many.append(float(grown(fine, law(exponent), 2).cycles[-1]))
+        many.append(float(integrate_ellipse_growth(fine, law(exponent), 2).cycles[-1]))
     return paths, exact, many
 
 

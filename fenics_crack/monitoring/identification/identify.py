@@ -1,10 +1,10 @@
 """From measurements to the crack: one call.
 
-The forward model is solved by sweeps over the unknowns, each in a file from which a killed run goes
-on: of the scene, or of a coarser mesh; of a finer one at a few of the same values, which corrects
-the first; of the first again at a few values halfway between, where the interpolation is tested;
-and these of the plate without its crack. A :class:`Model` interpolates between their cases.
-Nuisance parameters have priors, and change the predictions to first order
+The forward model is solved by sweeps over the unknowns; a killed run continues from their files.
+The first sweep has all values, on the scene's mesh or a coarser one. A second one, on a finer mesh
+at a few values, corrects it. A third one, at a few values halfway between, tests the interpolation.
+All are repeated for the plate without its crack. A :class:`ForwardModel` interpolates between their
+cases. Nuisance parameters have priors, and change the predictions to first order
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
@@ -25,16 +25,25 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import MPI, StopRequest, on_root
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.files.store import scene_text
-from fenics_crack.monitoring.identification.interpolation import MESH_AXIS, Loads, Part
+from fenics_crack.monitoring.identification.interpolation import (
+    MESH_AXIS_KEY,
+    SolvedCases,
+    SweptLoads,
+)
 from fenics_crack.monitoring.identification.measurements import (
     Measurement,
     Measurements,
-    without_crack,
+    list_crack_removal_changes,
 )
-from fenics_crack.monitoring.identification.model import Model, is_free
-from fenics_crack.monitoring.identification.nuisance import Whole
+from fenics_crack.monitoring.identification.model import ForwardModel, has_load_independent_shape
+from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior, grid_of
+from fenics_crack.monitoring.identification.posterior import (
+    Branch,
+    Likelihood,
+    Posterior,
+    list_first_grid_points,
+)
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
@@ -42,9 +51,9 @@ from fenics_crack.scene.tables import MIN_ALLOWED_UNKNOWN_VALUES, Identify, Swee
 from fenics_crack.study.meshes import refine_scene
 from fenics_crack.sweep.result import SweepResult, describe_by_reason, run_sweep
 
-IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")
-"""Tables that do not matter to a sweep of the forward model."""
-Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
+IRRELEVANT_SCENE_TABLES = ("sweep", "curve", "integration", "identify", "tip_timing")
+"""Scene tables without effect on a sweep of the forward model."""
+ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
 """Sweeps of all cases, of a finer mesh, and halfway between the cases."""
 
 
@@ -60,16 +69,18 @@ def identify(
     """Find a crack, or other keys of a scene, from measurements (collective).
 
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
-    at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
-    frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
-    steady load or a clearance the grid gets denser where cracks between meet a resonance, and
-    around cracks that explain the measurements where interpolation is a large part of an error.
-    The interpolation has an error of its own, by cross-validation and a few cases halfway between
-    the others, which is added to that of the measurements. So is the remaining error of the mesh:
-    where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the correction
-    d, too (of an error of first order d / (f - 1) is left, of one of high order nothing). Least
-    squares from several starts find the estimate, a posterior on a grid its regions, and its
-    integral over the prior decides whether there is a crack.
+    at a few points. Files in ``folder`` keep both, and a killed run continues from them. A rotor's
+    natural frequencies may be at several speeds; all are solved. Under a steady load or a
+    clearance, the grid becomes denser where cracks between its points meet a resonance. If
+    interpolation is a large part of an error, the grid also becomes denser around cracks with a
+    good fit.
+
+    Cross-validation and a few cases halfway between the grid points estimate the interpolation
+    error. The measurement error is increased by it. So is the remaining error of the mesh: if a
+    mesh finer by f changes a quantity by d, it is d / (2 f - 2). This is added to the correction d,
+    too: an error of first order leaves d / (f - 1), one of high order nothing. Least squares from
+    several starts find the estimate, and a posterior on a grid its regions. The likelihood's
+    integral over the prior, the evidence, decides between crack and no crack.
 
     Parameters
     ----------
@@ -81,7 +92,7 @@ def identify(
         Replaces the table ``[identify.unknown]``: keys of the scene with the values at which it is
         solved. Their ends are the bounds, between which the prior is uniform.
     folder : path
-        For the files of the sweeps.
+        Folder of the sweeps' files.
     comm : MPI.Comm
         Ranks over which they are spread.
     progress : bool
@@ -106,46 +117,70 @@ def identify(
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
     if unknown is not None:
-        table = scene.identify or Identify.from_mapping({"unknown": unknown})
-        changed = replace(table, unknown=Identify.convert_value("unknown", unknown))
-        scene = replace(scene, identify=changed)
+        identify_table = scene.identify or Identify.from_mapping({"unknown": unknown})
+        changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
+        scene = replace(scene, identify=changed_table)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with the unknowns")
-    words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
-    if words and not scene.identify.meshes:
+    has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
+    if has_only_words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
     if not isinstance(measurements, Measurements):
-        path = measurements
-        measurements = on_root(comm, lambda: Measurements.read(path))
+        measurement_path = measurements
+        measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
     rows = measurements.rows
-    shaken = [row.frequency for row in rows if not row.natural]
-    further = [load for row in rows if row.natural and (load := row.load(scene))]
-    whole = _whole(scene, comm)
-    others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
-    known = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
-    whole.check(measurements, [load for load in known if load > 0.0], other=others)
-    closer: list[Axis] = []
+    load_frequencies = [measurement.frequency for measurement in rows if not measurement.natural]
+    speed_loads = [
+        load_frequency
+        for measurement in rows
+        if measurement.natural and (load_frequency := measurement.load(scene))
+    ]
+    uncracked_plate = _solve_uncracked_plate(scene, comm)
+    has_other_unknowns = any(
+        not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
+    )
+    known_loads = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
+    uncracked_plate.check_units_and_modes(
+        measurements,
+        [load_frequency for load_frequency in known_loads if load_frequency > 0.0],
+        may_be_other_plate=has_other_unknowns,
+    )
+    refined_axes: list[Axis] = []
     while True:
-        more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}
-        forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
+        solve_arguments: dict[str, Any] = {
+            "speed_loads": speed_loads,
+            "uncracked_plate": uncracked_plate,
+            "refined_axes": refined_axes,
+        }
+        forward_models = solve_forward(
+            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_arguments
+        )
         begin_stage("inference")
-        identification = infer(forward, measurements)
-        if (worst := _interpolated(identification)) is None:
+        identification = infer_unknowns(forward_models, measurements)
+        if (
+            interpolated_measurement := _find_most_interpolated_measurement(identification)
+        ) is None:
             return identification
-        name, share, cracks = worst
-        if (axis := _closer(forward, identification, share, cracks)) is None:
+        measurement_name, share_by_unknown, explaining_x = interpolated_measurement
+        if (
+            refined_axis := _refine_axis_by_share(
+                forward_models, identification, share_by_unknown, explaining_x
+            )
+        ) is None:
             break
-        closer.append(axis)
+        refined_axes.append(refined_axis)
     remark = (
-        f"interpolation between the solved cases has {share.sum():.0%} of the variance of "
-        f"{name}: more values in identify.unknown make regions narrower"
+        f"interpolation between the solved cases has {share_by_unknown.sum():.0%} of the variance "
+        f"of {measurement_name}: more values in identify.unknown make regions narrower"
     )
     return replace(identification, remarks=(*identification.remarks, remark))
 
 
-def infer(forward: Forward, measurements: Measurements) -> Identification:
-    """Infer the unknowns by a forward model that is solved for the loads of measurements.
+def infer_unknowns(
+    forward_models: SolvedForwardModels, measurements: Measurements
+) -> Identification:
+    """Infer the unknowns by a forward model, solved for the measurements' loads.
 
     Raises
     ------
@@ -154,112 +189,191 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     ConvergenceError
         Too few cases of the model were solved for any measurement of the plate as it is.
     """
-    measurements.check(forward.scene)
-    measurements, doubts = _predicted(forward, measurements)
-    rows = measurements.rows
-    values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
-    branches, plain = (
+    measurements.check(forward_models.scene)
+    measurements, doubt_texts = _select_predictable_rows(forward_models, measurements)
+    measurement_rows = measurements.rows
+    measurement_values, measurement_deviations = np.array(
+        [(measurement.value, measurement.deviation) for measurement in measurement_rows]
+    ).T
+    branch_by_words, uncracked_branch_by_words = (
         {
-            name: Branch(Likelihood(values, deviations, model.quantities(rows)))
-            for name, model in models.items()
+            words: Branch(
+                Likelihood(
+                    measurement_values,
+                    measurement_deviations,
+                    model.make_predictor(measurement_rows),
+                )
+            )
+            for words, model in model_by_words.items()
         }
-        for models in (forward.cracked, forward.uncracked)
+        for model_by_words in (
+            forward_models.cracked_model_by_words,
+            forward_models.uncracked_model_by_words,
+        )
     )
-    remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
-    both = Posterior(branches), Posterior(plain) if plain else None
-    return Identification(forward.scene, measurements, *both, remarks, doubts)
+    remark_texts = (
+        *list_measurement_remarks(forward_models.scene, measurements),
+        *_describe_unresolved_resonances(forward_models, measurements),
+    )
+    posteriors = (
+        Posterior(branch_by_words),
+        Posterior(uncracked_branch_by_words) if uncracked_branch_by_words else None,
+    )
+    return Identification(
+        forward_models.scene, measurements, *posteriors, remark_texts, doubt_texts
+    )
 
 
-def _predicted(
-    forward: Forward, measurements: Measurements
+def _select_predictable_rows(
+    forward_models: SolvedForwardModels, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """Measurements that every model predicts, with a crack and without; and in words the failed
-    cases that were needed, and the measurements that are not used for that.
+    """Select the measurements that every model predicts, with a crack and without.
 
-    A measurement that one hypothesis cannot predict would count against the other alone.
+    A measurement without a prediction by one hypothesis would count against the other alone.
+
+    Returns
+    -------
+    Measurements
+        Predictable measurements.
+    tuple of str
+        Failed cases that were needed, and measurements that are therefore not used.
     """
-    models = [*forward.cracked.values(), *forward.uncracked.values()]
-    rows = measurements.rows
-    known = np.all([model.quantities(rows).known for model in models], axis=0)
-    parts = (part for model in models for part in (model.coarse, model.finer) if part)
-    sweeps = {part.sweep.path: part for part in parts}
-    loads = {row.frequency for row in rows}
-    doubts = []
-    for path, part in sweeps.items():
-        sweep, solved = part.sweep, part.loads.frequencies
-        failed = [
-            (at, why)
-            for at, why in sweep.failed
-            if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
+    models = [
+        *forward_models.cracked_model_by_words.values(),
+        *forward_models.uncracked_model_by_words.values(),
+    ]
+    measurement_rows = measurements.rows
+    is_predictable = np.all(
+        [model.make_predictor(measurement_rows).is_predictable for model in models], axis=0
+    )
+    case_sets = (
+        solved_cases
+        for model in models
+        for solved_cases in (model.coarse_cases, model.finer_cases)
+        if solved_cases
+    )
+    cases_by_path = {solved_cases.sweep_result.path: solved_cases for solved_cases in case_sets}
+    load_frequencies = {measurement.frequency for measurement in measurement_rows}
+    doubt_texts = []
+    for sweep_path, solved_cases in cases_by_path.items():
+        sweep_result = solved_cases.sweep_result
+        swept_frequencies = solved_cases.swept_loads.frequencies
+        failures = [
+            (case_index, reason_text)
+            for case_index, reason_text in sweep_result.failed
+            if swept_frequencies[case_index[-1]] in load_frequencies
+            or np.isnan(sweep_result["omega_open_1"][case_index])
         ]
-        doubts += [f"{path.name}: {text}" for text in describe_by_reason(sweep, failed, "failed")]
-    used = list(itertools.compress(rows, known))
-    if all(row.quantity == "frequency_uncracked" for row in used):
-        why = "; ".join(doubts) or "no case has the measured quantities"
-        raise ConvergenceError(f"identification, no measurement can be predicted: {why}")
-    why = "too few cases have it, or only those on one side of what failed"
-    doubts += [f"{row.name} is not used: {why}" for row in itertools.compress(rows, ~known)]
-    return Measurements(tuple(used)), tuple(doubts)
+        doubt_texts += [
+            f"{sweep_path.name}: {failure_text}"
+            for failure_text in describe_by_reason(sweep_result, failures, "failed")
+        ]
+    used_rows = list(itertools.compress(measurement_rows, is_predictable))
+    if all(measurement.quantity == "frequency_uncracked" for measurement in used_rows):
+        reason_text = "; ".join(doubt_texts) or "no case has the measured quantities"
+        raise ConvergenceError(f"identification, no measurement can be predicted: {reason_text}")
+    reason_text = "too few cases have it, or only those on one side of what failed"
+    doubt_texts += [
+        f"{measurement.name} is not used: {reason_text}"
+        for measurement in itertools.compress(measurement_rows, ~is_predictable)
+    ]
+    return Measurements(tuple(used_rows)), tuple(doubt_texts)
 
 
-def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """Return limits of measurements that do not depend on their values."""
-    table = scene.given("identify")
-    crack, rows, found = scene.crack, measurements.rows, []
-    given = not any(axis.key == "crack.edge" for axis in table.unknown)
-    if given and crack is not None and crack.edge and all(row.natural for row in rows):
-        other = {"left": "right", "right": "left"}[crack.edge]
-        found.append(
-            f"a crack from the {other} edge has the same natural frequencies: they do not "
+def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
+    """Return limits of measurements, whatever their values are."""
+    identify_table = scene.given("identify")
+    crack, measurement_rows, remark_texts = scene.crack, measurements.rows, []
+    is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
+    if (
+        is_edge_given
+        and crack is not None
+        and crack.edge
+        and all(measurement.natural for measurement in measurement_rows)
+    ):
+        other_edge = {"left": "right", "right": "left"}[crack.edge]
+        remark_texts.append(
+            f"a crack from the {other_edge} edge has the same natural frequencies: they do not "
             "distinguish the edges"
         )
-    if table.meshes:
-        found.append(
+    if identify_table.meshes:
+        remark_texts.append(
             "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
         )
-    if any(row.shape for row in rows) and not is_free(scene):
-        found.append(
+    if any(
+        measurement.shape for measurement in measurement_rows
+    ) and not has_load_independent_shape(scene):
+        remark_texts.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
         )
-    return tuple(found)
+    return tuple(remark_texts)
 
 
-def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
-    """Loads under which a crack between the solved cases vibrates much more than in any of them,
-    where steady loads let it breathe there as in none of them; in words."""
-    if is_free(forward.scene):
+def _describe_unresolved_resonances(
+    forward_models: SolvedForwardModels, measurements: Measurements
+) -> Iterator[str]:
+    """Describe loads with much larger vibration between the solved cases.
+
+    Steady loads let the crack breathe there as in no solved case.
+    """
+    if has_load_independent_shape(forward_models.scene):
         return
-    places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
-    for model, (load, point) in itertools.product(forward.cracked.values(), places):
-        larger, where = _larger_between(model, load, point)
-        if larger > OPTIONS.magnification:
-            near = ", ".join(
-                f"{key} = {one:.4g}" for key, one in zip(model.keys, where, strict=True)
+    loads_and_points = dict.fromkeys(
+        (measurement.frequency, measurement.point)
+        for measurement in measurements.rows
+        if measurement.shape
+    )
+    for model, (load_frequency, point_name) in itertools.product(
+        forward_models.cracked_model_by_words.values(), loads_and_points
+    ):
+        vibration_ratio, unknown_values = _find_largest_vibration_between(
+            model, load_frequency, point_name
+        )
+        if vibration_ratio > OPTIONS.allowed_vibration_ratio:
+            place_text = ", ".join(
+                f"{key} = {unknown_value:.4g}"
+                for key, unknown_value in zip(model.unknown_keys, unknown_values, strict=True)
             )
             yield (
-                f"between the solved cases, near {near}, the vibration at {load:.6g} Hz is up to "
-                f"{larger:.2g} times that at any of them, and steady loads let the crack breathe "
-                "there as in none of these: add values there, or measure farther from resonance"
+                f"between the solved cases, near {place_text}, the vibration at "
+                f"{load_frequency:.6g} Hz is up to {vibration_ratio:.2g} times that at any of "
+                "them, and steady loads let the crack breathe there as in none of these: add "
+                "values there, or measure farther from resonance"
             )
 
 
-def _larger_between(model: Model, load: float, point: str) -> tuple[float, np.ndarray]:
-    """Maximum vibration of a point at a load [Hz] between the cases of a model over that at any of
-    them, 0 where none is known; and its values (d,) of the unknowns."""
-    first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
-    places = grid_of(model.cube)
-    between = np.nan_to_num(model.quantities([first])(places).values[:, 0])
-    solved = np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
-    most = int(np.argmax(between))
-    return float(between[most] / solved) if solved > 0.0 else 0.0, places[most]
+def _find_largest_vibration_between(
+    model: ForwardModel, load_frequency: float, point_name: str
+) -> tuple[float, np.ndarray]:
+    """Find a point's largest vibration at a load [Hz] between the solved cases.
+
+    Returns
+    -------
+    float
+        Vibration over that of any solved case; 0 if none is known.
+    (d,)
+        Values of the unknowns there.
+    """
+    first_harmonic = Measurement("harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name)
+    grid_points = list_first_grid_points(model.unknown_grid)
+    interpolated_amplitudes = np.nan_to_num(
+        model.make_predictor([first_harmonic])(grid_points).values[:, 0]
+    )
+    max_solved_amplitude = np.fmax.reduce(
+        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+    )
+    largest_index = int(np.argmax(interpolated_amplitudes))
+    return float(
+        interpolated_amplitudes[largest_index] / max_solved_amplitude
+    ) if max_solved_amplitude > 0.0 else 0.0, grid_points[largest_index]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Forward:
+class SolvedForwardModels:
     """A forward model, solved.
 
     Attributes
@@ -268,54 +382,56 @@ class Forward:
         With its table ``[identify]``.
     axes : sequence of Axis
         The unknowns, with the solved values.
-    cracked : dict of str to Model
+    cracked_model_by_words : dict of str to ForwardModel
         A model for each combination of the unknowns that are words: "" or "right".
-    uncracked : dict of str to Model
-        The same without the crack; empty where that cannot be taken away.
+    uncracked_model_by_words : dict of str to ForwardModel
+        The same without the crack; empty if that cannot be taken away.
     """
 
     scene: Scene
     axes: Sequence[Axis]
-    cracked: dict[str, Model]
-    uncracked: dict[str, Model]
+    cracked_model_by_words: dict[str, ForwardModel]
+    uncracked_model_by_words: dict[str, ForwardModel]
 
 
-def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
-    """The plate of a scene without its crack, on every rank (collective)."""
-    table = scene.given("identify")
-    plain = scene.replace(dict.fromkeys(IRRELEVANT) | (without_crack(scene) or {}))
+def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
+    """Solve the plate of a scene without its crack for every rank (collective)."""
+    identify_table = scene.given("identify")
+    plain_scene = scene.replace(
+        dict.fromkeys(IRRELEVANT_SCENE_TABLES) | (list_crack_removal_changes(scene) or {})
+    )
     begin_stage("plate without its crack")
-    return on_root(comm, lambda: Whole(plain, table))
+    return on_root(comm, lambda: UncrackedPlate(plain_scene, identify_table))
 
 
 def solve_forward(
     scene: Scene,
-    frequencies: Sequence[float],
+    load_frequencies: Sequence[float],
     folder: Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    further: Sequence[float] = (),
-    whole: Whole | None = None,
-    closer: Sequence[Axis] = (),
+    speed_loads: Sequence[float] = (),
+    uncracked_plate: UncrackedPlate | None = None,
+    refined_axes: Sequence[Axis] = (),
     progress: bool = False,
-) -> Forward:
+) -> SolvedForwardModels:
     """Solve, or read, the cases of the forward model (collective).
 
     Parameters
     ----------
     scene : Scene
         With its table ``[identify]``.
-    frequencies : sequence of float
-        Of the load [Hz]; the scene's further ones are added.
+    load_frequencies : sequence of float
+        Load frequencies [Hz]; the further ones of the table are added.
     folder : path
         Folder of the files of the sweeps; their names depend on the scene and the frequencies.
     comm : MPI.Comm
         The ranks over which the cases are spread.
-    further : sequence of float
+    speed_loads : sequence of float
         Loads [Hz] at whose speeds of the rotor only natural frequencies are needed.
-    whole : Whole, optional
+    uncracked_plate : UncrackedPlate, optional
         The plate without its crack, if it is known already.
-    closer : sequence of Axis
+    refined_axes : sequence of Axis
         Unknowns with further values, one after another.
     progress : bool
         Show bars.
@@ -327,199 +443,422 @@ def solve_forward(
     ConvergenceError
         Ctrl-C has stopped a sweep.
     """
-    whole = whole or _whole(scene, comm)
-    table = scene.given("identify")
-    wanted = (*frequencies, *further, *table.frequencies)
-    loads = Loads(scene, [float(one) for one in wanted])
-    shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
-    alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
-    plain = scene.replace(dict.fromkeys(IRRELEVANT))
-    coarse, fine = _meshes(plain, table.finer)
-
-    def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
-        swept = replace(of, sweep=Sweep(over=(*axes, loads.axis)))
-        digest = hashlib.sha256(f"{scene_text(swept)}{alone or ''}".encode()).hexdigest()[:8]
-        path = folder / f"{name}_{digest}.h5"
-        with StopRequest() as stop:
-            sweep = run_sweep(
-                swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
-            )
-        if stop.is_requested(comm):
-            raise StoppedError("identification was stopped; the same command goes on with it")
-        return sweep
-
-    numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    # values of the finer sweep and of that between
-    count = MIN_ALLOWED_UNKNOWN_VALUES - (numbers > 2)
-    meshes = [Axis(MESH_AXIS, table.mesh_files)] if table.meshes else []
-
-    def others(
-        name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
-    ) -> Sweeps:
-        own, keys = coarse.replace(changes), [axis.key for axis in axes]
-        first = [axis for axis in (*meshes, *table.unknown) if axis.key in keys]
-        few = _thinned(first, count)
-        finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
-        halfway = [Axis(axis.key, _halfway(axis) or axis.values) for axis in axes]
-        between = None if table.meshes else run(name, own, _thinned(halfway, count))
-        return every, finer, between
-
-    axes, left = list(table.unknown), [*closer]
-    every = run("forward", coarse, [*meshes, *axes])
+    uncracked_plate = uncracked_plate or _solve_uncracked_plate(scene, comm)
+    identify_table = scene.given("identify")
+    requested_frequencies = (*load_frequencies, *speed_loads, *identify_table.frequencies)
+    swept_loads = SweptLoads(scene, [float(frequency) for frequency in requested_frequencies])
+    vibration_frequencies = (
+        *load_frequencies,
+        *identify_table.frequencies,
+        swept_loads.frequencies[0],
+    )
+    frequency_only_indices = [
+        load_index
+        for load_index, frequency in enumerate(swept_loads.frequencies)
+        if frequency not in vibration_frequencies
+    ]
+    plain_scene = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLES))
+    scene_pair = _list_coarse_and_fine_scenes(plain_scene, identify_table.finer)
+    sweeper = _ForwardSweeper(
+        *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
+    )
+    unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
+    sweep_result = sweeper.run("forward", sweeper.coarse_scene, [*sweeper.mesh_axes, *unknown_axes])
     while True:
-        models = _models(scene, whole, loads, (every, None, None))
-        axis = _denser(scene, models.values(), frequencies, axes)
-        if axis is None and not left:
+        model_by_words = _build_models(
+            scene, uncracked_plate, swept_loads, (sweep_result, None, None)
+        )
+        refined_axis = _refine_axis_at_resonance(
+            scene, model_by_words.values(), load_frequencies, unknown_axes
+        )
+        if refined_axis is None and not remaining_axes:
             break
-        axis = axis or left.pop(0)
-        place = [one.key for one in axes].index(axis.key)
-        added = tuple(value for value in axis.values if value not in axes[place].values)
-        new = [*meshes, *axes[:place], Axis(axis.key, added), *axes[place + 1 :]]
-        every = _joined(every, run("forward", coarse, new), len(meshes) + place)
-        axes[place] = axis
-    cracked = others("forward", {}, [*meshes, *axes], every)
-    changes = without_crack(scene)
-    if changes is None:
-        return Forward(scene, axes, _models(scene, whole, loads, cracked), {})
-    kept = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
-    plain = coarse.replace(changes)
-    bare = others("uncracked", changes, kept, run("uncracked", plain, kept))
-    found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
-    return Forward(scene, axes, *found)
+        refined_axis = refined_axis or remaining_axes.pop(0)
+        axis_index = [unknown_axis.key for unknown_axis in unknown_axes].index(refined_axis.key)
+        sweep_result = sweeper.run_added_values(
+            sweep_result, unknown_axes, axis_index, refined_axis
+        )
+        unknown_axes[axis_index] = refined_axis
+    cracked_sweeps = sweeper.run_check_sweeps(
+        "forward", {}, [*sweeper.mesh_axes, *unknown_axes], sweep_result
+    )
+    removal_changes = list_crack_removal_changes(scene)
+    if removal_changes is None:
+        model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
+        return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
+    uncracked_axes = [
+        unknown_axis
+        for unknown_axis in unknown_axes
+        if not unknown_axis.key.startswith(("crack.", "contact."))
+    ]
+    uncracked_result = sweeper.run(
+        "uncracked", sweeper.coarse_scene.replace(removal_changes), uncracked_axes
+    )
+    uncracked_sweeps = sweeper.run_check_sweeps(
+        "uncracked", removal_changes, uncracked_axes, uncracked_result
+    )
+    model_maps = (
+        _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
+        _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
+    )
+    return SolvedForwardModels(scene, unknown_axes, *model_maps)
 
 
-def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
-    """The cases of two sweeps whose values on the axis at a place differ."""
-    values = [*one.axes[place].values, *other.axes[place].values]
-    order = np.argsort(values)
-    columns = {
-        name: np.concatenate([values, other[name]], axis=place).take(order, axis=place)
-        for name, values in one.columns.items()
-    }
-    axes = list(one.axes)
-    axes[place] = Axis(axes[place].key, tuple(values[at] for at in order))
-    return replace(one, scene=replace(one.scene, sweep=Sweep(over=tuple(axes))), columns=columns)
+@dataclass(frozen=True)
+class _ForwardSweeper:
+    """Runs the sweeps of a forward model over unknowns and loads, each in its own file.
 
-
-def _most(scene: Scene) -> int:
-    """Maximum number of solved cases."""
-    unknown = scene.given("identify").unknown
-    return OPTIONS.most_added * math.prod(len(axis.values) for axis in unknown)
-
-
-def _denser(
-    scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis]
-) -> Axis | None:
-    """The unknown along which the vibration changes most, with further values between; None where
-    no crack between vibrates much more than the solved ones, where that does not matter, and where
-    it would be too many cases."""
-    seen = itertools.product(models, loads, scene.point_names or ("",))
-    places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
-    if not places or max(place[0] for place in places) <= OPTIONS.magnification:
-        return None
-    larger, model, load, point = max(places, key=lambda place: place[0])
-    sizes = np.log(np.abs(model.coarse.harmonic(point, load, 1))).reshape(model.cube.shape)
-    steps = {
-        key: np.fmax.reduce(np.abs(np.diff(sizes, axis=place)), axis=None)
-        for place, key in enumerate(model.keys)
-    }
-    cases = math.prod(len(axis.values) for axis in axes)
-    numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
-    for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
-        count = len(axis.values)
-        most = (_most(scene) * count // cases - 1) // (count - 1)
-        parts = min(math.ceil(larger / OPTIONS.magnification), most)
-        if parts > 1:
-            at = np.arange((count - 1) * parts + 1) / parts
-            between = np.interp(at, np.arange(count), axis.values).tolist()
-            return Axis(axis.key, tuple(between))
-    return None
-
-
-def _interpolated(found: Identification) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """The measurement in whose variance interpolation between cases has the largest share, on
-    average over the cracks that explain the measurements: the posterior falls as such an error
-    grows, and excludes some of them.
-
-    Its name, its shares by the interpolation along each unknown, (d,), and those cracks, (m, d);
-    None if the share is small.
+    Attributes
+    ----------
+    coarse_scene, fine_scene : Scene
+        Scenes for all cases, and for a few on a finer mesh; the second is None without one.
+    identify_table : Identify
+        Table ``[identify]``.
+    swept_loads : SweptLoads
+        Loads of all sweeps.
+    frequency_only_indices : list of int
+        Indices of loads at which only natural frequencies are needed.
+    folder : path
+        Folder of the files.
+    comm : MPI.Comm
+        Ranks over which the cases are spread.
+    progress : bool
+        Show bars.
     """
-    seen = [branch.interpolated() for branch in found.posterior.branches.values()]
-    x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
-    if not shares.size:
-        return None
-    mean = shares.mean(axis=0)
-    at = int(mean.sum(axis=0).argmax())
-    share = mean[:, at]
-    few = share.sum() <= OPTIONS.interpolated
-    return None if few else (found.measurements.rows[at].name, share, x)
+
+    coarse_scene: Scene
+    fine_scene: Scene | None
+    identify_table: Identify
+    swept_loads: SweptLoads
+    frequency_only_indices: list[int]
+    folder: Path
+    comm: MPI.Comm
+    progress: bool
+
+    @property
+    def mesh_axes(self) -> list[Axis]:
+        """Return the axis of mesh files, if the table has meshes."""
+        table = self.identify_table
+        return [Axis(MESH_AXIS_KEY, table.mesh_files)] if table.meshes else []
+
+    def run(self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]) -> SweepResult:
+        """Run, or read, the sweep of a scene over unknowns and loads (collective)."""
+        swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
+        swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
+        digest = hashlib.sha256(
+            f"{scene_text(swept_scene)}{self.frequency_only_indices or ''}".encode()
+        ).hexdigest()[:8]
+        with StopRequest() as stop_request:
+            sweep_result = run_sweep(
+                swept_scene,
+                self.folder / f"{sweep_name}_{digest}.h5",
+                self.comm,
+                progress=self.progress,
+                verdicts=False,
+                judged=False,
+                natural=self.frequency_only_indices,
+            )
+        if stop_request.asked(self.comm):
+            raise StoppedError("identification was stopped; the same command goes on with it")
+        return sweep_result
+
+    def run_added_values(
+        self,
+        sweep_result: SweepResult,
+        unknown_axes: Sequence[Axis],
+        axis_index: int,
+        refined_axis: Axis,
+    ) -> SweepResult:
+        """Return a sweep with the further values of a refined axis (collective)."""
+        solved_values = unknown_axes[axis_index].values
+        added_axis_values = tuple(
+            axis_value for axis_value in refined_axis.values if axis_value not in solved_values
+        )
+        added_axes = [*self.mesh_axes, *unknown_axes]
+        axis_index += len(self.mesh_axes)
+        added_axes[axis_index] = Axis(refined_axis.key, added_axis_values)
+        added_result = self.run("forward", self.coarse_scene, added_axes)
+        return _join_sweeps(sweep_result, added_result, axis_index)
+
+    def run_check_sweeps(
+        self,
+        sweep_name: str,
+        scene_changes: dict[str, Any],
+        unknown_axes: Sequence[Axis],
+        all_cases: SweepResult,
+    ) -> ForwardSweeps:
+        """Run sweeps on the finer mesh and halfway, if any, beside all cases (collective)."""
+        table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
+        n_numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
+        n_axis_values = MIN_VALUES - (n_numbers > 2)
+        finer_sweep = halfway_sweep = None
+        if self.fine_scene is not None:
+            check_axes = [
+                axis for axis in (*self.mesh_axes, *table.unknown) if axis.key in axis_keys
+            ]
+            finer_scene = self.fine_scene.replace(scene_changes)
+            few_axes = _thin_axes(check_axes, n_axis_values)
+            finer_sweep = self.run(f"{sweep_name}_finer", finer_scene, few_axes)
+        if not table.meshes:
+            halfway_axes = [
+                Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in unknown_axes
+            ]
+            halfway_scene = self.coarse_scene.replace(scene_changes)
+            few_axes = _thin_axes(halfway_axes, n_axis_values)
+            halfway_sweep = self.run(sweep_name, halfway_scene, few_axes)
+        return all_cases, finer_sweep, halfway_sweep
 
 
-def _closer(
-    forward: Forward, found: Identification, share: np.ndarray, x: np.ndarray
+def _join_sweeps(
+    first_sweep: SweepResult, second_sweep: SweepResult, axis_index: int
+) -> SweepResult:
+    """Join the cases of two sweeps with different values on one axis."""
+    axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
+    value_order = np.argsort(axis_values)
+    column_by_name = {
+        column_name: np.concatenate([column, second_sweep[column_name]], axis=axis_index).take(
+            value_order, axis=axis_index
+        )
+        for column_name, column in first_sweep.columns.items()
+    }
+    joined_axes = list(first_sweep.axes)
+    joined_axes[axis_index] = Axis(
+        joined_axes[axis_index].key, tuple(axis_values[value_index] for value_index in value_order)
+    )
+    return replace(
+        first_sweep,
+        scene=replace(first_sweep.scene, sweep=Sweep(over=tuple(joined_axes))),
+        columns=column_by_name,
+    )
+
+
+def _compute_max_cases(scene: Scene) -> int:
+    """Return the maximum number of solved cases."""
+    unknown_axes = scene.given("identify").unknown
+    return OPTIONS.max_case_ratio * math.prod(
+        len(unknown_axis.values) for unknown_axis in unknown_axes
+    )
+
+
+def _refine_axis_at_resonance(
+    scene: Scene,
+    models: Iterable[ForwardModel],
+    load_frequencies: Sequence[float],
+    unknown_axes: Sequence[Axis],
 ) -> Axis | None:
-    """The unknown along which interpolation adds most to the error of a measurement, with further
-    values halfway between those around the cracks that explain the measurements; None where it
-    would be too many cases, or has none between."""
-    axes = {axis.key: axis for axis in forward.axes}
-    for place in np.argsort(-share):
-        axis = axes.get(found.unknown[place])
-        if axis is not None and _is_divisible(axis):
-            between = _halfway(axis, x[:, place].min(), x[:, place].max())
-            halved = Axis(axis.key, tuple(sorted({*axis.values, *between})))
-            cases = math.prod(len(one.values) for one in (axes | {axis.key: halved}).values())
-            return halved if cases <= _most(forward.scene) else None
+    """Refine the unknown along which the vibration changes most.
+
+    None if no crack between vibrates much more than the solved ones, if that does not matter, or if
+    the cases would be too many.
+    """
+    models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
+    vibration_cases = (
+        []
+        if has_load_independent_shape(scene)
+        else [
+            (_find_largest_vibration_between(*model_load_point)[0], *model_load_point)
+            for model_load_point in models_loads_points
+        ]
+    )
+    if (
+        not vibration_cases
+        or max(vibration_case[0] for vibration_case in vibration_cases)
+        <= OPTIONS.allowed_vibration_ratio
+    ):
+        return None
+    vibration_ratio, model, load_frequency, point_name = max(
+        vibration_cases, key=lambda vibration_case: vibration_case[0]
+    )
+    log_amplitudes = np.log(
+        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+    ).reshape(model.unknown_grid.shape)
+    max_step_by_key = {
+        key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
+        for axis_index, key in enumerate(model.unknown_keys)
+    }
+    n_cases = math.prod(len(unknown_axis.values) for unknown_axis in unknown_axes)
+    number_axes = [
+        unknown_axis
+        for unknown_axis in unknown_axes
+        if unknown_axis.key in max_step_by_key and _is_divisible(unknown_axis)
+    ]
+    for unknown_axis in sorted(
+        number_axes, key=lambda unknown_axis: -max_step_by_key[unknown_axis.key]
+    ):
+        n_values = len(unknown_axis.values)
+        max_parts = (_compute_max_cases(scene) * n_values // n_cases - 1) // (n_values - 1)
+        n_parts = min(math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), max_parts)
+        if n_parts > 1:
+            value_coordinates = np.arange((n_values - 1) * n_parts + 1) / n_parts
+            refined_axis_values = np.interp(
+                value_coordinates, np.arange(n_values), unknown_axis.values
+            ).tolist()
+            return Axis(unknown_axis.key, tuple(refined_axis_values))
     return None
 
 
-def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
-    """The scene of all cases, and that of a few on a finer mesh; None where there is no such."""
-    changes: dict[str, Any] = {}
-    if scene.harmonic_balance.tolerance is None and factor > 1.0:
-        harmonics = min(100, math.ceil(factor * scene.harmonic_balance.harmonics))
-        changes = {"harmonic_balance.harmonics": harmonics, "harmonic_balance.samples": None}
-    other = None if factor == 1.0 else refine_scene(scene, factor)
-    if other is None and not changes:
+def _find_most_interpolated_measurement(
+    identification: Identification,
+) -> tuple[str, np.ndarray, np.ndarray] | None:
+    """Find the measurement with the largest share of interpolation in its variance.
+
+    The share is a mean over the cracks that explain the measurements. The posterior does not serve
+    here: it falls as an interpolation error grows, and excludes some cracks.
+
+    Returns
+    -------
+    tuple or None
+        Its name, its shares by the interpolation along each unknown (d,), and those cracks (m, d).
+        None if the share is small.
+    """
+    branch_shares = [
+        branch.compute_interpolation_shares()
+        for branch in identification.posterior.branch_by_words.values()
+    ]
+    explaining_x, interpolation_shares = (
+        np.vstack(branch_arrays) for branch_arrays in zip(*branch_shares, strict=True)
+    )
+    if not interpolation_shares.size:
+        return None
+    mean_shares = interpolation_shares.mean(axis=0)
+    worst_row = int(mean_shares.sum(axis=0).argmax())
+    share_by_unknown = mean_shares[:, worst_row]
+    is_small = share_by_unknown.sum() <= OPTIONS.allowed_interpolation_share
+    return (
+        None
+        if is_small
+        else (identification.measurements.rows[worst_row].name, share_by_unknown, explaining_x)
+    )
+
+
+def _refine_axis_by_share(
+    forward_models: SolvedForwardModels,
+    identification: Identification,
+    share_by_unknown: np.ndarray,
+    explaining_x: np.ndarray,
+) -> Axis | None:
+    """Refine the unknown along which interpolation adds most to an error.
+
+    Further values are halfway between those around the cracks x (m, d) that explain the
+    measurements. None if the cases would be too many, or if no unknown has values between.
+    """
+    axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
+    for unknown_index in np.argsort(-share_by_unknown):
+        unknown_axis = axis_by_key.get(identification.unknown[unknown_index])
+        if unknown_axis is not None and _is_divisible(unknown_axis):
+            halfway_values = _list_halfway_values(
+                unknown_axis,
+                explaining_x[:, unknown_index].min(),
+                explaining_x[:, unknown_index].max(),
+            )
+            refined_axis = Axis(
+                unknown_axis.key, tuple(sorted({*unknown_axis.values, *halfway_values}))
+            )
+            n_cases = math.prod(
+                len(solved_axis.values)
+                for solved_axis in (axis_by_key | {unknown_axis.key: refined_axis}).values()
+            )
+            return refined_axis if n_cases <= _compute_max_cases(forward_models.scene) else None
+    return None
+
+
+def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
+    """Return the scenes for all cases, and for a few on a finer mesh.
+
+    The second is None without a finer mesh.
+    """
+    finer_changes: dict[str, Any] = {}
+    if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
+        n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
+        finer_changes = {
+            "harmonic_balance.harmonics": n_harmonics,
+            "harmonic_balance.samples": None,
+        }
+    other_scene = None if mesh_ratio == 1.0 else refine_scene(scene, mesh_ratio)
+    if other_scene is None and not finer_changes:
         return scene, None
-    return (scene, (other or scene).replace(changes)) if factor > 1.0 else (other or scene, scene)
+    return (
+        (scene, (other_scene or scene).replace(finer_changes))
+        if mesh_ratio > 1.0
+        else (other_scene or scene, scene)
+    )
 
 
-def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
-    """Some of the values of each unknown, its ends among them; all words."""
-    found = []
-    for axis in axes:
-        places = np.unique(np.linspace(0, len(axis.values) - 1, count).round().astype(int))
-        few = tuple(axis.values[at] for at in places)
-        found.append(axis if isinstance(axis.values[0], str) else Axis(axis.key, few))
-    return tuple(found)
+def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
+    """Thin the values of each unknown to a few, with its ends.
+
+    Words are all kept.
+    """
+    thinned_axes = []
+    for unknown_axis in unknown_axes:
+        value_indices = np.unique(
+            np.linspace(0, len(unknown_axis.values) - 1, n_values).round().astype(int)
+        )
+        kept_axis_values = tuple(unknown_axis.values[value_index] for value_index in value_indices)
+        thinned_axes.append(
+            unknown_axis
+            if isinstance(unknown_axis.values[0], str)
+            else Axis(unknown_axis.key, kept_axis_values)
+        )
+    return tuple(thinned_axes)
 
 
-def _is_divisible(axis: Axis) -> bool:
-    """True if there are values between those of an unknown; not of words and whole numbers."""
-    return any(isinstance(value, float) for value in axis.values)
+def _is_divisible(unknown_axis: Axis) -> bool:
+    """Return True if an unknown has values between; not for words and whole numbers."""
+    return any(isinstance(axis_value, float) for axis_value in unknown_axis.values)
 
 
-def _halfway(axis: Axis, low: float = -np.inf, high: float = np.inf) -> tuple[float, ...]:
-    """Values halfway between those of an unknown around some numbers; none between words and whole
-    numbers."""
-    pairs = itertools.pairwise(axis.values) if _is_divisible(axis) else ()
-    return tuple(0.5 * (a + b) for a, b in pairs if a < high and b > low)
+def _list_halfway_values(
+    unknown_axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
+) -> tuple[float, ...]:
+    """Return values halfway between an unknown's values, within limits.
+
+    Words and whole numbers have none.
+    """
+    value_pairs = itertools.pairwise(unknown_axis.values) if _is_divisible(unknown_axis) else ()
+    return tuple(
+        0.5 * (lower_axis_value + upper_axis_value)
+        for lower_axis_value, upper_axis_value in value_pairs
+        if lower_axis_value < upper_limit and upper_axis_value > lower_limit
+    )
 
 
-def _models(
-    scene: Scene, whole: Whole, loads: Loads, sweeps: Sweeps, bare: Sweeps | None = None
-) -> dict[str, Model]:
-    """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
-    without its crack, by their values of the unknowns that are words."""
-    meshes = scene.given("identify").mesh_axes
-    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH_AXIS)]
-    words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
-    models = {}
-    for chosen in itertools.product(*words.values()):
-        fixed = dict(zip(words, chosen, strict=True))
-        parts: list[Part | None] = []
-        for sweep, plain in zip(sweeps, bare or (None,) * 3, strict=True):
-            under = None if plain is None else Part(plain, loads, (), fixed)
-            parts.append(None if sweep is None else Part(sweep, loads, meshes, fixed, under))
-        models[", ".join(chosen)] = Model(scene, whole, parts, fixed=fixed)
-    return models
+def _build_models(
+    scene: Scene,
+    uncracked_plate: UncrackedPlate,
+    swept_loads: SweptLoads,
+    cracked_sweeps: ForwardSweeps,
+    uncracked_sweeps: ForwardSweeps | None = None,
+) -> dict[str, ForwardModel]:
+    """Build a model of the sweeps for each combination of words.
+
+    Sweeps on a finer mesh, halfway between the values, and without the crack are optional.
+    """
+    mesh_axes = scene.given("identify").mesh_axes
+    axes = [
+        axis
+        for axis in cracked_sweeps[0].axes[:-1]
+        if not (mesh_axes and axis.key == MESH_AXIS_KEY)
+    ]
+    words_by_key = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
+    model_by_words = {}
+    for chosen_words in itertools.product(*words_by_key.values()):
+        word_by_key = dict(zip(words_by_key, chosen_words, strict=True))
+        case_sets: list[SolvedCases | None] = []
+        for sweep_result, uncracked_sweep in zip(
+            cracked_sweeps, uncracked_sweeps or (None,) * 3, strict=True
+        ):
+            uncracked_cases = (
+                None
+                if uncracked_sweep is None
+                else SolvedCases(uncracked_sweep, swept_loads, (), word_by_key)
+            )
+            case_sets.append(
+                None
+                if sweep_result is None
+                else SolvedCases(sweep_result, swept_loads, mesh_axes, word_by_key, uncracked_cases)
+            )
+        model_by_words[", ".join(chosen_words)] = ForwardModel(
+            scene, uncracked_plate, case_sets, word_by_key=word_by_key
+        )
+    return model_by_words

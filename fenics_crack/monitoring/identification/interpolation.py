@@ -1,33 +1,38 @@
 """Smooth interpolation of many quantities over a few unknowns, with its error.
 
-A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
-without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
-The error along each axis is estimated from leave-one-out errors: the difference of each node
-between the ends from the spline through all others on its line, which is the error of twice the
-spacing, 16 times too large where a quantity is smooth, and 4/3 times where meshes make it uneven;
-0.3 of it is taken. The errors at the nodes around a point, of all quantities together, are the
-covariance of predictions there.
+Quantities on a grid of unknowns are interpolated by tensor products of cubic splines, without knots
+next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
 
-Where a case has failed, a thin plate through the others takes its place, if half of the nodes are
-known, and one more than a quadratic polynomial needs: of four none may fail. The difference of the
-nearest known node from such a plate without it is the error there, in full. That holds between
+The error along each axis is estimated by leaving out one node. An inner node differs from the
+spline through all other nodes on the line by the error of twice the spacing. This is 16 times too
+large for a smooth quantity, and 4/3 times if meshes make the quantity uneven; 30 % are taken. The
+errors at the nodes around a point, in all quantities together, give the covariance there.
+
+A thin plate through the other cases replaces a failed case. At least half the nodes must be known,
+and one more than a quadratic polynomial needs: with four nodes none may fail. The error there is
+the difference between the nearest known node and a plate without it, in full. That holds between
 known nodes; beyond them a pole of a harmonic is missed.
 
-Smooth forms are interpolated: the logarithms of natural frequencies without the crack, its
-additions to them, over its size where that is unknown, and harmonics as complex numbers, a - i b of
-a cos + b sin. The amplitudes alone have kinks where they vanish, and both have poles, which move
-with the crack, where k times the load's frequency W meets a natural frequency w_j of the breathing
-crack with a damping ratio z. The first harmonic moves the crack faces that make the others: these
-have its poles, too, of the size p once and of the phase k times, as where all of a motion is as
-much larger and later. So of the k-th harmonic it is
+Smooth forms are interpolated. First, the logarithms of natural frequencies without the crack.
+Second, their changes by the crack, over the crack size if the size is unknown. Third, harmonics as
+complex numbers, a - i b for a cos + b sin. Amplitudes alone have kinks at zeros. Amplitudes and
+complex harmonics have poles, which move with the crack. A pole lies where k times the load
+frequency W meets the breathing crack's natural frequency w_j with damping ratio z.
+
+The first harmonic moves the crack faces, which make the other harmonics. These have the poles of
+the first harmonic, too, once in size and k times in phase, as if a whole motion is larger and
+later. With the displacement U_k of the k-th harmonic, the smooth form is
 
     U_k p_k |p_1| exp(i k arg p_1) / s^n,      p_k = prod_j (1 - r^2 + 2 i z r),      r = k W / w_j,
 
-without p_1 of the first, with the bilinear frequencies w_j of the same nodes and the sum s over the
-modes of the relative differences between frequencies with the crack bonded and open, each times its
-static compliance over that of the first, 1 / w_j^2: as much as the load bends the plate at the
-crack, and the crack the plate. It is small for a short crack, which closes in half of each period:
-that makes even harmonics, n = 1, and odd ones of second order, n = 2.
+without p_1 for the first harmonic. The bilinear frequencies w_j are those of the same nodes. The
+split s sums over the modes the relative difference between frequencies with the crack bonded and
+open, times its static compliance relative to the first mode, 1 / w_j^2. It measures how much the
+load bends the plate at the crack, and the crack the plate. The split is small for a short crack,
+which is closed for half a period. Therefore even harmonics are of first order, n = 1, odd harmonics
+of second order, n = 2.
+
+Shapes: m points x of d unknowns, n nodes of the grid, q quantities, f features.
 """
 
 from __future__ import annotations
@@ -53,303 +58,435 @@ from fenics_crack.sweep.result import SweepResult
 
 
 @dataclass(frozen=True)
-class Cube:
-    """The unknowns between their bounds.
+class UnknownGrid:
+    """Grid of the unknowns between their bounds.
 
     Attributes
     ----------
     axes : tuple of arrays
-        Values of each unknown in ascending order; none at all where there are no unknowns.
+        Values of each unknown in ascending order; empty without unknowns.
     """
 
     axes: tuple[np.ndarray, ...]
 
     @property
-    def low(self) -> np.ndarray:
-        """Lower bounds: (d,)."""
-        return np.array([axis[0] for axis in self.axes])
+    def lower_bounds(self) -> np.ndarray:
+        """Return the lower bounds: (d,)."""
+        return np.array([axis_values[0] for axis_values in self.axes])
 
     @property
-    def high(self) -> np.ndarray:
-        """Upper bounds: (d,)."""
-        return np.array([axis[-1] for axis in self.axes])
+    def upper_bounds(self) -> np.ndarray:
+        """Return the upper bounds: (d,)."""
+        return np.array([axis_values[-1] for axis_values in self.axes])
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """All combinations, the last unknown fastest: (n, d)."""
-        combinations = list(itertools.product(*self.axes))
-        return np.array(combinations, dtype=float).reshape(len(combinations), len(self.axes))
+        """Return all combinations, the last unknown fastest: (n, d)."""
+        value_combinations = list(itertools.product(*self.axes))
+        return np.array(value_combinations, dtype=float).reshape(
+            len(value_combinations), len(self.axes)
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of values on each axis."""
-        return tuple(len(axis) for axis in self.axes)
+        """Return the number of values on each axis."""
+        return tuple(len(axis_values) for axis_values in self.axes)
 
-    def places(self, values: np.ndarray) -> np.ndarray:
-        """Places of values (m, d) among the nodes: whole numbers at these: (m, d)."""
-        columns = [
-            np.interp(column, axis, np.arange(len(axis)))
-            for column, axis in zip(values.T, self.axes, strict=True)
+    def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
+        """Convert values x (m, d) to positions among the nodes (m, d).
+
+        Nodes have whole numbers.
+        """
+        coordinate_columns = [
+            np.interp(x_column, axis_values, np.arange(len(axis_values)))
+            for x_column, axis_values in zip(x.T, self.axes, strict=True)
         ]
-        return np.stack(columns, axis=1)
+        return np.stack(coordinate_columns, axis=1)
 
 
-def _spline(line: np.ndarray, values: np.ndarray) -> Any:
-    """Cubic spline through values (n, ...) on a line (n,), of lower degree through fewer than
-    four."""
-    return make_interp_spline(line, values, k=min(3, len(line) - 1))
+def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
+    """Fit a cubic spline to values (n, ...) on an axis (n,).
+
+    With fewer than four values its degree is lower.
+    """
+    return make_interp_spline(axis_values, node_values, k=min(3, len(axis_values) - 1))
 
 
-def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the difference of each value on a line (n,), but for the ends, from the spline through
-    all others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
-    their neighbours."""
-    errors = np.zeros_like(values)
-    for place in range(1, len(line) - 1):
-        others = np.arange(len(line)) != place
-        errors[place] = values[place] - _spline(line[others], values[others])(line[place])
-    errors[0], errors[-1] = errors[1], errors[-2]
-    return errors
+def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
+    """Return the spline's error at each node if that node is left out.
+
+    The values (n, ...) and errors (n, ...) are on an axis (n,). The ends are never left out, and
+    take their neighbours' errors.
+    """
+    node_errors = np.zeros_like(node_values)
+    for node_index in range(1, len(axis_values) - 1):
+        is_other_node = np.arange(len(axis_values)) != node_index
+        node_errors[node_index] = node_values[node_index] - _fit_spline(
+            axis_values[is_other_node], node_values[is_other_node]
+        )(axis_values[node_index])
+    node_errors[0], node_errors[-1] = node_errors[1], node_errors[-2]
+    return node_errors
 
 
 class Interpolation:
-    """Interpolates some quantities over the unknowns.
+    """Interpolation of quantities over the unknowns, with its errors.
 
     Parameters
     ----------
-    cube : Cube
-        The unknowns.
-    values : (n, q)
-        Of the quantities at the nodes of the cube; nan where one is not known.
+    unknown_grid : UnknownGrid
+        The grid.
+    node_values : (n, q)
+        Values at its nodes; nan for unknown ones.
 
     Attributes
     ----------
-    known : (q,) bool
-        True where a quantity is known at enough of the nodes.
-    between : (q,) bool
-        True where every node at which it is not known is between two others on a line.
+    has_enough_nodes : (q,) bool
+        True for a quantity known at enough nodes.
+    is_between_known : (q,) bool
+        True if every unknown node lies between two known ones on a line.
     """
 
-    def __init__(self, cube: Cube, values: np.ndarray) -> None:
-        self.cube = cube
-        self.between = _between(cube, np.isfinite(values))
-        values, self.known, of_filled = _filled(cube, values)
-        self._values = values
+    def __init__(self, unknown_grid: UnknownGrid, node_values: np.ndarray) -> None:
+        self.unknown_grid = unknown_grid
+        self.is_between_known = _find_values_between_known(unknown_grid, np.isfinite(node_values))
+        node_values, self.has_enough_nodes, fill_errors = _fill_unknown_nodes(
+            unknown_grid, node_values
+        )
+        self._node_values = node_values
         # Along each axis those that are 1 at one of its values and 0 at the others.
-        self._splines = [_spline(line, np.eye(len(line))) for line in cube.axes]
-        if cube.axes:
-            grid = values.reshape(*cube.shape, values.shape[1])
-            left = (
-                np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
-                for k, line in enumerate(cube.axes)
+        self._basis_splines = [
+            _fit_spline(axis_values, np.eye(len(axis_values))) for axis_values in unknown_grid.axes
+        ]
+        if unknown_grid.axes:
+            value_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
+            leave_one_out_errors = (
+                np.moveaxis(
+                    compute_leave_one_out_errors(
+                        axis_values, np.moveaxis(value_grid, axis_index, 0)
+                    ),
+                    0,
+                    axis_index,
+                )
+                for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
-            self._errors = [OPTIONS.left_out * one.reshape(values.shape) for one in left]
-            if of_filled.any():
-                self._errors.append(of_filled)
+            self._errors_by_axis = [
+                OPTIONS.leave_one_out_fraction * axis_errors.reshape(node_values.shape)
+                for axis_errors in leave_one_out_errors
+            ]
+            if fill_errors.any():
+                self._errors_by_axis.append(fill_errors)
 
-    def at(self, x: np.ndarray) -> np.ndarray:
-        """The quantities at values x (m, d) of the unknowns, those outside taken to the border:
-        (m, q), 0 where one is not known."""
-        weights = np.ones((len(x), 1))
-        for column, line, spline in zip(x.T, self.cube.axes, self._splines, strict=True):
-            own = spline(np.clip(column, line[0], line[-1]))
-            weights = (weights[:, :, None] * own[:, None, :]).reshape(len(x), -1)
-        return np.asarray(weights @ self._values)
+    def interpolate(self, x: np.ndarray) -> np.ndarray:
+        """Return the quantities at x (m, d): (m, q).
 
-    def scatter(self, x: np.ndarray) -> np.ndarray:
-        """Errors of all quantities together at the nodes around values x (m, d), along each axis,
-        and where cases failed, weighted so that their covariance is the sum of the squares:
-        (m, k, q)."""
-        found = self.along(x)
-        return np.concatenate(found, axis=1) if found else np.zeros((len(x), 0, len(self.known)))
+        Points outside move to the border. Quantities without enough nodes are 0.
+        """
+        node_weights = np.ones((len(x), 1))
+        for x_column, axis_values, basis_spline in zip(
+            x.T, self.unknown_grid.axes, self._basis_splines, strict=True
+        ):
+            axis_weights = basis_spline(np.clip(x_column, axis_values[0], axis_values[-1]))
+            node_weights = (node_weights[:, :, None] * axis_weights[:, None, :]).reshape(len(x), -1)
+        return np.asarray(node_weights @ self._node_values)
 
-    def along(self, x: np.ndarray) -> list[np.ndarray]:
-        """The same of each axis, and of failed cases where there are some, apart."""
-        if not self.cube.axes:
+    def compute_weighted_errors(self, x: np.ndarray) -> np.ndarray:
+        """Return weighted errors of all quantities around x (m, d): (m, k, q).
+
+        They belong to the nodes around, along each axis and at failed cases; the sum of their
+        squares is the covariance.
+        """
+        errors_by_axis = self.compute_weighted_errors_by_axis(x)
+        return (
+            np.concatenate(errors_by_axis, axis=1)
+            if errors_by_axis
+            else np.zeros((len(x), 0, len(self.has_enough_nodes)))
+        )
+
+    def compute_weighted_errors_by_axis(self, x: np.ndarray) -> list[np.ndarray]:
+        """Return a list of weighted errors (m, k, q), one for each axis.
+
+        Failed cases, if any, add a last one.
+        """
+        if not self.unknown_grid.axes:
             return []
-        nodes = self.cube.places(self.cube.nodes)
-        exponent = -0.5 / OPTIONS.averaging**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
-        count = min(OPTIONS.neighbours, len(nodes))
-        near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
-        exponent = np.take_along_axis(exponent, near, axis=1)
-        weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
-        weights /= weights.sum(axis=1, keepdims=True)
-        return [np.sqrt(weights)[..., None] * own[near] for own in self._errors]
+        node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
+        weight_exponents = (
+            -0.5
+            / OPTIONS.error_average_width**2
+            * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
+        )
+        n_averaged = min(OPTIONS.max_averaged_nodes, len(node_coordinates))
+        nearest_nodes = np.argpartition(-weight_exponents, n_averaged - 1, axis=1)[:, :n_averaged]
+        weight_exponents = np.take_along_axis(weight_exponents, nearest_nodes, axis=1)
+        node_weights = np.exp(weight_exponents - weight_exponents.max(axis=1, keepdims=True))
+        node_weights /= node_weights.sum(axis=1, keepdims=True)
+        return [
+            np.sqrt(node_weights)[..., None] * node_errors[nearest_nodes]
+            for node_errors in self._errors_by_axis
+        ]
 
 
-def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
-    """True where all nodes (n, q) that are not known have known ones on both sides, on a line along
-    some axis: (q,)."""
-    grid = known.reshape(*cube.shape, known.shape[1])
-    found = grid.copy()
-    for k in range(len(cube.axes)):
-        line = np.moveaxis(grid, k, 0)
-        below, above = (np.logical_or.accumulate(one) for one in (line, line[::-1]))
-        found |= np.moveaxis(below & above[::-1], 0, k)
-    return np.asarray(found.reshape(known.shape).all(axis=0))
+def _find_values_between_known(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
+    """Return True for quantities whose unknown nodes lie between known ones: (q,).
+
+    ``is_known`` (n, q) is at the nodes; a line along any axis will do.
+    """
+    known_grid = is_known.reshape(*unknown_grid.shape, is_known.shape[1])
+    is_between_known = known_grid.copy()
+    for axis_index in range(len(unknown_grid.axes)):
+        known_lines = np.moveaxis(known_grid, axis_index, 0)
+        is_known_below, is_known_above = (
+            np.logical_or.accumulate(directed_lines)
+            for directed_lines in (known_lines, known_lines[::-1])
+        )
+        is_between_known |= np.moveaxis(is_known_below & is_known_above[::-1], 0, axis_index)
+    return np.asarray(is_between_known.reshape(is_known.shape).all(axis=0))
 
 
-def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values (n, q) with unknown ones taken from a thin plate through the others, 0 where too few
-    are known; True where enough are, (q,); and the errors of the values taken."""
-    known, d = np.isfinite(values), len(cube.axes)
-    least = max((d + 1) * (d + 2) // 2 + 1, len(values) / 2)
-    enough = known.all(axis=0) | ((known.sum(axis=0) >= least) & (d > 0))
-    found = np.where(known & enough, values, 0.0)
-    errors = np.zeros_like(found)
-    for place in np.flatnonzero(enough & ~known.all(axis=0)):
-        own, column = known[:, place], values[:, place]
-        nodes = (cube.nodes - cube.low) / (cube.high - cube.low)
-        found[~own, place] = _plate(nodes[own], column[own], nodes[~own])
-        for lost in np.flatnonzero(~own):
-            distance = np.linalg.norm(nodes - nodes[lost], axis=1)
-            near = np.argmin(np.where(own, distance, np.inf))
-            left = own & (np.arange(len(own)) != near)
-            around = _plate(nodes[left], column[left], nodes[near, None])
-            errors[lost, place] = column[near] - around[0]
-    return found, enough, errors
+def _fill_unknown_nodes(
+    unknown_grid: UnknownGrid, node_values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fill unknown nodes (n, q) by a thin plate through the known ones.
+
+    Returns
+    -------
+    filled_values : (n, q)
+        0 for quantities without enough nodes.
+    has_enough_nodes : (q,) bool
+    fill_errors : (n, q)
+        Errors at filled nodes, else 0.
+    """
+    is_known, n_unknowns = np.isfinite(node_values), len(unknown_grid.axes)
+    min_known_nodes = max((n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2)
+    has_enough_nodes = is_known.all(axis=0) | (
+        (is_known.sum(axis=0) >= min_known_nodes) & (n_unknowns > 0)
+    )
+    filled_values = np.where(is_known & has_enough_nodes, node_values, 0.0)
+    fill_errors = np.zeros_like(filled_values)
+    for quantity_index in np.flatnonzero(has_enough_nodes & ~is_known.all(axis=0)):
+        is_known_node, quantity_values = is_known[:, quantity_index], node_values[:, quantity_index]
+        scaled_nodes = (unknown_grid.nodes - unknown_grid.lower_bounds) / (
+            unknown_grid.upper_bounds - unknown_grid.lower_bounds
+        )
+        filled_values[~is_known_node, quantity_index] = _interpolate_thin_plate(
+            scaled_nodes[is_known_node],
+            quantity_values[is_known_node],
+            scaled_nodes[~is_known_node],
+        )
+        for unknown_node in np.flatnonzero(~is_known_node):
+            node_distances = np.linalg.norm(scaled_nodes - scaled_nodes[unknown_node], axis=1)
+            nearest_node = np.argmin(np.where(is_known_node, node_distances, np.inf))
+            is_plate_node = is_known_node & (np.arange(len(is_known_node)) != nearest_node)
+            nearest_estimate = _interpolate_thin_plate(
+                scaled_nodes[is_plate_node],
+                quantity_values[is_plate_node],
+                scaled_nodes[nearest_node, None],
+            )
+            fill_errors[unknown_node, quantity_index] = (
+                quantity_values[nearest_node] - nearest_estimate[0]
+            )
+    return filled_values, has_enough_nodes, fill_errors
 
 
-def _plate(nodes: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """A thin plate through values (n,) at nodes (n, d), at other places (m, d): (m,)."""
-    return np.asarray(RBFInterpolator(nodes, values, kernel="thin_plate_spline")(at))
+def _interpolate_thin_plate(
+    nodes: np.ndarray, node_values: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Interpolate values (n,) at nodes (n, d) by a thin plate.
+
+    Returns values (m,) at points (m, d).
+    """
+    return np.asarray(RBFInterpolator(nodes, node_values, kernel="thin_plate_spline")(points))
 
 
 # --- interpolated quantities ----------------------------------------------------------------------
 
-MESH_AXIS = "mesh.file"
-"""The axis of meshes with numbers."""
+MESH_AXIS_KEY = "mesh.file"
+"""Key of the axis of meshes with numbers."""
 
 
-class Loads:
-    """Loads of a forward model, the last axis of its sweeps.
+class SweptLoads:
+    """Loads in the sweeps of a forward model, on their last axis.
 
-    Where the load is an engine order, each has its speed of the rotor, and the first has that of
-    the scene, which is the default of natural frequencies.
+    If the load is an engine order, each load has its rotor speed. The first load has the scene's
+    speed, the default for natural frequencies.
 
     Attributes
     ----------
     frequencies : tuple of float
-        In Hz.
-    axis : Axis
-        Their own, or the rotor's speeds.
+        Load frequencies [Hz].
+    sweep_axis : Axis
+        Axis of load frequencies, or of rotor speeds.
     """
 
     def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
-        """Take frequencies [Hz]; the scene's own where it follows the rotor, or there is no
-        other."""
-        order, others = scene.excitation.order, sorted(set(frequencies))
-        own = float(f"{scene.excitation.omega / RAD_PER_TURN:.9g}")  # as that of arrivals
-        if order is None:
-            self.frequencies = tuple(others) or (own,)
-            self.axis = Axis("excitation.frequency", self.frequencies)
+        """Take load frequencies [Hz].
+
+        The scene's own is taken if the load follows the rotor, or if there is no other.
+        """
+        engine_order, asked_frequencies = scene.excitation.order, sorted(set(frequencies))
+        scene_frequency = float(
+            f"{scene.excitation.omega / RAD_PER_TURN:.9g}"
+        )  # as that of arrivals
+        if engine_order is None:
+            self.frequencies = tuple(asked_frequencies) or (scene_frequency,)
+            self.sweep_axis = Axis("excitation.frequency", self.frequencies)
         else:
-            self.frequencies = (own, *(one for one in others if one != own))
-            rpm = tuple(60.0 * one / order for one in self.frequencies)
-            self.axis = Axis("rotation.rpm", rpm)
+            self.frequencies = (
+                scene_frequency,
+                *(frequency for frequency in asked_frequencies if frequency != scene_frequency),
+            )
+            speeds_rpm = tuple(60.0 * frequency / engine_order for frequency in self.frequencies)
+            self.sweep_axis = Axis("rotation.rpm", speeds_rpm)
 
     @property
-    def turn(self) -> bool:
-        """True if each has its own speed."""
-        return self.axis.key == "rotation.rpm"
+    def has_rotor_speeds(self) -> bool:
+        """Return True if each load has its own rotor speed."""
+        return self.sweep_axis.key == "rotation.rpm"
 
     @property
-    def faster(self) -> np.ndarray:
-        """Speeds of the rotor over the scene's own, (n,); 1 where there is no other."""
-        found = np.array(self.frequencies)
-        return found / found[0] if self.turn else np.ones(len(found))
+    def speed_ratios(self) -> np.ndarray:
+        """Return the rotor speeds over the scene's (n,); 1 without own speeds."""
+        frequency_array = np.array(self.frequencies)
+        return (
+            frequency_array / frequency_array[0]
+            if self.has_rotor_speeds
+            else np.ones(len(frequency_array))
+        )
 
 
-class Part:
-    """Solved cases of a sweep for one choice of the words, and those without the crack, if any. Its
-    last axis is that of the loads."""
+class SolvedCases:
+    """Solved cases of a sweep for one choice of words, also without the crack.
+
+    The sweep's last axis has the loads.
+    """
 
     def __init__(
         self,
-        sweep: SweepResult,
-        loads: Loads,
-        meshes: Sequence[Axis],
-        fixed: Mapping[str, Any],
-        bare: Part | None = None,
+        sweep_result: SweepResult,
+        swept_loads: SweptLoads,
+        mesh_axes: Sequence[Axis],
+        word_by_key: Mapping[str, Any],
+        uncracked_cases: SolvedCases | None = None,
     ) -> None:
-        """Take a sweep, the numbers of its meshes if it has some, and the chosen words."""
-        self.sweep, self.loads, self.bare = sweep, loads, bare
-        numbers: list[Axis] = []
-        index: list[Any] = []
-        for axis in sweep.axes[:-1]:
-            word = axis.key in fixed
-            index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
-            numbers += [] if word else meshes if axis.key == MESH_AXIS else [axis]
-        self.cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        self.keys, self.index = tuple(axis.key for axis in numbers), tuple(index)
+        """Take a sweep, the numbers' axes for its meshes, and the chosen words."""
+        self.sweep_result = sweep_result
+        self.swept_loads = swept_loads
+        self.uncracked_cases = uncracked_cases
+        number_axes: list[Axis] = []
+        word_index: list[Any] = []
+        for axis in sweep_result.axes[:-1]:
+            is_word = axis.key in word_by_key
+            word_index.append(axis.values.index(word_by_key[axis.key]) if is_word else slice(None))
+            number_axes += [] if is_word else mesh_axes if axis.key == MESH_AXIS_KEY else [axis]
+        self.unknown_grid = UnknownGrid(
+            tuple(np.array(axis.values, dtype=float) for axis in number_axes)
+        )
+        self.unknown_keys = tuple(axis.key for axis in number_axes)
+        self.word_index = tuple(word_index)
 
-    def column(self, name: str) -> np.ndarray:
-        """A column at all nodes and load frequencies: (n, n_loads)."""
-        values = self.sweep[name][self.index]
-        return np.asarray(values.reshape(-1, values.shape[-1]), dtype=float)
+    def get_column(self, column_name: str) -> np.ndarray:
+        """Return a column at all nodes and loads: (n, n_loads)."""
+        column = self.sweep_result[column_name][self.word_index]
+        return np.asarray(column.reshape(-1, column.shape[-1]), dtype=float)
 
-    def natural(self, lips: str, mode: int) -> np.ndarray:
-        """A natural frequency at all nodes and loads [Hz]: (n, n_loads); without the crack
-        ("uncracked") the same for all cracks, and with a bonded crack where it cannot be
-        removed."""
-        if lips == "uncracked":
-            if self.bare is None:
-                return self.natural("tied", mode)
-            values = self.bare.natural("tied", mode)
-            pairs = zip(self.keys, self.cube.shape, strict=True)
-            shape = [count if key in self.bare.keys else 1 for key, count in pairs]
-            loads = values.shape[1]
-            values = np.broadcast_to(values.reshape(*shape, loads), (*self.cube.shape, loads))
-            return values.reshape(-1, loads)
-        column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
-        if self.loads.turn:
-            return column
-        known = np.isfinite(column)
-        best = np.max(np.where(known, column, -np.inf), axis=1, keepdims=True)
-        best = np.where(known.any(axis=1, keepdims=True), best, np.nan)
-        return np.broadcast_to(best, column.shape)
+    def get_natural_frequency(self, crack_state: str, mode: int) -> np.ndarray:
+        """Return a natural frequency at all nodes and loads [Hz]: (n, n_loads).
 
-    def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
-        """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
-        of = f"{point}." if point else ""
-        cosine, sine = (self.column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
-        load = self.load(frequency)
-        fewer = self.column("harmonics")[:, load] < order
-        value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
-        return np.where(self.column("state")[:, load] == State.CONVERGED, value, np.nan)
+        Without the crack ("uncracked") all cracks have the same; if the crack cannot be removed, a
+        bonded crack replaces the missing plate.
+        """
+        if crack_state == "uncracked":
+            if self.uncracked_cases is None:
+                return self.get_natural_frequency("tied", mode)
+            frequencies = self.uncracked_cases.get_natural_frequency("tied", mode)
+            sizes_by_key = zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
+            uncracked_shape = [
+                n_values if key in self.uncracked_cases.unknown_keys else 1
+                for key, n_values in sizes_by_key
+            ]
+            n_loads = frequencies.shape[1]
+            frequencies = np.broadcast_to(
+                frequencies.reshape(*uncracked_shape, n_loads), (*self.unknown_grid.shape, n_loads)
+            )
+            return frequencies.reshape(-1, n_loads)
+        frequencies = self.get_column(f"omega_{crack_state}_{mode}") / (2.0 * np.pi)
+        if self.swept_loads.has_rotor_speeds:
+            return frequencies
+        is_known = np.isfinite(frequencies)
+        max_frequencies = np.max(np.where(is_known, frequencies, -np.inf), axis=1, keepdims=True)
+        max_frequencies = np.where(is_known.any(axis=1, keepdims=True), max_frequencies, np.nan)
+        return np.broadcast_to(max_frequencies, frequencies.shape)
 
-    def harmonics(self, frequency: float) -> int:
-        """Minimum number of harmonics of the solved cases at a load; 1 if none was solved."""
-        load = self.load(frequency)
-        solved = self.column("state")[:, load] == State.CONVERGED
-        return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
+    def get_harmonic(
+        self, point_name: str, load_frequency: float, harmonic_order: int
+    ) -> np.ndarray:
+        """Return the complex amplitude of a harmonic at all nodes: (n,) [m].
 
-    def load(self, frequency: float) -> int:
-        """Index of a load frequency [Hz] among those of the sweep, 0 for 0 Hz; InputError if there
-        is none."""
-        loads = self.loads.frequencies
-        if frequency == 0.0:
+        It is 0 for a case with fewer harmonics, and nan for a failed case.
+        """
+        column_prefix = f"{point_name}." if point_name else ""
+        cosine_amplitudes, sine_amplitudes = (
+            self.get_column(f"{column_prefix}{part_name}_{harmonic_order}")
+            for part_name in ("cosine", "sine")
+        )
+        load_index = self.find_load_index(load_frequency)
+        is_missing = self.get_column("harmonics")[:, load_index] < harmonic_order
+        complex_amplitudes = np.where(
+            is_missing, 0.0, (cosine_amplitudes - 1j * sine_amplitudes)[:, load_index]
+        )
+        return np.where(
+            self.get_column("state")[:, load_index] == State.CONVERGED, complex_amplitudes, np.nan
+        )
+
+    def count_harmonics(self, load_frequency: float) -> int:
+        """Return the minimum number of harmonics of solved cases at a load; 1 without any."""
+        load_index = self.find_load_index(load_frequency)
+        is_solved = self.get_column("state")[:, load_index] == State.CONVERGED
+        return (
+            int(self.get_column("harmonics")[is_solved, load_index].min()) if is_solved.any() else 1
+        )
+
+    def find_load_index(self, load_frequency: float) -> int:
+        """Return the index of a load frequency [Hz] in the sweep; 0 for 0 Hz.
+
+        Raises InputError if the sweep does not have it.
+        """
+        solved_frequencies = self.swept_loads.frequencies
+        if load_frequency == 0.0:
             return 0
-        if frequency not in loads:
-            solved = ", ".join(f"{load:.9g}" for load in loads)
-            allowed = f"one of those that are solved, {solved} Hz; identify.frequencies adds others"
-            raise InputError("measurements.frequency", frequency, allowed)
-        return loads.index(frequency)
+        if load_frequency not in solved_frequencies:
+            frequencies_text = ", ".join(
+                f"{solved_frequency:.9g}" for solved_frequency in solved_frequencies
+            )
+            solved_text = f"one of those that are solved, {frequencies_text} Hz"
+            allowed_text = f"{solved_text}; identify.frequencies adds others"
+            raise InputError("measurements.frequency", load_frequency, allowed_text)
+        return solved_frequencies.index(load_frequency)
 
     @cached_property
-    def basis(self) -> np.ndarray:
-        """Root of s, the bilinear frequencies [Hz], and those without the crack, at all nodes and
-        loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan where there is no
-        frequency."""
-        tied, opened, breathing, bare = (
-            np.stack([self.natural(lips, mode) for mode in MODE_NUMBERS], axis=2)
-            for lips in ("tied", "open", "bilinear", "uncracked")
+    def scale_and_frequencies(self) -> np.ndarray:
+        """Collect the data of poles at all nodes and loads: (n, n_loads, 1 + 2 modes).
+
+        Columns are the root of s (1 without a crack), the bilinear frequencies [Hz], and the
+        uncracked frequencies [Hz]; nan for a missing frequency.
+        """
+        bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
+            np.stack(
+                [self.get_natural_frequency(crack_state, mode) for mode in MODE_NUMBERS], axis=2
+            )
+            for crack_state in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
-            parts = (tied - opened) / tied * (tied[..., :1] / tied) ** 2
-            split = np.nan_to_num(parts, posinf=0.0, neginf=0.0).sum(axis=2)
-        scale = np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0)
-        return np.concatenate([scale[..., None], breathing, bare], axis=2)
+            mode_splits = (
+                (bonded_frequencies - open_frequencies)
+                / bonded_frequencies
+                * (bonded_frequencies[..., :1] / bonded_frequencies) ** 2
+            )
+            frequency_split = np.nan_to_num(mode_splits, posinf=0.0, neginf=0.0).sum(axis=2)
+        split_root = np.where(frequency_split > 1e-9, np.sqrt(np.abs(frequency_split)), 1.0)
+        return np.concatenate(
+            [split_root[..., None], bilinear_frequencies, uncracked_frequencies], axis=2
+        )
 
 
 RESONANCE_STATES = ("bilinear", "open", "tied")
@@ -358,93 +495,158 @@ RESONANCE_STATES = ("bilinear", "open", "tied")
 
 @dataclass(frozen=True)
 class Feature:
-    """An interpolated quantity: a natural frequency at the speed of a load, 0 for the scene's own,
-    or a harmonic of a point at a load."""
+    """An interpolated quantity: a natural frequency, or a harmonic of a point.
 
-    lips: str = ""
+    Attributes
+    ----------
+    crack_state : str
+        State of the crack in a natural frequency; empty for a harmonic.
+    mode : int
+        Mode number from 1; 0 for a harmonic.
+    point_name : str
+        Point and direction of a harmonic.
+    load_frequency : float [Hz]
+        Load frequency. A natural frequency is at the rotor speed of this load; 0 is the scene's
+        own.
+    harmonic_order : int
+        Order of a harmonic; 0 for a natural frequency.
+    """
+
+    crack_state: str = ""
     mode: int = 0
-    point: str = ""
-    frequency: float = 0.0
-    order: int = 0
+    point_name: str = ""
+    load_frequency: float = 0.0
+    harmonic_order: int = 0
 
     @classmethod
-    def of(cls, row: Measurement, scene: Scene) -> tuple[Feature, ...]:
-        """Features of a measurement of a scene; of a ratio both harmonics, the one above first."""
-        if row.natural:
-            lips = row.quantity.removeprefix("frequency_")
-            states = RESONANCE_STATES if lips == "resonance" else (lips,)
-            return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
-        orders = row.orders or KEPT_HARMONIC_ORDERS
-        return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
+    def list_for_measurement(cls, measurement: Measurement, scene: Scene) -> tuple[Feature, ...]:
+        """Return the features of a measurement, of a ratio the numerator first."""
+        if measurement.natural:
+            state_name = measurement.quantity.removeprefix("frequency_")
+            crack_states = RESONANCE_STATES if state_name == "resonance" else (state_name,)
+            return tuple(
+                cls(crack_state, measurement.mode, load_frequency=measurement.load(scene))
+                for crack_state in crack_states
+            )
+        harmonic_orders = measurement.orders or KEPT_HARMONIC_ORDERS
+        return tuple(
+            cls("", 0, measurement.point, measurement.load(scene), harmonic_order)
+            for harmonic_order in harmonic_orders
+        )
 
     @property
-    def together(self) -> tuple[float, float, float]:
-        """Key of features with a common error: those of a mode, or of one contact."""
-        return (self.mode, 0.0 if self.natural else self.frequency, self.order)
+    def error_group(self) -> tuple[float, float, float]:
+        """Return the key of features with a common error.
+
+        They share a mode, or a harmonic at a load.
+        """
+        return (
+            self.mode,
+            0.0 if self.is_natural_frequency else self.load_frequency,
+            self.harmonic_order,
+        )
 
     @property
-    def uncracked(self) -> Feature:
-        """The same natural frequency without the crack."""
-        return replace(self, lips="uncracked")
+    def uncracked_feature(self) -> Feature:
+        """Return the same natural frequency without the crack."""
+        return replace(self, crack_state="uncracked")
 
-    def values(self, part: Part) -> np.ndarray:
-        """Values at all nodes of a sweep: (n,), logarithms or complex numbers."""
-        if self.natural:
-            own = part.natural(self.lips, self.mode)[:, part.load(self.frequency)]
-            return np.log(own).astype(complex)
-        return part.harmonic(self.point, self.frequency, self.order)
-
-    @property
-    def power(self) -> int:
-        """n of s^n, to which a harmonic is proportional."""
-        return 1 + self.order % 2 if self.order > 1 else 0
+    def get_node_values(self, solved_cases: SolvedCases) -> np.ndarray:
+        """Return values at all nodes of a sweep: (n,), logarithms or complex amplitudes."""
+        if self.is_natural_frequency:
+            frequencies = solved_cases.get_natural_frequency(self.crack_state, self.mode)[
+                :, solved_cases.find_load_index(self.load_frequency)
+            ]
+            return np.log(frequencies).astype(complex)
+        return solved_cases.get_harmonic(self.point_name, self.load_frequency, self.harmonic_order)
 
     @property
-    def natural(self) -> bool:
-        """True if it is a natural frequency."""
-        return bool(self.lips)
+    def scale_power(self) -> int:
+        """Return the exponent n of s^n, to which a harmonic is proportional."""
+        return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
     @property
-    def of_crack(self) -> bool:
-        """True if it is a natural frequency that the crack changes."""
-        return self.lips in ("open", "tied", "bilinear")
+    def is_natural_frequency(self) -> bool:
+        """Return True for a natural frequency."""
+        return bool(self.crack_state)
+
+    @property
+    def is_cracked_frequency(self) -> bool:
+        """Return True for a natural frequency that the crack changes."""
+        return self.crack_state in ("open", "tied", "bilinear")
 
 
-def poles(
-    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
+def compute_ratios_and_poles(
+    features: Sequence[Feature], damping_ratios: np.ndarray, scale_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes).
+    """Return frequency ratios r and pole factors 1 - r^2 + 2 i z r of each mode.
 
-    They follow from ratios of damping (m, 1), and :attr:`Part.basis` at the load of each feature
-    (m, f, 1 + 2 modes); 0 and 1 of natural frequencies and where there is no mode.
+    Both are (m, f, modes) at m points. For natural frequencies and missing modes they are 0 and 1.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        f features.
+    damping_ratios : (m, 1)
+    scale_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
     """
-    own = basis[..., MODE_NUMBERS]
-    loads = np.array([feature.order * feature.frequency for feature in features])
-    r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)
-    return r, 1.0 - r**2 + 2j * damping[..., None] * r
+    mode_frequencies = scale_and_frequencies[..., MODE_NUMBERS]
+    harmonic_frequencies = np.array(
+        [feature.harmonic_order * feature.load_frequency for feature in features]
+    )
+    r = harmonic_frequencies[:, None] / np.where(
+        np.isfinite(mode_frequencies), mode_frequencies, np.inf
+    )
+    return r, 1.0 - r**2 + 2j * damping_ratios[..., None] * r
 
 
-def turned(values: np.ndarray, features: Sequence[Feature]) -> np.ndarray:
-    """Return parts of harmonics (m, f, ...) in the logarithms of the first one that drives them: of
-    its size once, of its phase as often as their order; 0 of others."""
-    orders = np.array([feature.order if feature.order > 1 else 0 for feature in features])
-    orders = orders.reshape(-1, *np.ones(values.ndim - 2, dtype=int))
-    return np.where(orders > 0, values.real, 0.0) + 1j * orders * values.imag
-
-
-def driving(features: Sequence[Feature]) -> list[Feature]:
-    """Return the first harmonics that drive some features."""
-    return [replace(feature, order=int(feature.order > 1)) for feature in features]
-
-
-def scales(
-    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, size: np.ndarray
+def apply_first_harmonic_logs(
+    first_harmonic_logs: np.ndarray, features: Sequence[Feature]
 ) -> np.ndarray:
-    """Return factors that make the values smooth: (m, f), from :func:`poles` and sizes of the crack
-    (m,)."""
-    powers = np.array([feature.power for feature in features])
-    changed = np.array([feature.of_crack for feature in features])
-    found = poles(features, damping, basis)[1].prod(axis=2) / basis[..., 0] ** (2 * powers)
-    first = poles(driving(features), damping, basis)[1].prod(axis=2)
-    found = found * np.exp(turned(np.log(first), features))
-    return np.where(changed, 1.0 / size[:, None], found)
+    """Return the parts of logarithms of the first harmonic in each feature (m, f, ...).
+
+    A higher harmonic of order k has the size once and the phase k times. Other features have 0.
+    """
+    harmonic_orders = np.array(
+        [feature.harmonic_order if feature.harmonic_order > 1 else 0 for feature in features]
+    )
+    harmonic_orders = harmonic_orders.reshape(-1, *np.ones(first_harmonic_logs.ndim - 2, dtype=int))
+    return (
+        np.where(harmonic_orders > 0, first_harmonic_logs.real, 0.0)
+        + 1j * harmonic_orders * first_harmonic_logs.imag
+    )
+
+
+def list_driving_harmonics(features: Sequence[Feature]) -> list[Feature]:
+    """Return for each feature the first harmonic that drives it.
+
+    A feature that is no higher harmonic gets order 0.
+    """
+    return [
+        replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
+    ]
+
+
+def compute_smoothing_factors(
+    features: Sequence[Feature],
+    damping_ratios: np.ndarray,
+    scale_and_frequencies: np.ndarray,
+    crack_sizes: np.ndarray,
+) -> np.ndarray:
+    """Return factors that make features smooth: (m, f).
+
+    They follow from :func:`compute_ratios_and_poles` and relative sizes of the crack (m,).
+    """
+    scale_powers = np.array([feature.scale_power for feature in features])
+    is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])
+    harmonic_factors = compute_ratios_and_poles(features, damping_ratios, scale_and_frequencies)[
+        1
+    ].prod(axis=2) / scale_and_frequencies[..., 0] ** (2 * scale_powers)
+    first_harmonic_poles = compute_ratios_and_poles(
+        list_driving_harmonics(features), damping_ratios, scale_and_frequencies
+    )[1].prod(axis=2)
+    harmonic_factors = harmonic_factors * np.exp(
+        apply_first_harmonic_logs(np.log(first_harmonic_poles), features)
+    )
+    return np.where(is_cracked_frequency, 1.0 / crack_sizes[:, None], harmonic_factors)

@@ -37,24 +37,37 @@ if TYPE_CHECKING:
     from fenics_crack.arrivals.passages import PassageFit  # SciPy
 
 FREQUENCY_STATES = ("open", "tied", "bilinear", "resonance", "uncracked")
-"""States of a plate with natural frequencies: its crack held open, held closed, breathing by the
-bilinear formula, breathing at a measured resonance; and before it had a crack."""
-AT_LOADS = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1", "displacement")
+"""States of a plate in the names of natural frequencies.
+
+The crack is held open, held closed, breathing by the bilinear formula, or breathing at a measured
+resonance; or the plate is as before it had a crack.
+"""
+LOAD_QUANTITY_NAMES = (
+    "harmonic_1",
+    "harmonic_2",
+    "harmonic_3",
+    "ratio_2_1",
+    "ratio_3_1",
+    "displacement",
+)
 """Quantities of a point under a harmonic load."""
-NEEDED = ("quantity", "value", "deviation")
-OPTIONAL = ("mode", "frequency", "point", "phase", "rpm", "temperature")
-SI = "Hz", "m", "-"
-HEADING_UNITS = {
-    "frequency": SI[:1],
+REQUIRED_COLUMN_NAMES = ("quantity", "value", "deviation")
+"""Columns that every table has."""
+OPTIONAL_COLUMN_NAMES = ("mode", "frequency", "point", "phase", "rpm", "temperature")
+"""Columns that a table may have."""
+VALUE_UNITS = "Hz", "m", "-"
+"""Units of measured values: frequencies, harmonics, and ratios."""
+UNITS_BY_COLUMN = {
+    "frequency": VALUE_UNITS[:1],
     "phase": ("rad",),
-    "value": SI,
-    "deviation": SI,
+    "value": VALUE_UNITS,
+    "deviation": VALUE_UNITS,
     "temperature": ("K", "°C", "C"),
     "rpm": ("rpm",),
 }
-"""Units that headings may name, in brackets, or others that are converted to these."""
-UNIVERSAL = (".uff", ".unv")
-"""Endings of universal files."""
+"""Units in the brackets of headings, after conversion."""
+UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
+"""Suffixes of universal files."""
 
 
 @dataclass(frozen=True)
@@ -64,30 +77,30 @@ class Measurement:
     Attributes
     ----------
     quantity : str
-        A natural frequency of mode ``mode`` [Hz]: "frequency_open", "frequency_tied",
-        "frequency_bilinear" by its formula, "frequency_resonance", at which the breathing crack
-        resonates, which is near that formula, or
-        "frequency_uncracked" of the same plate before it had a crack, which calibrates the others
-        of its mode. Or, as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m],
-        "ratio_2_1" or "ratio_3_1", of a point under the scene's load at ``frequency``. Or a
-        "displacement" [m] of the point at ``phase``, as probes see it: all those of a point at a
-        frequency are compared up to the load's size, its phase, and a constant.
+        Natural frequencies of mode ``mode`` [Hz] are "frequency_open", "frequency_tied" and
+        "frequency_bilinear" by its formula; "frequency_resonance", at which the breathing crack
+        resonates, near that formula; and "frequency_uncracked" of the same plate before it had a
+        crack, which calibrates the others of its mode. Quantities of a point under the scene's load
+        at ``frequency`` are, as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m],
+        "ratio_2_1" and "ratio_3_1". A "displacement" [m] of the point is at ``phase``, as probes
+        see it. All displacements of a point at a frequency are compared up to the load's size, its
+        phase, and a constant.
     value, deviation : float
         The number, and its standard deviation > 0, in the same unit.
     mode : int
-        From 1; 0 where there is none.
+        Mode number from 1; 0 without a mode.
     frequency : float [Hz]
-        Of the load; nan where there is none.
+        Load frequency; nan without a load.
     point : str
         A point and direction of ``[output.points]``, "tip.ux"; empty: the load's point in the
         load's direction.
     phase : float [rad]
-        Of the load's period, 0 where it begins, 2 pi where it ends; nan where there is none.
+        Phase of the load's period, 0 at its beginning, 2 pi at its end; nan without a phase.
     rpm : float [1/min]
-        Of the rotor, where a natural frequency was measured, 0 at rest; nan: the scene's own.
+        Rotor speed at which a natural frequency was measured, 0 at rest; nan: the scene's own.
     temperature : float [K or °C]
-        Of the structure when a natural frequency was measured, in one unit in all of them: their
-        differences enter; nan where it is not known.
+        Temperature of the structure when a natural frequency was measured. All have one unit, since
+        only their differences matter; nan if unknown.
 
     Raises
     ------
@@ -106,102 +119,126 @@ class Measurement:
     temperature: float = math.nan
 
     def __post_init__(self) -> None:
-        kinds = (*(f"frequency_{state}" for state in FREQUENCY_STATES), *AT_LOADS)
-        check_choice("measurements.quantity", self.quantity, kinds)
+        quantity_names = (
+            *(f"frequency_{state}" for state in FREQUENCY_STATES),
+            *LOAD_QUANTITY_NAMES,
+        )
+        check_choice("measurements.quantity", self.quantity, quantity_names)
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
         if self.natural:
             if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
-                allowed = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
-                raise InputError("measurements.mode", self.mode, allowed)
+                allowed_text = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
+                raise InputError("measurements.mode", self.mode, allowed_text)
         else:
             check_number("measurements.frequency", self.frequency, 0.0, excludes_bound=True)
         if at_probe:
             check_number("measurements.phase", self.phase)
             if abs(self.phase) > 2.0 * RAD_PER_TURN:  # a period that may begin elsewhere
-                allowed = f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
-                raise InputError("measurements.phase", self.phase, allowed)
+                allowed_text = (
+                    f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
+                )
+                raise InputError("measurements.phase", self.phase, allowed_text)
         if not math.isnan(self.rpm):
             check_number("measurements.rpm", self.rpm, 0.0)
         if not math.isnan(self.temperature):
             check_number("measurements.temperature", self.temperature)
-        of_mode = ("mode", "rpm", "temperature")
-        needed = of_mode if self.natural else ("frequency", "point", *["phase"] * at_probe)
-        for key in OPTIONAL:
-            given = getattr(self, key)
-            if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
-                raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
+        mode_keys = ("mode", "rpm", "temperature")
+        allowed_keys = mode_keys if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        for key in OPTIONAL_COLUMN_NAMES:
+            key_value = getattr(self, key)
+            if (
+                key not in allowed_keys
+                and key_value
+                and not (isinstance(key_value, float) and math.isnan(key_value))
+            ):
+                raise InputError(f"measurements.{key}", key_value, f"left out with {self.quantity}")
         for key in ("value", "deviation", "frequency", "phase", "rpm", "temperature"):
-            number = getattr(self, key)
+            key_value = getattr(self, key)
             if not (
-                math.isnan(number)
-                or number == 0.0
-                or MIN_ALLOWED_MAGNITUDE <= abs(number) <= MAX_ALLOWED_MAGNITUDE
+                math.isnan(key_value)
+                or key_value == 0.0
+                or MIN_ALLOWED_MAGNITUDE <= abs(key_value) <= MAX_ALLOWED_MAGNITUDE
             ):
                 raise InputError(
-                    f"measurements.{key}", number, f"a number {ZERO_OR_MAGNITUDE_TEXT}"
+                    f"measurements.{key}", key_value, f"a number {ZERO_OR_MAGNITUDE_TEXT}"
                 )
 
     @property
     def natural(self) -> bool:
-        """True if it is a natural frequency."""
+        """Return True for a natural frequency."""
         return self.quantity.startswith("frequency_")
 
     @property
     def resonance(self) -> bool:
-        """True if it is a natural frequency with the crack in its state at resonance."""
+        """Return True for a natural frequency with the crack in its state at resonance."""
         return self.quantity == "frequency_resonance"
 
     @property
     def shape(self) -> bool:
-        """True if it depends on the shape of a motion, not on its size."""
+        """Return True if only the motion's shape matters, not the size."""
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Orders of its harmonics, of a ratio the numerator first; none of a natural frequency, and
-        of a displacement, which has all."""
+        """Return the orders of its harmonics.
+
+        A ratio has the numerator first. Natural frequencies have none. Displacements have all
+        harmonics, and none here.
+        """
         return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
 
     @property
     def name(self) -> str:
-        """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
+        """Return the name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
-            speed = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
-            return f"{self.quantity} of mode {self.mode}{speed}"
-        where = f" of {self.point}" if self.point else ""
-        when = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
-        return f"{self.quantity} at {self.frequency:g} Hz{when}{where}"
+            speed_text = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
+            return f"{self.quantity} of mode {self.mode}{speed_text}"
+        point_text = f" of {self.point}" if self.point else ""
+        phase_text = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
+        return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def load(self, scene: Scene) -> float:
-        """The load of a scene under which it was measured [Hz]: its own, or that at the rotor's
-        speed; 0 of a natural frequency at the scene's own speed."""
+        """Return the scene's load frequency [Hz] for the measurement.
+
+        For a natural frequency it is the load at the rotor's speed, and 0 at the scene's own speed.
+        """
         if not self.natural:
             return float(self.frequency)
         if math.isnan(self.rpm):
             return 0.0
-        own = scene.excitation.omega / RAD_PER_TURN
+        scene_frequency = scene.excitation.omega / RAD_PER_TURN
         # At rest the load of a thousandth of the speed, which adds a millionth of its stiffening.
-        found = max(scene.excitation.given("order") * self.rpm / 60.0, 1e-3 * own)
-        return 0.0 if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
+        load_frequency = max(
+            scene.excitation.given("order") * self.rpm / 60.0, 1e-3 * scene_frequency
+        )
+        return (
+            0.0
+            if f"{load_frequency:.9g}" == f"{scene_frequency:.9g}"
+            else float(f"{load_frequency:.9g}")
+        )
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError unless it is one of a scene."""
+        """Raise InputError if a scene has no such measurement."""
         if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
-            allowed = "left out unless the load is an engine order (excitation.order) of [rotation]"
-            raise InputError("measurements.rpm", self.rpm, allowed)
-        known = scene.point_names
-        if self.point and self.point not in known:
-            allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
-            raise InputError("measurements.point", self.point, allowed)
-        if self.quantity == "frequency_uncracked" and without_crack(scene) is None:
-            allowed = "left out where the crack cannot be taken out of the scene"
-            raise InputError("measurements.quantity", self.quantity, allowed)
-        least, harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
-        if harmonics < least:
-            allowed = f"at least {least} for {self.quantity}"
-            raise InputError("harmonic_balance.harmonics", harmonics, allowed)
+            allowed_text = (
+                "left out unless the load is an engine order (excitation.order) of [rotation]"
+            )
+            raise InputError("measurements.rpm", self.rpm, allowed_text)
+        point_names = scene.point_names
+        if self.point and self.point not in point_names:
+            allowed_text = (
+                f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}"
+            )
+            raise InputError("measurements.point", self.point, allowed_text)
+        if self.quantity == "frequency_uncracked" and list_crack_removal_changes(scene) is None:
+            allowed_text = "left out where the crack cannot be taken out of the scene"
+            raise InputError("measurements.quantity", self.quantity, allowed_text)
+        max_order, n_harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
+        if n_harmonics < max_order:
+            allowed_text = f"at least {max_order} for {self.quantity}"
+            raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,24 +256,47 @@ class Measurements(Tabular):
     def __post_init__(self) -> None:
         fit_argument("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
-        if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
+        if not self.rows or not all(
+            isinstance(measurement, Measurement) for measurement in self.rows
+        ):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
-        if len(self.rows) > OPTIONS.most_measurements:
-            most = f"{OPTIONS.most_measurements} at most"
-            allowed = f"{most}; several of one quantity are one, their mean"
-            raise InputError("measurements", f"{len(self.rows)} rows", allowed)
-        names = Counter(row.name for row in self.rows if row.quantity != "displacement")
-        if twice := [name for name, count in names.items() if count > 1]:
-            found = [row.value for row in self.rows if row.name == twice[0]]
-            allowed = "one value, the mean, with the standard deviation of that"
-            raise InputError(f"measurements, {twice[0]}", found, allowed)
+        if len(self.rows) > OPTIONS.max_measurements:
+            limit_text = f"{OPTIONS.max_measurements} at most"
+            allowed_text = f"{limit_text}; several of one quantity are one, their mean"
+            raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
+        count_by_name = Counter(
+            measurement.name for measurement in self.rows if measurement.quantity != "displacement"
+        )
+        if repeated_names := [name for name, name_count in count_by_name.items() if name_count > 1]:
+            repeated_values = [
+                measurement.value
+                for measurement in self.rows
+                if measurement.name == repeated_names[0]
+            ]
+            allowed_text = "one value, the mean, with the standard deviation of that"
+            raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
 
     @classmethod
     def from_arrays(
-        cls, quantity: str, values: Sequence[float], deviations: Any, **where: Sequence[Any]
+        cls,
+        quantity: str,
+        values: Sequence[float],
+        deviations: Any,
+        **optional_columns: Sequence[Any],
     ) -> Measurements:
-        """Numbers of one quantity: values (n,), their standard deviations (n,) or one for all, and
-        ``mode`` and ``rpm``, or ``frequency`` and ``point``, (n,) each.
+        """Make measurements of one quantity from arrays.
+
+        Parameters
+        ----------
+        quantity : str
+            As in :class:`Measurement`.
+        values : (n,)
+            Measured values.
+        deviations : (n,) or float
+            Standard deviations, or one for all values.
+        **optional_columns : (n,) each
+            ``mode`` and ``rpm``, or ``frequency`` and ``point``, and others of
+            :class:`Measurement`.
 
         Raises
         ------
@@ -244,15 +304,26 @@ class Measurements(Tabular):
             A value cannot be used, or the lengths differ.
         """
         fit_argument("values", values, "Iterable", ())
-        count = len(values)
-        columns = {"value": values, **where}
-        several = isinstance(deviations, Iterable)
-        columns["deviation"] = deviations if several else [deviations] * count
-        for name, column in columns.items():
-            if name not in {item.name for item in fields(Measurement)} or len(column) != count:
-                raise InputError(name, column, f"{count} values of {', '.join(OPTIONAL)}")
-        rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
-        return cls(tuple(Measurement(quantity, **row) for row in rows))
+        n_values = len(values)
+        column_by_name = {"value": values, **optional_columns}
+        has_deviation_column = isinstance(deviations, Iterable)
+        column_by_name["deviation"] = (
+            deviations if has_deviation_column else [deviations] * n_values
+        )
+        for column_name, column in column_by_name.items():
+            if (
+                column_name
+                not in {measurement_field.name for measurement_field in fields(Measurement)}
+                or len(column) != n_values
+            ):
+                raise InputError(
+                    column_name, column, f"{n_values} values of {', '.join(OPTIONAL_COLUMN_NAMES)}"
+                )
+        value_by_column_rows = (
+            dict(zip(column_by_name, cells, strict=True))
+            for cells in zip(*column_by_name.values(), strict=True)
+        )
+        return cls(tuple(Measurement(quantity, **cells) for cells in value_by_column_rows))
 
     @classmethod
     def from_arrivals(
@@ -265,12 +336,12 @@ class Measurements(Tabular):
         noise: float | None = None,
         angle_deviation: float = 0.0,
     ) -> Measurements:
-        """Mean displacements at the probes, of a vibration of an engine order.
+        """Take mean displacements at the probes, of a vibration of an engine order.
 
-        At the rotor's angle alpha of an arrival, where the blade tip is displaced by u
-        (:class:`ArrivalTimes`), the load is at the phase p alpha of its period. No harmonic is
-        fitted: they are left to the model. The means are those of :func:`fit_order`, in which
-        single wrong arrivals have no weight, without vibrations that follow no order.
+        Let alpha be the rotor's angle at an arrival, with the blade tip displaced by u
+        (:class:`ArrivalTimes`). The load is then at the phase p alpha of its period. No harmonic is
+        fitted here; the model has them. The means are as in :func:`fit_order`: single wrong
+        arrivals have no weight, and vibrations without an order are taken out.
 
         Parameters
         ----------
@@ -291,9 +362,9 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            A value cannot be used, the speed is not constant, arrivals are not where the probes
-            are, there are fewer than four, or ``noise`` is left out where passages have no scatter,
-            or too few for an estimate, as in one revolution alone.
+            A value cannot be used, the speed is not constant, arrivals are not at the probes, or
+            fewer than four probes have arrivals. Or ``noise`` is missing, and passages have no
+            scatter or are too few for an estimate, as in one revolution alone.
         """
         from fenics_crack.arrivals.fit_order import Means  # SciPy
         from fenics_crack.arrivals.robust import student
@@ -304,32 +375,38 @@ class Measurements(Tabular):
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
         arrivals.check_places(angle_deviation)
-        count = np.isfinite(arrivals.time).sum(axis=0)
-        count, speed = count[count > 0], arrivals.mean_speed
-        if len(count) < 4:  # one more than the load's size and phase, and a constant
+        n_arrivals = np.isfinite(arrivals.time).sum(axis=0)
+        n_arrivals, rotor_speed = n_arrivals[n_arrivals > 0], arrivals.mean_speed
+        if len(n_arrivals) < 4:  # one more than the load's size and phase, and a constant
             raise InputError("arrivals", repr(arrivals), "those of 4 probes or more")
-        means = Means(arrivals, 1, float(order), angle_deviation)
-        places = arrivals.tip_radius * angle_deviation
+        probe_means = Means(arrivals, 1, float(order), angle_deviation)
+        place_deviation = arrivals.tip_radius * angle_deviation
         if noise is not None:
-            own = speed * noise / np.sqrt(count)
-            deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
-        elif means.scatter <= arrivals.rounding:
+            angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals)
+            deviations = arrivals.tip_radius * np.hypot(angle_deviations, angle_deviation)
+        elif probe_means.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
-        elif np.isnan(larger := student(means.within)):
-            found = format_count(int(count.sum()), "arrival")
-            allowed = (
-                f"given for {found} at {format_count(len(count), 'probe')}, too few to estimate it"
-            )
-            raise InputError("noise", None, allowed)
+        elif np.isnan(variance_factor := student(probe_means.within)):
+            arrivals_text = format_count(int(n_arrivals.sum()), "arrival")
+            probes_text = counted(len(n_arrivals), "probe")
+            allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
+            raise InputError("noise", None, allowed_text)
         else:
-            own = np.diag(means.covariance) - places**2
-            deviations = np.sqrt(larger * own + places**2)
+            displacement_variances = np.diag(probe_means.covariance) - place_deviation**2
+            deviations = np.sqrt(variance_factor * displacement_variances + place_deviation**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
-        frequency = float(f"{order * speed / RAD_PER_TURN:.9g}")
-        values = -means.values if against else means.values
-        where: dict[str, Any] = {"phase": (order * means.angle % RAD_PER_TURN).tolist()}
-        where |= {"frequency": [frequency] * len(count), "point": [point] * len(count)}
-        return cls.from_arrays("displacement", values.tolist(), deviations.tolist(), **where)
+        load_frequency = float(f"{order * rotor_speed / RAD_PER_TURN:.9g}")
+        displacements = -probe_means.values if against else probe_means.values
+        column_by_name: dict[str, Any] = {
+            "phase": (order * probe_means.angle % RAD_PER_TURN).tolist()
+        }
+        column_by_name |= {
+            "frequency": [load_frequency] * len(n_arrivals),
+            "point": [point] * len(n_arrivals),
+        }
+        return cls.from_arrays(
+            "displacement", displacements.tolist(), deviations.tolist(), **column_by_name
+        )
 
     @classmethod
     def from_passages(
@@ -339,15 +416,16 @@ class Measurements(Tabular):
         *,
         quantity: str = "frequency_resonance",
     ) -> Measurements:
-        """Natural frequencies of resonances that a rotor passes, at the speed of each, with their
-        :attr:`PassageFit.deviation`.
+        """Take natural frequencies of resonances that a rotor passes.
+
+        Each is at its speed, with its :attr:`PassageFit.deviation`.
 
         Parameters
         ----------
         passages : sequence of PassageFit
             As :func:`find_passages` finds them.
         modes : sequence of int
-            Mode of each, from 1; 0 leaves it out.
+            Mode of each passage, from 1; 0 leaves it out.
         quantity : str
             "frequency_resonance" of a blade as it is, or "frequency_uncracked" before it had a
             crack.
@@ -355,40 +433,49 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            The lengths differ, none is left, or a value cannot be used.
+            The lengths differ, no passage has a mode, or a value cannot be used.
         """
         if len(modes) != len(passages):
             raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
-        used = [one for one in zip(passages, modes, strict=True) if one[1]]
-        values = [fit.frequency for fit, _ in used]
-        deviations = [fit.deviation / RAD_PER_TURN for fit, _ in used]
-        rpm = [float(f"{fit.speed / RAD_PER_S_PER_RPM:.7g}") for fit, _ in used]
-        where: dict[str, Any] = {"mode": [mode for _, mode in used], "rpm": rpm}
-        return cls.from_arrays(quantity, values, deviations, **where)
+        fitted_modes = [
+            fit_and_mode for fit_and_mode in zip(passages, modes, strict=True) if fit_and_mode[1]
+        ]
+        frequencies = [passage_fit.frequency for passage_fit, _ in fitted_modes]
+        deviations = [passage_fit.deviation / RAD_PER_TURN for passage_fit, _ in fitted_modes]
+        speeds_rpm = [
+            float(f"{passage_fit.speed / RAD_PER_S_PER_RPM:.7g}") for passage_fit, _ in fitted_modes
+        ]
+        column_by_name: dict[str, Any] = {
+            "mode": [mode for _, mode in fitted_modes],
+            "rpm": speeds_rpm,
+        }
+        return cls.from_arrays(quantity, frequencies, deviations, **column_by_name)
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:
-        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point,
-        phase [rad], rpm and temperature [°C], in any order; cells that do not apply are empty, and
-        lines that begin with # are left out. Frequencies may be in kHz and phases in degrees [deg]
-        as well; cells are separated by commas, semicolons or tabs.
+        """Read a table of measurements from a CSV file.
+
+        Its columns are quantity, value, deviation, mode, frequency [Hz], point, phase [rad], rpm
+        and temperature [°C], in any order. Cells that do not apply are empty; lines that begin with
+        # are left out. Frequencies may be in kHz and phases in degrees [deg] as well. Commas,
+        semicolons or tabs separate cells.
 
         Raises
         ------
         InputError
             The file cannot be read, or a line cannot be used.
         """
-        return cls(tuple(_table(path)))
+        return cls(tuple(_read_csv_measurements(path)))
 
     @classmethod
     def from_responses(
         cls, path: str | Path, modes: Sequence[int] = (), *, quantity: str = "frequency_resonance"
     ) -> Measurements:
-        """Natural frequencies from the frequency responses of a universal file.
+        """Fit natural frequencies to the frequency responses of a universal file.
 
-        Datasets 58 and 58b of one structure at the same frequencies (.uff, .unv), over the force or
-        another excitation; fitted around their peaks, all together. The standard deviation includes
-        the scatter, and the change of the fit where less of a peak is fitted.
+        Datasets 58 and 58b for a structure at equal frequencies (.uff, .unv), over the force or
+        another excitation, are fitted around their peaks, all together. The standard deviation
+        includes the scatter, and the change of the fit if less of a peak is fitted.
 
         Parameters
         ----------
@@ -403,36 +490,42 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            The file cannot be read or has no modes, or another number of them.
+            The file cannot be read or has no modes, or another number of modes.
         """
-        from fenics_crack.monitoring.identification.responses import read_responses, resonances
+        from fenics_crack.monitoring.identification.responses import fit_resonances, read_responses
 
         with report_read_errors("measurements", path, "a universal file with frequency responses"):
             responses = read_responses(Path(path))
-        found = resonances(responses)[: N_LOWEST_MODES if not modes else None]
-        numbers = list(modes) or list(range(1, len(found) + 1))
-        if len(numbers) != len(found):
-            shown = ", ".join(f"{one:.6g}" for one in found[:, 0])
-            allowed = f"{format_count(len(found), 'number')}, of the modes at {shown} Hz"
-            raise InputError("modes", list(modes), allowed)
-        values, deviations = found[:, 0].tolist(), found[:, 1].tolist()
-        return cls.from_arrays(quantity, values, deviations, mode=numbers)
+        mode_rows = fit_resonances(responses)[: N_LOWEST_MODES if not modes else None]
+        mode_numbers = list(modes) or list(range(1, len(mode_rows) + 1))
+        if len(mode_numbers) != len(mode_rows):
+            frequencies_text = ", ".join(
+                f"{mode_frequency:.6g}" for mode_frequency in mode_rows[:, 0]
+            )
+            allowed_text = (
+                f"{format_count(len(mode_rows), 'number')}, of the modes at {frequencies_text} Hz"
+            )
+            raise InputError("modes", list(modes), allowed_text)
+        frequencies, deviations = mode_rows[:, 0].tolist(), mode_rows[:, 1].tolist()
+        return cls.from_arrays(quantity, frequencies, deviations, mode=mode_numbers)
 
     @classmethod
     @check_calls
     def read(cls, path: str | Path, modes: Sequence[int] = ()) -> Measurements:
-        """Read a universal file (.uff, .unv; :meth:`from_responses`) or a table
-        (:meth:`from_csv`)."""
-        universal = Path(path).suffix.lower() in UNIVERSAL
-        return cls.from_responses(path, modes) if universal else cls.from_csv(path)
+        """Read a universal file or a table.
+
+        Universal files (:meth:`from_responses`) end in .uff or .unv; others are tables
+        (:meth:`from_csv`).
+        """
+        is_universal = Path(path).suffix.lower() in UNIVERSAL_FILE_SUFFIXES
+        return cls.from_responses(path, modes) if is_universal else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError for measurements that are none of a scene, or all from before its
-        crack."""
-        if all(row.quantity == "frequency_uncracked" for row in self.rows):
+        """Raise InputError if measurements do not fit a scene, or all precede its crack."""
+        if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
             raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
-        for row in self.rows:
-            row.check(scene)
+        for measurement in self.rows:
+            measurement.check(scene)
 
     def __add__(self, other: Measurements) -> Measurements:
         return Measurements(self.rows + other.rows)
@@ -441,71 +534,111 @@ class Measurements(Tabular):
         return len(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, as :meth:`from_csv` reads them."""
-        names = [item.name for item in fields(Measurement)]
-        found = {name: [getattr(row, name) for row in self.rows] for name in names}
-        found["mode"] = [mode or "" for mode in found["mode"]]
-        for name in ("frequency", "phase", "rpm", "temperature"):
-            found[name] = ["" if math.isnan(one) else one for one in found[name]]
-        return found
+        """Return columns as :meth:`from_csv` reads them."""
+        column_names = [measurement_field.name for measurement_field in fields(Measurement)]
+        values_by_column = {
+            column_name: [getattr(measurement, column_name) for measurement in self.rows]
+            for column_name in column_names
+        }
+        values_by_column["mode"] = [mode or "" for mode in values_by_column["mode"]]
+        for column_name in ("frequency", "phase", "rpm", "temperature"):
+            values_by_column[column_name] = [
+                "" if math.isnan(cell) else cell for cell in values_by_column[column_name]
+            ]
+        return values_by_column
 
     def _title(self) -> str:
-        natural = sum(row.natural for row in self.rows)
-        return f"{natural} natural frequencies, {len(self) - natural} at loads"
+        n_frequencies = sum(measurement.natural for measurement in self.rows)
+        return f"{n_frequencies} natural frequencies, {len(self) - n_frequencies} at loads"
 
 
-def without_crack(scene: Scene) -> dict[str, Any] | None:
-    """Return changes of a scene that remove its crack; None where that is impossible."""
-    changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact", "output.quantities"))
+def list_crack_removal_changes(scene: Scene) -> dict[str, Any] | None:
+    """Return scene changes, by key, that remove the crack; None if impossible."""
+    value_by_key: dict[str, Any] = dict.fromkeys(
+        ("crack", "cracks", "contact", "output.quantities")
+    )
     if scene.identify is not None and scene.identify.uncracked is not None:
-        return changes | {"mesh.file": scene.identify.uncracked}
-    own = scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
-    return changes if own else None
+        return value_by_key | {"mesh.file": scene.identify.uncracked}
+    is_removable = (
+        scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
+    )
+    return value_by_key if is_removable else None
 
 
-def _table(path: str | Path) -> list[Measurement]:
-    """Measurements of a CSV file; raises InputError."""
+def _read_csv_measurements(path: str | Path) -> list[Measurement]:
+    """Read the measurements of a CSV file.
+
+    Raises InputError.
+    """
     with report_read_errors("measurements", path, "a CSV file"):
-        (_, headings), *table = read_csv_rows(path) or [(0, [])]
-    table = table[: OPTIONS.most_measurements + 1]  # enough to be too many
+        (_, heading_cells), *table_lines = read_csv_rows(path) or [(0, [])]
+    table_lines = table_lines[: OPTIONS.max_measurements + 1]  # enough to be too many
     # Those of a value depend on the quantity.
-    scaled = [
-        (cell, 1.0) if cell.startswith(NEEDED) else convert_heading_to_si(cell) for cell in headings
+    headings_in_si = [
+        (cell, 1.0) if cell.startswith(REQUIRED_COLUMN_NAMES) else convert_heading_to_si(cell)
+        for cell in heading_cells
     ]
-    names = [cell.partition("[")[0].strip() for cell, _ in scaled]
-    known = (*NEEDED, *OPTIONAL)
-    if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
-        allowed = f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
-        has = f"the columns {', '.join(headings)}" if names else "nothing"
-        raise InputError("measurements", f"{path}: {has}", allowed)
-    for cell, name, (in_si, _) in zip(headings, names, scaled, strict=True):
-        unit = in_si.partition("[")[2].partition("]")[0].strip()
-        if unit and unit not in (units := HEADING_UNITS.get(name, ())):
-            allowed = f"in {' or '.join(units)}" if units else "without a unit"
-            raise InputError("measurements", f"{path}: the column {cell}", allowed)
-    factors, found = {n: factor for n, (_, factor) in zip(names, scaled, strict=True)}, []
-    for number, cells in table:
+    column_names = [cell.partition("[")[0].strip() for cell, _ in headings_in_si]
+    known_names = (*REQUIRED_COLUMN_NAMES, *OPTIONAL_COLUMN_NAMES)
+    if not set(REQUIRED_COLUMN_NAMES) <= set(column_names) <= set(known_names) or len(
+        set(column_names)
+    ) != len(column_names):
+        allowed_text = (
+            f"a CSV file with the columns {', '.join(known_names)}, the first three of them needed"
+        )
+        found_text = f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
+        raise InputError("measurements", f"{path}: {found_text}", allowed_text)
+    for cell, column_name, (si_heading, _) in zip(
+        heading_cells, column_names, headings_in_si, strict=True
+    ):
+        heading_unit = si_heading.partition("[")[2].partition("]")[0].strip()
+        if heading_unit and heading_unit not in (
+            allowed_units := UNITS_BY_COLUMN.get(column_name, ())
+        ):
+            allowed_text = f"in {' or '.join(allowed_units)}" if allowed_units else "without a unit"
+            raise InputError("measurements", f"{path}: the column {cell}", allowed_text)
+    factor_by_column = {
+        column_name: column_factor
+        for column_name, (_, column_factor) in zip(column_names, headings_in_si, strict=True)
+    }
+    measurements = []
+    for line_number, cells in table_lines:
         try:
-            found.append(_row(dict(zip(names, cells, strict=True)), factors))
+            measurements.append(
+                _parse_measurement(dict(zip(column_names, cells, strict=True)), factor_by_column)
+            )
         except InputError as error:
-            allowed = f"{error.allowed} (line {number})"
-            raise InputError(error.key, error.value, allowed) from None
+            allowed_text = f"{error.allowed} (line {line_number})"
+            raise InputError(error.key, error.value, allowed_text) from None
         except ValueError:
-            allowed = f"{len(names)} cells: {', '.join(names)}"
-            raise InputError(f"measurements, line {number}", ",".join(cells), allowed) from None
-    return found
+            allowed_text = f"{len(column_names)} cells: {', '.join(column_names)}"
+            raise InputError(
+                f"measurements, line {line_number}", ",".join(cells), allowed_text
+            ) from None
+    return measurements
 
 
-def _row(cells: Mapping[str, str], factors: Mapping[str, float]) -> Measurement:
-    """Measurement of a line of the table, whose columns have factors; raises InputError."""
-    given: dict[str, Any] = {name: text for name, text in cells.items() if text}
-    for name in [name for name in given if name not in ("quantity", "point")]:
+def _parse_measurement(
+    cell_by_column: Mapping[str, str], factor_by_column: Mapping[str, float]
+) -> Measurement:
+    """Parse a measurement from a table's line, each cell times its column's factor.
+
+    Raises InputError.
+    """
+    value_by_column: dict[str, Any] = {
+        column_name: cell for column_name, cell in cell_by_column.items() if cell
+    }
+    for column_name in [
+        column_name for column_name in value_by_column if column_name not in ("quantity", "point")
+    ]:
         with contextlib.suppress(ValueError):
-            given[name] = factors[name] * float(given[name])
-        check_number(f"measurements.{name}", given[name])
-    if given.get("mode", math.nan).is_integer():
-        given["mode"] = int(given["mode"])
-    for name in NEEDED:
-        if name not in given:
-            raise InputError(f"measurements.{name}", "", "given in every line")
-    return Measurement(**given)
+            value_by_column[column_name] = factor_by_column[column_name] * float(
+                value_by_column[column_name]
+            )
+        check_number(f"measurements.{column_name}", value_by_column[column_name])
+    if value_by_column.get("mode", math.nan).is_integer():
+        value_by_column["mode"] = int(value_by_column["mode"])
+    for column_name in REQUIRED_COLUMN_NAMES:
+        if column_name not in value_by_column:
+            raise InputError(f"measurements.{column_name}", "", "given in every line")
+    return Measurement(**value_by_column)

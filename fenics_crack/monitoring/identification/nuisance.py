@@ -1,40 +1,44 @@
 """Nuisance parameters: the material, the clamp, damping, and the error of the model itself.
 
-Each has a prior, a normal distribution about the scene's value, whose width is in ``[identify]``
-with its source. To first order a standard deviation of it changes the natural frequency of mode j
-by a relative a_j, the size of harmonics by a relative b, and through their poles
-(:mod:`fenics_crack.monitoring.identification.interpolation`) the harmonics by
+Each has a prior, a normal distribution about the scene's value. Its width is in ``[identify]`` with
+its source. To first order a standard deviation changes the natural frequency of mode j by a
+relative a_j, and the size of harmonics by a relative b. Through their poles
+(:mod:`fenics_crack.monitoring.identification.interpolation`) it changes the harmonics U_k by
 
     d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j,
 
-and by those of the first harmonic, which drives the k-th. Nothing is solved again for it. These
-changes are common errors of predictions: of the plate with its crack, of the same plate without it,
-and of its frequencies before it had one, so that measuring those calibrates the plate.
+and by the change of the first harmonic, which drives the k-th. Here W is the load frequency, w_j a
+natural frequency and z the damping ratio. Nothing is solved again. These changes are common errors
+in all predictions: with the crack, without the crack, and before the crack. Measurements before the
+crack therefore calibrate the plate.
 
-A crack that is inclined acts like a straight one at the height of its crack tip (0.87 to 1.11 of
-that, of ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one that is
-longer or shorter. Measurements determine this equivalent crack; the real one has a larger standard
-deviation (:func:`crack_deviations`).
+An inclined crack acts like a straight crack at the height of the crack tip (0.87 to 1.11 times as
+much, for ten edge cracks inclined by 10 degrees). A wider or softer crack acts like a longer or
+shorter sharp crack. Measurements determine this equivalent crack; the real crack has a larger
+standard deviation (:func:`compute_crack_deviations`).
 
-Young's modulus E and density change the part e_j of w_j^2 that is elastic, not that by rotation:
+Young's modulus E and density change the elastic part e_j of w_j^2, not the part by rotation:
 
     d ln w_j / d ln E = e_j / 2,      e_j = phi_j^T K_0 phi_j / w_j^2,
 
-with the stiffness K_0 at rest and the mode at its speed. A soft clamp takes from w_j^2
+with the stiffness K_0 at rest and the mode phi_j at its speed. A soft clamp takes from w_j^2
 
     m_j^2 times its softness to turning and (m_x^2 + m_y^2) times that to pushing,
 
-with m = R^T K_0 phi_j, the moment and the forces that hold the mode in rigid motions R about the
-clamp's middle (at rest w_j^2 R^T M phi_j, Rayleigh's quotient). The two are independent: a bolt
-that is loose lets it turn, jaws that slip let it move. How large they are, one beside the other, is
-that of a clamp that is as soft everywhere, with a radius of gyration q about its middle, q^2;
-together, by what they take from the first mode.
+with m = R^T K_0 phi_j, the moment and the forces at the clamp in the mode. R are rigid motions
+about the clamp's middle; at rest m = w_j^2 R^T M phi_j (Rayleigh's quotient). The two are
+independent: a loose bolt lets the clamp turn, slipping jaws let it move. Their ratio is q^2, as for
+a uniformly soft clamp with the radius of gyration q about its middle. Their size is by what both
+take from the first mode.
 
-Modes at other speeds, and of another modulus, are those of a K_0 + s (K - K_0), s the square of the
-speed over the scene's, in the space of the modes at rest and at the scene's speed. So temperature
-and clamp, which change between the record before there was a crack and the one since, move each
-mode at each speed. The stiffening by rotation may change, too, by the blade's seat or the measured
-speed: with a temperature that makes the same relative change of all frequencies.
+Modes at other speeds or with another modulus follow from a K_0 + s (K - K_0). Here a is the factor
+of the modulus and s the squared speed over the scene's. The modes at rest and at the scene's speed
+span the space. Temperature and clamp change between the record before there was a crack and the one
+since, and so move each mode at each speed. The stiffening by rotation may change, too, by the
+blade's seat or the measured speed. Together with a temperature it can change all frequencies by the
+same ratio.
+
+Shapes: n modes, s priors, r motions, q measurements, m points x of d unknowns, f features.
 """
 
 from __future__ import annotations
@@ -52,334 +56,531 @@ from fenics_crack.basics.ranks import MPI
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.model.modes import Modes, multiply, solve_modes
-from fenics_crack.monitoring.identification.interpolation import Feature, driving, poles, turned
+from fenics_crack.monitoring.identification.interpolation import (
+    Feature,
+    apply_first_harmonic_logs,
+    compute_ratios_and_poles,
+    list_driving_harmonics,
+)
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
-OF_SIZE = ("crack.length", "crack.depth")
+CRACK_SIZE_KEYS = ("crack.length", "crack.depth")
 """Keys of a crack's size."""
-FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
-"""Numbers in these units over those in Hz."""
+FACTOR_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+"""Numbers in a unit over those in Hz, by unit."""
 
 
-class Whole:
-    """The plate without its crack, or with a bonded one: natural frequencies and their
-    sensitivities to the priors, found on this rank alone.
+class UncrackedPlate:
+    """The plate without a crack, or with a bonded crack, and the sensitivities to the priors.
+
+    It is solved on this rank alone.
 
     Attributes
     ----------
-    speed : float [rad/s]
-        Of the rotor.
-    stiffness : (2, r, r) [1/s^2]
-        At rest, and the addition of rotation at that speed, by mass-normalised motions.
-    reactions : (r, d)
-        Forces and moments at the clamp by these, each over that of a clamp of uniform compliance;
-        none where the clamped nodes are not known.
-    turning : int
-        Number of these that are forces; the others are moments.
-    table : Identify
-        With the widths of the priors.
+    rotor_speed : float [rad/s]
+        Speed of the rotor.
+    stiffness_parts : (2, r, r) [1/s^2]
+        Stiffness at rest, and the addition by rotation at that speed, in r mass-normalised motions.
+    clamp_reactions : (r, d)
+        Forces and moments at the clamp by these motions, relative to a clamp of uniform compliance;
+        d = 0 if the clamped nodes are unknown.
+    n_reaction_forces : int
+        Number of forces among the reactions; they precede the moments.
+    identify_table : Identify
+        Table ``[identify]`` with the widths of the priors.
     """
 
-    def __init__(self, scene: Scene, table: Identify) -> None:
-        if table.temperature_deviation is None:  # of a room; of blades that their gas or drag warms
-            table = replace(table, temperature_deviation=25.0 if scene.speed else 10.0)
-        self.speed, self.table, modes = scene.speed, table, _modes(scene)
-        still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
-        every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
-        squares, vectors = eigh(every.T @ multiply(modes.structure.mass, every))
-        kept = squares > np.sqrt(np.finfo(float).eps) * squares[-1]  # independent motions
-        basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
-        at_rest = multiply(still.structure.stiffness, basis)
-        elastic = basis.T @ at_rest
-        rotating = basis.T @ multiply(modes.structure.stiffness, basis) - elastic
-        rigid, self.turning = _held(modes)
-        self.stiffness, self.reactions = np.stack([elastic, rotating]), at_rest.T @ rigid
+    def __init__(self, scene: Scene, identify_table: Identify) -> None:
+        if (
+            identify_table.temperature_deviation is None
+        ):  # of a room; of blades that their gas or drag warms
+            identify_table = replace(
+                identify_table, temperature_deviation=25.0 if scene.speed else 10.0
+            )
+        self.rotor_speed = scene.speed
+        self.identify_table = identify_table
+        plate_modes = _solve_plate_modes(scene)
+        modes_at_rest = _solve_plate_modes(scene.at_rest()) if scene.speed > 0.0 else plate_modes
+        mode_shapes = (
+            np.hstack([modes_at_rest.shapes, plate_modes.shapes])
+            if scene.speed > 0.0
+            else plate_modes.shapes
+        )
+        gram_eigenvalues, gram_eigenvectors = eigh(
+            mode_shapes.T @ multiply(plate_modes.structure.mass, mode_shapes)
+        )
+        is_independent = (
+            gram_eigenvalues > np.sqrt(np.finfo(float).eps) * gram_eigenvalues[-1]
+        )  # independent motions
+        orthonormal_basis = mode_shapes @ (
+            gram_eigenvectors[:, is_independent] / np.sqrt(gram_eigenvalues[is_independent])
+        )
+        rest_stiffness_basis = multiply(modes_at_rest.structure.stiffness, orthonormal_basis)
+        elastic_stiffness = orthonormal_basis.T @ rest_stiffness_basis
+        rotation_stiffness = (
+            orthonormal_basis.T @ multiply(plate_modes.structure.stiffness, orthonormal_basis)
+            - elastic_stiffness
+        )
+        rigid_motions_at_clamp, self.n_reaction_forces = _build_clamp_motions(plate_modes)
+        self.stiffness_parts = np.stack([elastic_stiffness, rotation_stiffness])
+        self.clamp_reactions = rest_stiffness_basis.T @ rigid_motions_at_clamp
 
     @cached_property
-    def frequencies(self) -> np.ndarray:
-        """Natural frequencies, with a bonded crack where it cannot be removed: (n,) [Hz]."""
-        return self.modes_at(1.0)[0] / RAD_PER_TURN
+    def natural_frequencies(self) -> np.ndarray:
+        """Return natural frequencies (n,) [Hz], with a bonded crack if it cannot be removed."""
+        return self.solve_modes_at(1.0)[0] / RAD_PER_TURN
 
-    def modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """Natural frequencies (n,) [rad/s] and modes (r, n) at a speed over the rotor's, with a
-        Young's modulus over the scene's."""
-        squares, modes = eigh(stiffer * self.stiffness[0] + faster**2 * self.stiffness[1])
-        count = min(N_LOWEST_MODES, len(squares))
-        return np.sqrt(np.maximum(squares[:count], 0.0)), modes[:, :count]
+    def solve_modes_at(
+        self, speed_ratio: float, modulus_ratio: float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve modes at another speed and Young's modulus, both relative to the scene's.
 
-    def elastic_at(self, faster: float) -> np.ndarray:
-        """Elastic part of the squares of frequencies at a speed over the rotor's: (n,)."""
-        omega, modes = self.modes_at(faster)
-        return np.asarray(np.sum(modes * (self.stiffness[0] @ modes), axis=0) / omega**2)
-
-    def stiffened(self, faster: float, stiffer: float) -> np.ndarray:
-        """Factors of frequencies at a speed over the rotor's by a factor of Young's modulus:
-        (n,)."""
-        return self.modes_at(faster, stiffer)[0] / self.modes_at(faster)[0]
-
-    def by_clamp(self, faster: float) -> np.ndarray:
-        """Return relative changes of natural frequencies at a speed over the rotor's by a soft
-        clamp.
-
-        (n, 2): by a clamp that turns and one that moves, over the change of the first frequency at
-        the rotor's speed by both. Where the clamp is not known, the same for all modes and by
-        turning only, as of a slender beam.
+        Returns
+        -------
+        omega : (n,) [rad/s]
+        mode_vectors : (r, n)
         """
-        if not self.reactions.shape[1]:
-            return np.outer(self.elastic_at(faster), [1.0, 0.0])
+        squared_omega, mode_vectors = eigh(
+            modulus_ratio * self.stiffness_parts[0] + speed_ratio**2 * self.stiffness_parts[1]
+        )
+        n_modes = min(N_LOWEST_MODES, len(squared_omega))
+        return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
 
-        def taken(faster: float) -> np.ndarray:
-            omega, modes = self.modes_at(faster)
-            squares = (self.reactions.T @ modes) ** 2 / omega**2
-            turning, moving = squares[self.turning :], squares[: self.turning]
-            return np.stack([turning.sum(axis=0), moving.sum(axis=0)])
+    def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
+        """Return the elastic fraction of squared frequencies at a relative speed: (n,)."""
+        natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
+        return np.asarray(
+            np.sum(mode_vectors * (self.stiffness_parts[0] @ mode_vectors), axis=0)
+            / natural_omega**2
+        )
 
-        return np.asarray((taken(faster) / np.hypot(*taken(1.0)[:, 0])).T)
+    def compute_stiffening_factors(self, speed_ratio: float, modulus_ratio: float) -> np.ndarray:
+        """Return factors (n,) of frequencies by a factor of Young's modulus.
 
-    def changes_at(self, faster: float) -> np.ndarray:
-        """Relative changes by a standard deviation of each prior at a speed over the rotor's:
-        (n, s)."""
-        young, density, _ = self._widths
-        elastic = self.elastic_at(faster)
-        every = np.eye(len(elastic))
+        The speed is relative to the scene's.
+        """
+        return (
+            self.solve_modes_at(speed_ratio, modulus_ratio)[0] / self.solve_modes_at(speed_ratio)[0]
+        )
+
+    def compute_clamp_sensitivities(self, speed_ratio: float) -> np.ndarray:
+        """Return relative changes of natural frequencies by a soft clamp.
+
+        (n, 2) at a speed relative to the rotor's: by a turning clamp and by a moving clamp, over
+        the change of the first frequency at the rotor's speed by both. If the clamp is unknown,
+        they are the same for all modes and by turning only, as of a slender beam.
+        """
+        if not self.clamp_reactions.shape[1]:
+            return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
+
+        def clamp_reductions(speed_ratio: float) -> np.ndarray:
+            natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
+            squared_reactions = (self.clamp_reactions.T @ mode_vectors) ** 2 / natural_omega**2
+            moment_parts = squared_reactions[self.n_reaction_forces :]
+            force_parts = squared_reactions[: self.n_reaction_forces]
+            return np.stack([moment_parts.sum(axis=0), force_parts.sum(axis=0)])
+
+        return np.asarray(
+            (clamp_reductions(speed_ratio) / np.hypot(*clamp_reductions(1.0)[:, 0])).T
+        )
+
+    def compute_prior_sensitivities(self, speed_ratio: float) -> np.ndarray:
+        """Return relative changes of frequencies by a standard deviation of each prior: (n, s).
+
+        They are at a speed relative to the rotor's.
+        """
+        young_deviation, density_deviation, _ = self._prior_deviations
+        elastic_fractions = self.compute_elastic_fractions(speed_ratio)
+        identity_matrix = np.eye(len(elastic_fractions))
         return np.column_stack(
             [
-                np.outer(elastic, [0.5 * young, -0.5 * density, 0.0]),
-                -self.table.clamp_deviation * self.by_clamp(faster),
-                self.table.model_deviation * elastic * every,
-                0.5 * self.table.stiffening_deviation * (1.0 - elastic) * every,
+                np.outer(elastic_fractions, [0.5 * young_deviation, -0.5 * density_deviation, 0.0]),
+                -self.identify_table.clamp_deviation
+                * self.compute_clamp_sensitivities(speed_ratio),
+                self.identify_table.model_deviation * elastic_fractions * identity_matrix,
+                0.5
+                * self.identify_table.stiffening_deviation
+                * (1.0 - elastic_fractions)
+                * identity_matrix,
             ]
         )
 
-    def relative_changes(
+    def compute_feature_sensitivities(
         self,
         features: Sequence[Feature],
-        damping: np.ndarray,
-        basis: np.ndarray,
-        changes: np.ndarray,
+        damping_ratios: np.ndarray,
+        scale_and_frequencies: np.ndarray,
+        mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
-        """Return relative changes of features by a standard deviation of each prior, (m, f, s): of
-        natural frequencies without the crack, of its additions to their logarithms, and of
+        """Return relative changes of features by a standard deviation of each prior, (m, f, s).
+
+        Features are natural frequencies without the crack, its additions to their logarithms, and
         harmonics.
 
         Parameters
         ----------
         features : sequence of Feature
-        damping : (m, 1)
-            Ratios.
-        basis : (m, f, 1 + 2 n)
-            :attr:`Part.basis` there at the load of each feature.
-        changes : (f, n, s)
-            Of this plate at the speed of each feature, :meth:`changes_at`.
+            f features.
+        damping_ratios : (m, 1)
+        scale_and_frequencies : (m, f, 1 + 2 n)
+            :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
+        mode_sensitivities : (f, n, s)
+            :meth:`compute_prior_sensitivities` at the speed of each feature.
         """
-        table, count = self.table, changes.shape[1]
-        natural, cracked = (
-            np.array([getattr(feature, name) for feature in features])[:, None]
-            for name in ("natural", "of_crack")
+        identify_table, n_modes = self.identify_table, mode_sensitivities.shape[1]
+        is_natural_frequency, is_cracked_frequency = (
+            np.array([getattr(feature, attribute_name) for feature in features])[:, None]
+            for attribute_name in ("is_natural_frequency", "is_cracked_frequency")
         )
-        modes = np.array([feature.mode for feature in features])[:, None]
-        shape = len(basis), len(modes), count
-        by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
-        by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
-        if not natural.all():
+        mode_numbers = np.array([feature.mode for feature in features])[:, None]
+        slope_shape = len(scale_and_frequencies), len(mode_numbers), n_modes
+        slopes_by_mode = np.broadcast_to(
+            is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
+        )
+        slopes_by_crack = slopes_by_mode * is_cracked_frequency
+        slopes_by_damping = np.zeros((*slope_shape[:2], 1))
+        if not is_natural_frequency.all():
             with np.errstate(invalid="ignore"):
-                bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
-            shifts = np.nan_to_num(bilinear - plain)[..., :count]
-            slopes, by_ratio = _of_poles(features, damping, basis)
-            first, ratio = _of_poles(driving(features), damping, basis)
-            slopes = (slopes + turned(first, features))[..., :count]
-            by_mode = np.where(natural, by_mode, slopes)
-            by_crack = np.where(natural, by_crack, slopes * shifts)
-            by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
-        sizes = np.zeros(changes.shape[2])  # of harmonics
-        sizes[:3] = np.multiply(self._widths, (-1.0, 0.0, -1.0))
-        own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
-        known = any(axis.key == "damping.ratio" for axis in table.unknown)
-        columns = [
-            np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
-            own * by_crack,
-            (0.0 if known else table.damping_deviation) * by_damping,
+                log_bilinear, log_uncracked = np.split(
+                    np.log(scale_and_frequencies[..., 1:]), 2, axis=2
+                )
+            log_crack_shifts = np.nan_to_num(log_bilinear - log_uncracked)[..., :n_modes]
+            pole_slopes, damping_slopes = _differentiate_poles(
+                features, damping_ratios, scale_and_frequencies
+            )
+            first_pole_slopes, first_damping_slopes = _differentiate_poles(
+                list_driving_harmonics(features), damping_ratios, scale_and_frequencies
+            )
+            pole_slopes = (pole_slopes + apply_first_harmonic_logs(first_pole_slopes, features))[
+                ..., :n_modes
+            ]
+            slopes_by_mode = np.where(is_natural_frequency, slopes_by_mode, pole_slopes)
+            slopes_by_crack = np.where(
+                is_natural_frequency, slopes_by_crack, pole_slopes * log_crack_shifts
+            )
+            slopes_by_damping = (
+                damping_slopes + apply_first_harmonic_logs(first_damping_slopes, features)
+            ).sum(axis=2)[..., None]
+        harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])  # of harmonics
+        harmonic_size_changes[:3] = np.multiply(self._prior_deviations, (-1.0, 0.0, -1.0))
+        independent_crack_deviation = identify_table.crack_deviation * np.sqrt(
+            1.0 - identify_table.crack_correlation
+        )
+        is_damping_unknown = any(
+            unknown_axis.key == "damping.ratio" for unknown_axis in identify_table.unknown
+        )
+        sensitivity_blocks = [
+            np.einsum("mfn,fns->mfs", slopes_by_mode * ~is_cracked_frequency, mode_sensitivities)
+            + ~is_natural_frequency * harmonic_size_changes,
+            independent_crack_deviation * slopes_by_crack,
+            (0.0 if is_damping_unknown else identify_table.damping_deviation) * slopes_by_damping,
         ]
-        return np.concatenate(columns, axis=2)
+        return np.concatenate(sensitivity_blocks, axis=2)
 
     @property
-    def _widths(self) -> list[float]:
-        """Standard deviations of Young's modulus, density and thickness, 0 if it is an unknown."""
-        table, unknown = self.table, {axis.key for axis in self.table.unknown}
-        keys = ("material.young", "material.density", "geometry.thickness")
-        widths = (table.young_deviation, table.density_deviation, table.thickness_deviation)
-        pairs = zip(keys, widths, strict=True)
-        return [0.0 if key in unknown else width for key, width in pairs]
+    def _prior_deviations(self) -> list[float]:
+        """Return relative standard deviations of Young's modulus, density and thickness.
 
-    def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return relative changes at a speed over the rotor's between the plate before it had a
-        crack and now.
-
-        (n, 3 + n): by its clamp, that turns and that moves, by the stiffening of all modes, and of
-        each mode by itself, a standard deviation each. (n, 1 + n): by a kelvin, and the uncertainty
-        of that by rotation.
+        That of an unknown is 0.
         """
-        table, elastic = self.table, self.elastic_at(faster)
-        every = np.eye(len(elastic))
-        clamp = np.column_stack(
-            [self.by_clamp(faster), 1.0 - elastic, table.before_scatter * elastic * every]
+        identify_table = self.identify_table
+        unknown_keys = {unknown_axis.key for unknown_axis in self.identify_table.unknown}
+        prior_keys = ("material.young", "material.density", "geometry.thickness")
+        relative_deviations = (
+            identify_table.young_deviation,
+            identify_table.density_deviation,
+            identify_table.thickness_deviation,
         )
-        kelvin = 0.5 * table.temperature_coefficient * elastic
-        unsure = table.stiffening_deviation * (1.0 - elastic) * kelvin * every
-        return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
-
-    def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
-        """Raise InputError for frequencies that seem to be in another unit, or of another mode.
-
-        Loads have those of the scene [Hz]. Natural ones may all be in rad/s, which is refused
-        unless the plate may be an ``other`` one; so are those without the crack that are of another
-        mode.
-        """
-        for row in [row for row in measurements.rows if loads and not row.natural]:
-            near = loads[int(np.abs(np.log(np.divide(loads, row.frequency))).argmin())]
-            if (unit := _unit(row.frequency / near)) in ("kHz", "mHz"):
-                allowed = f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
-                raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
-        rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
-        rows = [row for row in rows if row.mode <= len(self.frequencies)]
-        speeds = [
-            1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.speed for row in rows
+        keys_and_deviations = zip(prior_keys, relative_deviations, strict=True)
+        return [
+            0.0 if key in unknown_keys else relative_deviation
+            for key, relative_deviation in keys_and_deviations
         ]
-        known = [self.modes_at(faster)[0] / RAD_PER_TURN for faster in speeds]
-        pairs = zip(rows, known, strict=True)
-        units = [_unit(row.value / there[row.mode - 1]) for row, there in pairs]
-        for unit in FACTORS:
-            like = [one == unit for one in units]
-            if rows and (all(like) if other and unit == "rad/s" else any(like)):
-                row, there = rows[like.index(True)], known[like.index(True)]
-                modes = "" if all(like) and len(rows) > 1 else ", or of another mode"
-                allowed = (
-                    f"in Hz; of this plate it is about {there[row.mode - 1]:.4g} "
-                    f"Hz, so that this seems to be in {unit}{modes}"
+
+    def compute_baseline_sensitivities(self, speed_ratio: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return relative changes between the plate before it had a crack and now.
+
+        They are at a speed relative to the rotor's, a standard deviation each.
+
+        Returns
+        -------
+        (n, 3 + n)
+            Changes by a turning clamp, by a moving clamp, by the stiffening of all modes, and of
+            each mode by itself.
+        (n, 1 + n)
+            Changes by a kelvin, and their uncertainty due to rotation.
+        """
+        identify_table = self.identify_table
+        elastic_fractions = self.compute_elastic_fractions(speed_ratio)
+        identity_matrix = np.eye(len(elastic_fractions))
+        clamp_changes = np.column_stack(
+            [
+                self.compute_clamp_sensitivities(speed_ratio),
+                1.0 - elastic_fractions,
+                identify_table.before_scatter * elastic_fractions * identity_matrix,
+            ]
+        )
+        change_per_kelvin = 0.5 * identify_table.temperature_coefficient * elastic_fractions
+        rotation_uncertainty = (
+            identify_table.stiffening_deviation
+            * (1.0 - elastic_fractions)
+            * change_per_kelvin
+            * identity_matrix
+        )
+        return identify_table.before_deviation * clamp_changes, np.column_stack(
+            [change_per_kelvin, rotation_uncertainty]
+        )
+
+    def check_units_and_modes(
+        self,
+        measurements: Measurements,
+        load_frequencies: Sequence[float],
+        *,
+        may_be_other_plate: bool,
+    ) -> None:
+        """Raise InputError for frequencies that seem to have another unit or mode.
+
+        Load frequencies must not seem to be in kHz or mHz by those of the scene [Hz]. Natural
+        frequencies must not seem to be in rad/s, kHz or mHz. If the plate may be another one, rad/s
+        is refused only for all of them together. Otherwise a frequency without the crack must be
+        nearest to its own mode.
+        """
+        for row in [row for row in measurements.rows if load_frequencies and not row.natural]:
+            nearest_load = load_frequencies[
+                int(np.abs(np.log(np.divide(load_frequencies, row.frequency))).argmin())
+            ]
+            if (unit_name := _guess_frequency_unit(row.frequency / nearest_load)) in ("kHz", "mHz"):
+                allowed_text = (
+                    f"in Hz; the scene has {nearest_load:.4g} Hz, "
+                    f"so that this seems to be in {unit_name}"
                 )
-                raise InputError(f"measurements.value, {row.name}", row.value, allowed)
-        for row, there in zip(rows, known, strict=True) if not other else ():
-            near = int(np.abs(np.log(row.value / there)).argmin()) + 1
-            if row.quantity == "frequency_uncracked" and near != row.mode:
-                own, that = (f"{there[mode - 1]:.4g} Hz" for mode in (row.mode, near))
-                allowed = f"near {own} of this plate's mode {row.mode}; its mode {near} has {that}"
-                raise InputError(f"measurements.value, {row.name}", row.value, allowed)
+                raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
+        rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
+        rows = [row for row in rows if row.mode <= len(self.natural_frequencies)]
+        speed_ratios = [
+            1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
+            for row in rows
+        ]
+        frequencies_by_row = [
+            self.solve_modes_at(speed_ratio)[0] / RAD_PER_TURN for speed_ratio in speed_ratios
+        ]
+        rows_and_frequencies = zip(rows, frequencies_by_row, strict=True)
+        unit_names = [
+            _guess_frequency_unit(row.value / plate_frequencies[row.mode - 1])
+            for row, plate_frequencies in rows_and_frequencies
+        ]
+        for unit_name in FACTOR_BY_UNIT:
+            has_unit = [row_unit == unit_name for row_unit in unit_names]
+            if rows and (
+                all(has_unit) if may_be_other_plate and unit_name == "rad/s" else any(has_unit)
+            ):
+                row = rows[has_unit.index(True)]
+                plate_frequencies = frequencies_by_row[has_unit.index(True)]
+                modes_text = "" if all(has_unit) and len(rows) > 1 else ", or of another mode"
+                allowed_text = (
+                    f"in Hz; of this plate it is about {plate_frequencies[row.mode - 1]:.4g} "
+                    f"Hz, so that this seems to be in {unit_name}{modes_text}"
+                )
+                raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
+        for row, plate_frequencies in (
+            zip(rows, frequencies_by_row, strict=True) if not may_be_other_plate else ()
+        ):
+            nearest_mode = int(np.abs(np.log(row.value / plate_frequencies)).argmin()) + 1
+            if row.quantity == "frequency_uncracked" and nearest_mode != row.mode:
+                own_frequency_text, nearest_frequency_text = (
+                    f"{plate_frequencies[mode - 1]:.4g} Hz" for mode in (row.mode, nearest_mode)
+                )
+                own_text = f"near {own_frequency_text} of this plate's mode {row.mode}"
+                allowed_text = f"{own_text}; its mode {nearest_mode} has {nearest_frequency_text}"
+                raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
 
 
-def _unit(ratio: float) -> str:
-    """Unit of a number by its ratio to that in Hz; empty: Hz, or none."""
+def _guess_frequency_unit(frequency_ratio: float) -> str:
+    """Guess a number's unit by its ratio to the number in Hz.
+
+    Empty for Hz or no match.
+    """
     # No crack changes a frequency by a factor of exp(0.3).
-    near = (unit for unit, factor in FACTORS.items() if abs(np.log(ratio / factor)) < 0.3)
-    return next(near, "")
+    matching_units = (
+        unit_name
+        for unit_name, unit_factor in FACTOR_BY_UNIT.items()
+        if abs(np.log(frequency_ratio / unit_factor)) < 0.3
+    )
+    return next(matching_units, "")
 
 
-class Since:
-    """Changes between the record before there was a crack and the one since, of q measurements: 0
-    of those that are no natural frequency, and of modes that are not known.
+class BaselineChanges:
+    """Changes in q measurements between the record before the crack and the record since.
+
+    They are 0 for measurements other than natural frequencies, and for unknown modes.
 
     Attributes
     ----------
-    factors : (q,)
-        Of predictions, by temperatures that are known.
-    clamp : (q, s)
+    temperature_factors : (q,)
+        Factors of predictions by known temperatures.
+    clamp_changes : (q, s)
         Relative changes by the clamp, a standard deviation each.
-    temperature : (q, s)
-        The same by a temperature that is not known, the first, and its uncertainty.
-    known : (q, s)
-        The same of temperatures that are known: by the coefficient, the thermometer and rotation.
+    unknown_temperature_changes : (q, s)
+        Relative changes by an unknown temperature, in the first column, and its uncertainty.
+    known_temperature_changes : (q, s)
+        Relative changes by errors of known temperatures: by the coefficient, the thermometer and
+        rotation.
     """
 
-    def __init__(self, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> None:
-        """Take measurements, each at a speed over the rotor's.
+    def __init__(
+        self,
+        rows: Sequence[Measurement],
+        speed_ratios: Sequence[float],
+        uncracked_plate: UncrackedPlate,
+    ) -> None:
+        """Take measurements, each at a speed relative to the rotor's.
 
-        Records since are at the mean of their stated temperatures, if any is; those before at the
-        stated one, or at one that is not known.
+        Records since the crack are at the mean of their stated temperatures, if any is stated.
+        Records before it are at the stated temperature, or at an unknown one.
         """
-        table, count = whole.table, len(whole.frequencies)
-        before = np.array([row.quantity == "frequency_uncracked" for row in rows])
-        stated = np.array([row.temperature for row in rows])
-        now = stated[~before & np.isfinite(stated)]
-        off = np.nan_to_num(stated - (now.mean() if len(now) else np.nan))
-        measured = before & np.isfinite(stated) & (len(now) > 0)
-        self.factors, heat = np.ones(len(rows)), np.zeros((len(rows), 1 + count))
-        self.clamp = np.zeros((len(rows), 3 + count))
-        since = {speed: whole.since_at(speed) for speed in set(faster)}
-        for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
-            if row.natural and row.mode <= count:
-                by_clamp, by_kelvin = since[speed]
-                self.clamp[place] = before[place] * by_clamp[row.mode - 1]
-                heat[place] = by_kelvin[row.mode - 1]
-                stiffer = 1.0 + table.temperature_coefficient * off[place]
-                self.factors[place] = whole.stiffened(speed, stiffer)[row.mode - 1]
-        unknown = (before & ~measured)[:, None]
-        self.temperature = -table.priors["temperature_deviation"] * unknown * heat
-        of_known = [
-            table.coefficient_deviation * off[:, None] * heat[:, :1],
-            table.thermometer_deviation * measured[:, None] * heat[:, :1],
-            off[:, None] * heat[:, 1:],
+        identify_table = uncracked_plate.identify_table
+        n_modes = len(uncracked_plate.natural_frequencies)
+        is_baseline = np.array(
+            [measurement.quantity == "frequency_uncracked" for measurement in rows]
+        )
+        stated_temperatures = np.array([measurement.temperature for measurement in rows])
+        current_temperatures = stated_temperatures[~is_baseline & np.isfinite(stated_temperatures)]
+        temperature_offsets = np.nan_to_num(
+            stated_temperatures
+            - (current_temperatures.mean() if len(current_temperatures) else np.nan)
+        )
+        has_known_offset = (
+            is_baseline & np.isfinite(stated_temperatures) & (len(current_temperatures) > 0)
+        )
+        self.temperature_factors = np.ones(len(rows))
+        kelvin_changes = np.zeros((len(rows), 1 + n_modes))
+        self.clamp_changes = np.zeros((len(rows), 3 + n_modes))
+        sensitivities_by_ratio = {
+            speed_ratio: uncracked_plate.compute_baseline_sensitivities(speed_ratio)
+            for speed_ratio in set(speed_ratios)
+        }
+        for row_index, (measurement, speed_ratio) in enumerate(
+            zip(rows, speed_ratios, strict=True)
+        ):
+            if measurement.natural and measurement.mode <= n_modes:
+                clamp_sensitivities, kelvin_sensitivities = sensitivities_by_ratio[speed_ratio]
+                self.clamp_changes[row_index] = (
+                    is_baseline[row_index] * clamp_sensitivities[measurement.mode - 1]
+                )
+                kelvin_changes[row_index] = kelvin_sensitivities[measurement.mode - 1]
+                modulus_ratio = (
+                    1.0 + identify_table.temperature_coefficient * temperature_offsets[row_index]
+                )
+                self.temperature_factors[row_index] = uncracked_plate.compute_stiffening_factors(
+                    speed_ratio, modulus_ratio
+                )[measurement.mode - 1]
+        has_unknown_offset = (is_baseline & ~has_known_offset)[:, None]
+        self.unknown_temperature_changes = (
+            -identify_table.priors["temperature_deviation"] * has_unknown_offset * kelvin_changes
+        )
+        known_offset_changes = [
+            identify_table.coefficient_deviation
+            * temperature_offsets[:, None]
+            * kelvin_changes[:, :1],
+            identify_table.thermometer_deviation
+            * has_known_offset[:, None]
+            * kelvin_changes[:, :1],
+            temperature_offsets[:, None] * kelvin_changes[:, 1:],
         ]
-        self.known = np.hstack(of_known)
+        self.known_temperature_changes = np.hstack(known_offset_changes)
 
     @property
-    def columns(self) -> np.ndarray:
-        """All changes: (q, s)."""
-        return np.hstack([self.temperature, self.clamp, self.known])
+    def all_changes(self) -> np.ndarray:
+        """Return all relative changes: (q, s)."""
+        return np.hstack(
+            [self.unknown_temperature_changes, self.clamp_changes, self.known_temperature_changes]
+        )
 
-    def scaled(self, clamp: float, temperature: float) -> Since:
-        """The same with the changes by the clamp and by an unknown temperature multiplied."""
-        found = copy(self)
-        found.clamp, found.temperature = clamp * self.clamp, temperature * self.temperature
-        return found
+    def with_change_factors(
+        self, clamp_factor: float, temperature_factor: float
+    ) -> BaselineChanges:
+        """Return a copy with the changes by clamp and unknown temperature multiplied."""
+        scaled_changes = copy(self)
+        scaled_changes.clamp_changes = clamp_factor * self.clamp_changes
+        scaled_changes.unknown_temperature_changes = (
+            temperature_factor * self.unknown_temperature_changes
+        )
+        return scaled_changes
 
 
-def _modes(scene: Scene) -> Modes:
+def _solve_plate_modes(scene: Scene) -> Modes:
+    """Solve the first modes of a scene on this rank, with a bonded crack."""
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
-    few = min(N_LOWEST_MODES, structure.n_dofs - structure.n_pairs)
-    return solve_modes(structure, few, lips="tied" if structure.n_pairs else "open")
+    n_modes = min(N_LOWEST_MODES, structure.n_dofs - structure.n_pairs)
+    return solve_modes(structure, n_modes, lips="tied" if structure.n_pairs else "open")
 
 
-def _held(modes: Modes) -> tuple[np.ndarray, int]:
-    """Rigid motions about the clamp's middle, (n, d), translations first, times its radius of
-    gyration, and the number of these; none where no node is clamped or the nodes are not known."""
-    nodes = modes.structure.nodes
-    clamped = np.zeros((0, 0)) if nodes is None else nodes.points[(nodes.dofs < 0).all(axis=1)]
-    if nodes is None or len(clamped) < 2:
+def _build_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
+    """Build rigid motions about the clamp's middle, translations first.
+
+    Returns
+    -------
+    motion_columns : (n, d)
+        Translations are times the clamp's radius of gyration. d = 0 if no node is clamped or the
+        nodes are unknown.
+    n_translations : int
+        Number of translations.
+    """
+    structure_nodes = modes.structure.nodes
+    clamped_points = (
+        np.zeros((0, 0))
+        if structure_nodes is None
+        else structure_nodes.points[(structure_nodes.dofs < 0).all(axis=1)]
+    )
+    if structure_nodes is None or len(clamped_points) < 2:
         return np.zeros((modes.structure.n_local, 0)), 0
-    moved = rigid_motions(nodes.points - clamped.mean(axis=0))
-    rigid = np.zeros((modes.structure.n_local, len(moved)))
-    dofs = nodes.dofs.ravel()
-    rigid[dofs[dofs >= 0]] = moved[:, dofs >= 0].T
-    straight = nodes.points.shape[1]
-    rigid[:, :straight] *= np.sqrt(np.sum(np.var(clamped, axis=0)))
-    return rigid, straight
+    node_motions = rigid_motions(structure_nodes.points - clamped_points.mean(axis=0))
+    motion_columns = np.zeros((modes.structure.n_local, len(node_motions)))
+    dof_numbers = structure_nodes.dofs.ravel()
+    motion_columns[dof_numbers[dof_numbers >= 0]] = node_motions[:, dof_numbers >= 0].T
+    n_translations = structure_nodes.points.shape[1]
+    motion_columns[:, :n_translations] *= np.sqrt(np.sum(np.var(clamped_points, axis=0)))
+    return motion_columns, n_translations
 
 
-def _of_poles(
-    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
+def _differentiate_poles(
+    features: Sequence[Feature], damping_ratios: np.ndarray, scale_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes of logarithms of harmonics by those of natural frequencies and of the ratio of
-    damping, from their poles: (m, f, modes)."""
-    r, pole = poles(features, damping, basis)
-    found = 2j * damping[..., None] * r / pole
-    return found - 2.0 * r**2 / pole, -found
+    """Differentiate logarithms of harmonics through their poles: (m, f, modes) each.
+
+    The first slopes are by ln w_j, the second by the logarithm of the damping ratio.
+    """
+    r, pole_factors = compute_ratios_and_poles(features, damping_ratios, scale_and_frequencies)
+    damping_slopes = 2j * damping_ratios[..., None] * r / pole_factors
+    return damping_slopes - 2.0 * r**2 / pole_factors, -damping_slopes
 
 
-def crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
-    """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one, at
-    values (m, d) of the unknowns."""
-    table, deviations, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
-    for key in OF_SIZE:  # that of a part-through crack is its depth
-        size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
-        if key in keys:
-            size = x[:, keys.index(key)]
-            common = table.crack_deviation * np.sqrt(table.crack_correlation)
+def compute_crack_deviations(
+    x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
+) -> np.ndarray:
+    """Return standard deviations (m, d) of a crack from the equivalent one.
+
+    The equivalent crack is straight and sharp. They are for values x (m, d) of the unknowns.
+    """
+    identify_table = scene.given("identify")
+    crack_deviations = np.zeros_like(x)
+    crack_reaches = np.zeros(len(x))
+    for size_key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
+        crack_sizes = np.full(
+            len(x), getattr(scene.crack, size_key.removeprefix("crack."), None) or 0.0
+        )
+        if size_key in unknown_keys:
+            crack_sizes = x[:, unknown_keys.index(size_key)]
+            common_deviation = identify_table.crack_deviation * np.sqrt(
+                identify_table.crack_correlation
+            )
             # Frequencies change with its square.
-            deviations[:, keys.index(key)] = common / 2.0 * size
-        into = np.where(size > 0.0, size, into)
-    if "crack.height" in keys:
-        tilt = np.tan(np.radians(table.angle_deviation))
-        deviations[:, keys.index("crack.height")] = tilt * into
-    return deviations
+            crack_deviations[:, unknown_keys.index(size_key)] = common_deviation / 2.0 * crack_sizes
+        crack_reaches = np.where(crack_sizes > 0.0, crack_sizes, crack_reaches)
+    if "crack.height" in unknown_keys:
+        tilt_slope = np.tan(np.radians(identify_table.angle_deviation))
+        crack_deviations[:, unknown_keys.index("crack.height")] = tilt_slope * crack_reaches
+    return crack_deviations

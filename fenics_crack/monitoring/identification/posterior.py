@@ -5,16 +5,16 @@ have a covariance T(x):
 
     log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det V) / 2,    V(x) = diag(e^2) + T(x)
 
-As det V is no less than that of diag(e^2), both terms are squares, and least squares find its
-maxima. Where a crack may breathe or not, L is the sum over both, each with its probability
-(:meth:`fenics_crack.monitoring.identification.model.Quantities.states`).
+Since det V is at least det diag(e^2), both terms are squares, and least squares find the maxima. If
+a crack may breathe or not, L is the sum over both, each with its probability
+(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_states`).
 
-The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp one:
-L is convolved on the grid with the distribution of that difference
-(:func:`fenics_crack.monitoring.identification.nuisance.crack_deviations`). Regions hold a share of
-the posterior's mass, the densest parts first; the integral of L over the prior is a hypothesis'
-evidence (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter
-28).
+The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
+crack. L is convolved on the grid with the distribution of the difference
+(:func:`fenics_crack.monitoring.identification.nuisance.compute_crack_deviations`). Regions hold a
+share of the posterior's mass, the densest parts first. The integral of L over the prior is the
+evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms,
+2003, chapter 28).
 """
 
 from __future__ import annotations
@@ -33,282 +33,483 @@ from scipy.ndimage import label, maximum_filter
 from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
-from fenics_crack.monitoring.identification.interpolation import Cube
-from fenics_crack.monitoring.identification.model import Prediction, Quantities
+from fenics_crack.monitoring.identification.interpolation import UnknownGrid
+from fenics_crack.monitoring.identification.model import MeasurementPrediction, MeasurementPredictor
 from fenics_crack.monitoring.identification.options import OPTIONS
 
-LOOK = {1: 200, 2: 45, 3: 17}
-"""Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
-CLOSER = {1: 101, 2: 31, 3: 13}
-"""Further ones around each optimum; of more, 7."""
+FIRST_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
+"""Values per unknown in the first grid, by the number of unknowns; 9 for more."""
+REFINED_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
+"""Further values around each optimum, by the number of unknowns; 7 for more."""
 
 
-def with_prior(information: np.ndarray) -> np.ndarray:
-    """Fisher information (d, d) of unknowns over their ranges, with that of a uniform prior."""
-    return np.asarray(information + 12.0 * np.eye(len(information)))  # 1 / variance of a uniform
+def add_uniform_prior(fisher_information: np.ndarray) -> np.ndarray:
+    """Add the information of a uniform prior to the Fisher information (d, d).
+
+    The unknowns are relative to their ranges.
+    """
+    return np.asarray(
+        fisher_information + 12.0 * np.eye(len(fisher_information))
+    )  # 1 / variance of a uniform
 
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Measured values with standard deviations, (q,) each, and their predictions."""
+    """Likelihood of the unknowns.
 
-    values: np.ndarray
-    deviations: np.ndarray
-    quantities: Quantities
+    Attributes
+    ----------
+    measurement_values, measurement_deviations : (q,)
+        Measured values and their standard deviations.
+    predictor : MeasurementPredictor
+        Their predictions.
+    """
 
-    def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Residuals at values (m, d) of the unknowns: (m, q + 1).
+    measurement_values: np.ndarray
+    measurement_deviations: np.ndarray
+    predictor: MeasurementPredictor
 
-        They are L^-1 (m - s) / e, whose squares sum to chi^2, V = diag(e) L L^T diag(e); and the
-        root of log(det L L^T / p^2), in the most probable state of the crack faces, with its
-        probability p.
+    def compute_residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return residuals at x (m, d): (m, q + 1).
+
+        The first q are L^-1 (m - s) / e with V = diag(e) L L^T diag(e); their squares sum to chi^2.
+        The last is the root of log(det L L^T / p^2). All are in the most probable state of the
+        crack faces, with its probability p.
         """
-        found = np.full((len(x), len(self.values) + 1), np.inf)
-        for at, rows, _ in self._of_states(x):
-            nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
-            found[at[nearer]] = rows[nearer]
-        return found
+        residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
+        for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
+            is_more_probable = np.sum(state_residuals**2, axis=1) < np.sum(
+                residual_rows[point_indices] ** 2, axis=1
+            )
+            residual_rows[point_indices[is_more_probable]] = state_residuals[is_more_probable]
+        return residual_rows
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """log L at values (m, d) of the unknowns: (m,), up to a constant."""
-        found = np.full(len(x), -np.inf)
-        for at, rows, _ in self._of_states(x):
-            found[at] = np.logaddexp(found[at], -0.5 * np.sum(rows**2, axis=1))
-        return found
+        """Return log L at x (m, d): (m,), up to a constant."""
+        log_likelihoods = np.full(len(x), -np.inf)
+        for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
+            log_likelihoods[point_indices] = np.logaddexp(
+                log_likelihoods[point_indices], -0.5 * np.sum(state_residuals**2, axis=1)
+            )
+        return log_likelihoods
 
-    def likeliest(self, x: np.ndarray) -> Prediction:
-        """Predictions at values (d,) of the unknowns, in the most probable state of the crack
-        faces."""
-        states = self._of_states(x[None])
-        return min(states, key=lambda state: np.sum(state[1] ** 2))[2]
+    def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
+        """Return predictions at x (d,) in the most probable state of the crack faces."""
+        state_residuals = self._iterate_state_residuals(x[None])
+        return min(
+            state_residuals,
+            key=lambda indices_residuals_prediction: np.sum(indices_residuals_prediction[1] ** 2),
+        )[2]
 
-    def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
-        """Residuals of each possible state of the crack faces: places among x, rows, and the
-        predictions there."""
-        for at, share, predicted in self.quantities.states(x):
-            factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
-            differences = (self.values - predicted.values) / self.deviations
-            logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - np.log(share)
-            root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
-            rows = np.linalg.solve(factor, differences[..., None])[..., 0]
-            yield at, np.column_stack([rows, root]), predicted
+    def _iterate_state_residuals(
+        self, x: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
+        """Iterate over the possible states of the crack faces.
 
-    def temperature_change(self, x: np.ndarray) -> float:
-        """Posterior mean of the unknown change of temperature since there was no crack, at values
-        (d,) of the unknowns, in standard deviations of its prior."""
-        predicted = self.likeliest(x)
-        column = predicted.values[0] * self.quantities.changed.temperature[:, 0] / self.deviations
-        left = (self.values - predicted.values[0]) / self.deviations
-        covariance = scaled_covariance(predicted, self.values, self.deviations)[0]
-        return float(column @ np.linalg.solve(covariance, left))
+        Yields
+        ------
+        (n,)
+            Points among x at which the state is possible.
+        (n, q + 1)
+            Residuals there.
+        MeasurementPrediction
+            Predictions there.
+        """
+        for point_indices, probabilities, prediction in self.predictor.iterate_face_states(x):
+            cholesky_factor = np.linalg.cholesky(
+                compute_scaled_covariance(
+                    prediction, self.measurement_values, self.measurement_deviations
+                )
+            )
+            scaled_differences = (
+                self.measurement_values - prediction.values
+            ) / self.measurement_deviations
+            half_log_determinants = np.log(np.diagonal(cholesky_factor, axis1=1, axis2=2)).sum(
+                axis=1
+            ) - np.log(probabilities)
+            determinant_residual = np.sqrt(
+                2.0 * np.maximum(half_log_determinants, 0.0)
+            )  # below 0 by rounding alone
+            measurement_residuals = np.linalg.solve(cholesky_factor, scaled_differences[..., None])[
+                ..., 0
+            ]
+            yield (
+                point_indices,
+                np.column_stack([measurement_residuals, determinant_residual]),
+                prediction,
+            )
 
-    def explains(self, x: np.ndarray) -> np.ndarray:
-        """True where values (m, d) of the unknowns, chosen before measuring, would explain the
-        measurements: (m,) bool."""
-        return np.asarray(self._fit(x, 0)[1] >= 1.0 - self.quantities.model.table.confidence)
+    def compute_temperature_change(self, x: np.ndarray) -> float:
+        """Return the posterior mean of the unknown temperature change since the baseline.
 
-    def misfit(self, x: np.ndarray) -> tuple[float, float]:
-        """chi^2 at the best values (d,) of the unknowns, and its p-value with as many degrees of
-        freedom as there are measurements more than fitted numbers."""
-        total, chance = self._fit(x[None], len(x))
-        return float(total[0]), float(chance[0])
+        The mean is at x (d,), in standard deviations of the prior.
+        """
+        prediction = self.predict_most_probable(x)
+        temperature_slopes = (
+            prediction.values[0]
+            * self.predictor.baseline_changes.unknown_temperature_changes[:, 0]
+            / self.measurement_deviations
+        )
+        scaled_differences = (
+            self.measurement_values - prediction.values[0]
+        ) / self.measurement_deviations
+        covariance = compute_scaled_covariance(
+            prediction, self.measurement_values, self.measurement_deviations
+        )[0]
+        return float(temperature_slopes @ np.linalg.solve(covariance, scaled_differences))
 
-    def _fit(self, x: np.ndarray, fitted: int) -> tuple[np.ndarray, np.ndarray]:
-        """chi^2 at values (m, d) of the unknowns, some of which are fitted, and its p-value:
-        (m,) each."""
-        total = np.sum(self.residuals(x)[:, :-1] ** 2, axis=1)
-        spare = len(self.values) - fitted - self.quantities(x[:1]).free.shape[2]
-        return total, np.asarray(chdtrc(max(spare, 1), total))
+    def explains_measurements(self, x: np.ndarray) -> np.ndarray:
+        """Return True for x (m, d) that explain the measurements if chosen before measuring."""
+        return np.asarray(
+            self._compute_chi_square(x, 0)[1]
+            >= 1.0 - self.predictor.model.identify_table.confidence
+        )
 
-    def without(self, place: int) -> Likelihood:
-        """Likelihood of all measurements but one."""
-        left = np.arange(len(self.values)) != place
-        rows = [row for row, kept in zip(self.quantities.rows, left, strict=True) if kept]
-        quantities = self.quantities.model.quantities(rows)
-        return Likelihood(self.values[left], self.deviations[left], quantities)
+    def compute_misfit(self, x: np.ndarray) -> tuple[float, float]:
+        """Return chi^2 at the best x (d,), and its p-value.
+
+        The degrees of freedom are the measurements less the fitted numbers.
+        """
+        chi_squares, p_values = self._compute_chi_square(x[None], len(x))
+        return float(chi_squares[0]), float(p_values[0])
+
+    def _compute_chi_square(self, x: np.ndarray, n_fitted: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return chi^2 at x (m, d) and its p-value: (m,) each.
+
+        ``n_fitted`` of the unknowns are fitted.
+        """
+        chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
+        degrees_of_freedom = (
+            len(self.measurement_values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
+        )
+        return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
+
+    def without_measurement(self, omitted_row: int) -> Likelihood:
+        """Return the likelihood of all measurements but one."""
+        is_kept = np.arange(len(self.measurement_values)) != omitted_row
+        rows = [
+            measurement
+            for measurement, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
+            if is_kept_row
+        ]
+        predictor = self.predictor.model.make_predictor(rows)
+        return Likelihood(
+            self.measurement_values[is_kept], self.measurement_deviations[is_kept], predictor
+        )
 
 
-def scaled_covariance(
-    predicted: Prediction, values: np.ndarray, deviations: np.ndarray
+def compute_scaled_covariance(
+    prediction: MeasurementPrediction, values: np.ndarray, deviations: np.ndarray
 ) -> np.ndarray:
-    """Return V of measured values (q,) over their standard deviations (q,): (m, q, q). Quantities
-    without a prediction get a standard deviation of ten times the value."""
-    both = np.outer(predicted.known, predicted.known)
-    own = predicted.covariance + predicted.free @ predicted.free.transpose(0, 2, 1)
-    vague = np.where(predicted.known, 0.0, 10.0 * (np.abs(values) + deviations))
-    own = np.where(both, own, 0.0) + np.diag(vague**2)
-    return np.asarray(np.eye(len(values)) + own / np.outer(deviations, deviations))
+    """Return V over the products of standard deviations (q,): (m, q, q).
+
+    Measured values (q,) without a prediction get a standard deviation of ten times the value.
+    """
+    are_predictable = np.outer(prediction.is_predictable, prediction.is_predictable)
+    prediction_covariance = (
+        prediction.covariance + prediction.load_changes @ prediction.load_changes.transpose(0, 2, 1)
+    )
+    vague_deviations = np.where(
+        prediction.is_predictable, 0.0, 10.0 * (np.abs(values) + deviations)
+    )
+    prediction_covariance = np.where(are_predictable, prediction_covariance, 0.0) + np.diag(
+        vague_deviations**2
+    )
+    return np.asarray(
+        np.eye(len(values)) + prediction_covariance / np.outer(deviations, deviations)
+    )
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """End of least squares: the unknowns (d,), log L, and the covariance (d, d)."""
+    """End of least squares.
+
+    Attributes
+    ----------
+    x : (d,)
+        Values of the unknowns.
+    log_likelihood : float
+    covariance : (d, d)
+    """
 
     x: np.ndarray
-    height: float
+    log_likelihood: float
     covariance: np.ndarray
 
 
 class Branch:
-    """The posterior of one choice of the unknowns that are words, on a grid that is denser around
-    the optima of its likelihood.
+    """The posterior for a choice of words, on a grid with more points around optima.
 
     Attributes
     ----------
     likelihood : Likelihood
     optima : list of Optimum
-        Best first.
+        Optima of the likelihood, best first.
     axes : tuple of arrays
-        The grid, denser around the optima.
-    height : array
-        log L on the grid, spread.
-    weight : array
+        Values of each unknown in the grid.
+    grid_log_likelihood : array
+        log L on the grid, convolved with the difference from the equivalent crack.
+    prior_masses : array
         Prior mass of each grid point; their sum is 1.
     """
 
     def __init__(self, likelihood: Likelihood) -> None:
-        self.likelihood, cube = likelihood, likelihood.quantities.model.cube
-        d = len(cube.axes)
+        self.likelihood, unknown_grid = likelihood, likelihood.predictor.model.unknown_grid
+        n_unknowns = len(unknown_grid.axes)
         self.axes: tuple[np.ndarray, ...] = ()
-        if d == 0:
-            self.height, self.weight = likelihood(np.zeros((1, 0))).reshape(()), np.ones(())
-            self.optima = [Optimum(np.zeros(0), float(self.height), np.zeros((0, 0)))]
+        if n_unknowns == 0:
+            self.grid_log_likelihood = likelihood(np.zeros((1, 0))).reshape(())
+            self.prior_masses = np.ones(())
+            self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
-        first = _even(cube)
-        height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
-        self.optima = _optima(likelihood, first, height)
-        crack_deviations = likelihood.quantities.model.crack_deviations
-        few = self.optima[:3]
-        reaches = [OPTIONS.reach * np.sqrt(np.diag(one.covariance)) for one in few]
-        wider = [OPTIONS.reach * crack_deviations(one.x[None])[0] for one in few]
-        axes = []
-        for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
-            pieces = [axis]
-            for optimum, near, far in zip(few, reaches, wider, strict=True):
-                for reach in (near[place], math.hypot(near[place], far[place])):
-                    piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
-                    pieces.append(piece[(piece > low) & (piece < high)])
-            axes.append(np.unique(np.concatenate(pieces)))
-        weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in axes]
-        self.axes, self.weight = tuple(axes), reduce(np.multiply.outer, weights)
-        points = _points(axes)
+        first_axes = _list_first_axes(unknown_grid)
+        first_log_likelihood = _evaluate_log_likelihood(
+            likelihood, _list_grid_points(first_axes)
+        ).reshape([len(axis) for axis in first_axes])
+        self.optima = _find_optima(likelihood, first_axes, first_log_likelihood)
+        compute_crack_deviations = likelihood.predictor.model.compute_crack_deviations
+        best_optima = self.optima[:3]
+        optimum_reaches = [
+            OPTIONS.refined_half_width * np.sqrt(np.diag(optimum.covariance))
+            for optimum in best_optima
+        ]
+        crack_reaches = [
+            OPTIONS.refined_half_width * compute_crack_deviations(optimum.x[None])[0]
+            for optimum in best_optima
+        ]
+        refined_axes = []
+        for unknown_index, (axis, lower_bound, upper_bound) in enumerate(
+            zip(first_axes, unknown_grid.lower_bounds, unknown_grid.upper_bounds, strict=True)
+        ):
+            axis_pieces = [axis]
+            for optimum, optimum_reach, crack_reach in zip(
+                best_optima, optimum_reaches, crack_reaches, strict=True
+            ):
+                for half_width in (
+                    optimum_reach[unknown_index],
+                    math.hypot(optimum_reach[unknown_index], crack_reach[unknown_index]),
+                ):
+                    axis_piece = optimum.x[unknown_index] + half_width * np.linspace(
+                        -1.0, 1.0, REFINED_COUNT_BY_DIMENSION.get(n_unknowns, 7)
+                    )
+                    axis_pieces.append(
+                        axis_piece[(axis_piece > lower_bound) & (axis_piece < upper_bound)]
+                    )
+            refined_axes.append(np.unique(np.concatenate(axis_pieces)))
+        axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in refined_axes]
+        self.axes, self.prior_masses = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
+        grid_points = _list_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
-        around = maximum_filter(height, size=3, mode="nearest")
-        least = self.optima[0].height - OPTIONS.skipped
-        near = RegularGridInterpolator(first, around)(points) > least
-        for optimum, reach in zip(few, reaches, strict=True):
-            near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
-        closer = RegularGridInterpolator(first, height)(points)
-        closer[near] = _heights(likelihood, points[near])
-        widths = crack_deviations(points)
-        self.height = _spread(closer.reshape(self.weight.shape), axes, weights, widths)
+        neighbourhood_maxima = maximum_filter(first_log_likelihood, size=3, mode="nearest")
+        min_log_likelihood = self.optima[0].log_likelihood - OPTIONS.allowed_grid_drop
+        is_evaluated = (
+            RegularGridInterpolator(first_axes, neighbourhood_maxima)(grid_points)
+            > min_log_likelihood
+        )
+        for optimum, optimum_reach in zip(best_optima, optimum_reaches, strict=True):
+            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_reach, axis=1)
+        refined_log_likelihood = RegularGridInterpolator(first_axes, first_log_likelihood)(
+            grid_points
+        )
+        refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
+            likelihood, grid_points[is_evaluated]
+        )
+        crack_deviations = compute_crack_deviations(grid_points)
+        self.grid_log_likelihood = _convolve_crack_deviations(
+            refined_log_likelihood.reshape(self.prior_masses.shape),
+            refined_axes,
+            axis_weights,
+            crack_deviations,
+        )
 
     @property
     def log_evidence(self) -> float:
-        """log of the integral of L over the prior."""
-        return float(logsumexp(self.height, b=self.weight))
+        """Return the log of the integral of L over the prior."""
+        return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
 
-    def values(self, x: np.ndarray) -> dict[str, Any]:
-        """All unknowns by their keys, words and numbers (d,)."""
-        model = self.likelihood.quantities.model
-        return model.fixed | dict(zip(model.keys, x.tolist(), strict=True))
+    def get_value_by_key(self, x: np.ndarray) -> dict[str, Any]:
+        """Return all unknowns by key, words and numbers x (d,)."""
+        model = self.likelihood.predictor.model
+        return model.word_by_key | dict(zip(model.unknown_keys, x.tolist(), strict=True))
 
-    def at(self, x: np.ndarray) -> float:
-        """log L, spread, at some values (d,) of the unknowns, between those on the grid."""
+    def interpolate_log_likelihood(self, x: np.ndarray) -> float:
+        """Interpolate the convolved log L to x (d,)."""
         if not self.axes:
-            return float(self.height)
-        within = np.clip(x, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes])
-        return float(RegularGridInterpolator(self.axes, self.height)(within)[0])
+            return float(self.grid_log_likelihood)
+        bounded_x = np.clip(
+            x,
+            [axis_values[0] for axis_values in self.axes],
+            [axis_values[-1] for axis_values in self.axes],
+        )
+        return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
-    def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values (m, d) of the unknowns, of the first grid and the optima, that would explain the
-        measurements, and the share of interpolation along each unknown in the variance of each
-        measurement there: (m, d, q)."""
-        likelihood, every = self.likelihood, [np.zeros((0, len(self.axes)))]
-        shares = [np.zeros((0, len(self.axes), len(likelihood.values)))]
-        points = np.vstack([grid_of(likelihood.quantities.model.cube), *(o.x for o in self.optima)])
-        for piece in _pieces(points):
-            if len(x := piece[likelihood.explains(piece)]):
-                parts, total = likelihood.quantities.by_interpolation(x)
-                every.append(x)
-                shares.append(parts / (total + likelihood.deviations**2)[:, None])
-        return np.vstack(every), np.vstack(shares)
+    def compute_interpolation_shares(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the share of interpolation in the variance of each measurement.
+
+        Returns
+        -------
+        (m, d)
+            Points of the first grid, and optima, that would explain the measurements.
+        (m, d, q)
+            Share of the interpolation along each unknown there.
+        """
+        likelihood, explaining_points = self.likelihood, [np.zeros((0, len(self.axes)))]
+        share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
+        grid_points_and_optima = np.vstack(
+            [
+                list_first_grid_points(likelihood.predictor.model.unknown_grid),
+                *(optimum.x for optimum in self.optima),
+            ]
+        )
+        for point_batch in _split_into_batches(grid_points_and_optima):
+            if len(x := point_batch[likelihood.explains_measurements(point_batch)]):
+                variances_by_unknown, total_variances = (
+                    likelihood.predictor.compute_interpolation_variances(x)
+                )
+                explaining_points.append(x)
+                share_arrays.append(
+                    variances_by_unknown
+                    / (total_variances + likelihood.measurement_deviations**2)[:, None]
+                )
+        return np.vstack(explaining_points), np.vstack(share_arrays)
 
 
-def _spread(
-    height: np.ndarray, axes: list[np.ndarray], weights: list[np.ndarray], widths: np.ndarray
+def _convolve_crack_deviations(
+    log_likelihood: np.ndarray,
+    axes: list[np.ndarray],
+    axis_weights: list[np.ndarray],
+    crack_deviations: np.ndarray,
 ) -> np.ndarray:
-    """Return log L on a grid, convolved along the axes with normal distributions of standard
-    deviations (n, d)."""
-    most = height.max()
-    found = np.exp(height - most)
-    for place, (axis, weight) in enumerate(zip(axes, weights, strict=True)):
-        width = np.moveaxis(widths[:, place].reshape(height.shape), place, -1)
-        if not width.any():
+    """Return log L on a grid, convolved along the axes with normal distributions.
+
+    The standard deviations (n, d) describe the crack's difference from the equivalent crack.
+    """
+    max_log_likelihood = log_likelihood.max()
+    relative_likelihood = np.exp(log_likelihood - max_log_likelihood)
+    for unknown_index, (axis_values, axis_weight) in enumerate(
+        zip(axes, axis_weights, strict=True)
+    ):
+        kernel_width = np.moveaxis(
+            crack_deviations[:, unknown_index].reshape(log_likelihood.shape), unknown_index, -1
+        )
+        if not kernel_width.any():
             continue
-        width = np.maximum(width, 0.1 * np.gradient(axis))[..., None]  # no effect below
-        shares = weight * np.exp(-0.5 * ((axis - axis[:, None]) / width) ** 2)
-        shares /= shares.sum(axis=-1, keepdims=True)
-        masses = np.moveaxis(found, place, -1) * weight
-        found = np.moveaxis(np.einsum("...j,...ji->...i", masses, shares) / weight, -1, place)
-    return np.asarray(np.log(np.maximum(found, np.finfo(float).tiny)) + most)
+        kernel_width = np.maximum(kernel_width, 0.1 * np.gradient(axis_values))[
+            ..., None
+        ]  # no effect below
+        kernel_matrix = axis_weight * np.exp(
+            -0.5 * ((axis_values - axis_values[:, None]) / kernel_width) ** 2
+        )
+        kernel_matrix /= kernel_matrix.sum(axis=-1, keepdims=True)
+        node_masses = np.moveaxis(relative_likelihood, unknown_index, -1) * axis_weight
+        relative_likelihood = np.moveaxis(
+            np.einsum("...j,...ji->...i", node_masses, kernel_matrix) / axis_weight,
+            -1,
+            unknown_index,
+        )
+    return np.asarray(
+        np.log(np.maximum(relative_likelihood, np.finfo(float).tiny)) + max_log_likelihood
+    )
 
 
-def _even(cube: Cube) -> list[np.ndarray]:
-    """Values of each unknown of the first grid."""
-    count = LOOK.get(len(cube.axes), 9)
-    return [np.linspace(axis[0], axis[-1], count) for axis in cube.axes]
+def _list_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
+    """Return equally spaced values of each unknown for the first grid."""
+    n_values = FIRST_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
+    return [
+        np.linspace(axis_values[0], axis_values[-1], n_values) for axis_values in unknown_grid.axes
+    ]
 
 
-def grid_of(cube: Cube) -> np.ndarray:
+def list_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
     """Return the points of the first grid: (n, d)."""
-    return _points(_even(cube))
+    return _list_grid_points(_list_first_axes(unknown_grid))
 
 
-def _points(axes: list[np.ndarray]) -> np.ndarray:
-    """Points of a grid, the last unknown fastest: (n, d)."""
+def _list_grid_points(axes: list[np.ndarray]) -> np.ndarray:
+    """Return the points of a grid, the last unknown fastest: (n, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
-    """log L at many places (n, d): (n,)."""
-    return np.concatenate([likelihood(piece) for piece in _pieces(points)])
+def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
+    """Return log L at many points (n, d): (n,)."""
+    return np.concatenate([likelihood(point_batch) for point_batch in _split_into_batches(points)])
 
 
-def _pieces(points: np.ndarray) -> list[np.ndarray]:
-    """Points (n, d) in batches."""
-    return np.array_split(points, -(-len(points) // OPTIONS.batch))
+def _split_into_batches(points: np.ndarray) -> list[np.ndarray]:
+    """Split points (n, d) into batches."""
+    return np.array_split(points, -(-len(points) // OPTIONS.batch_size))
 
 
-def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) -> list[Optimum]:
-    """Least squares from the highest points of a grid, without duplicates and much worse ones."""
-    summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
-    best = sorted(summits, key=lambda at: -height[tuple(at)])[: OPTIONS.starts]
-    found: list[Optimum] = []
-    cube = likelihood.quantities.model.cube
-    low, span = cube.low, cube.high - cube.low
-    for at in best:
-        start = np.array([axis[place] for axis, place in zip(axes, at, strict=True)])
+def _find_optima(
+    likelihood: Likelihood, axes: list[np.ndarray], log_likelihood: np.ndarray
+) -> list[Optimum]:
+    """Find optima by least squares from the highest points of a grid.
 
-        def residuals(unit: np.ndarray) -> np.ndarray:
-            return likelihood.residuals((low + span * unit)[None])[0]
+    Duplicates and much worse ones are left out.
+    """
+    local_maxima = np.argwhere(
+        log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
+    )
+    start_indices = sorted(local_maxima, key=lambda grid_index: -log_likelihood[tuple(grid_index)])[
+        : OPTIONS.max_least_squares_starts
+    ]
+    optima: list[Optimum] = []
+    unknown_grid = likelihood.predictor.model.unknown_grid
+    lower_bounds = unknown_grid.lower_bounds
+    unknown_ranges = unknown_grid.upper_bounds - unknown_grid.lower_bounds
+    for grid_index in start_indices:
+        start_point = np.array(
+            [
+                axis_values[axis_index]
+                for axis_values, axis_index in zip(axes, grid_index, strict=True)
+            ]
+        )
 
-        def slopes(unit: np.ndarray) -> np.ndarray:
-            steps = np.diag(np.where(unit < 0.5, 1e-6, -1e-6))  # of the ranges, inwards
-            rows = likelihood.residuals(low + span * np.vstack([unit, unit + steps]))
-            return np.asarray((rows[1:] - rows[0]).T / np.diag(steps))
+        def fractions_to_residuals(fractions: np.ndarray) -> np.ndarray:
+            return likelihood.compute_residuals((lower_bounds + unknown_ranges * fractions)[None])[
+                0
+            ]
 
-        unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
-        fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=1e-5)
-        covariance = np.linalg.inv(with_prior(fit.jac.T @ fit.jac)) * np.outer(span, span)
-        found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
-    found.sort(key=lambda optimum: -optimum.height)
-    kept: list[Optimum] = []
-    for one in found:
-        near = (np.all((one.x - two.x) ** 2 < np.diag(two.covariance)) for two in kept)
-        if one.height > found[0].height - OPTIONS.worse and not any(near):
-            kept.append(one)
-    return kept
+        def fractions_to_slopes(fractions: np.ndarray) -> np.ndarray:
+            fraction_steps = np.diag(
+                np.where(fractions < 0.5, 1e-6, -1e-6)
+            )  # of the ranges, inwards
+            residual_rows = likelihood.compute_residuals(
+                lower_bounds + unknown_ranges * np.vstack([fractions, fractions + fraction_steps])
+            )
+            return np.asarray((residual_rows[1:] - residual_rows[0]).T / np.diag(fraction_steps))
+
+        fractions = np.clip((start_point - lower_bounds) / unknown_ranges, 1e-6, 1.0 - 1e-6)
+        least_squares_fit = least_squares(
+            fractions_to_residuals,
+            fractions,
+            fractions_to_slopes,
+            bounds=(0.0, 1.0),
+            x_scale=0.1,
+            ftol=1e-5,
+        )
+        covariance = np.linalg.inv(
+            add_uniform_prior(least_squares_fit.jac.T @ least_squares_fit.jac)
+        ) * np.outer(unknown_ranges, unknown_ranges)
+        optima.append(
+            Optimum(
+                lower_bounds + unknown_ranges * least_squares_fit.x,
+                -float(least_squares_fit.cost),
+                covariance,
+            )
+        )
+    optima.sort(key=lambda optimum: -optimum.log_likelihood)
+    distinct_optima: list[Optimum] = []
+    for optimum in optima:
+        is_near_optimum = (
+            np.all((optimum.x - distinct_optimum.x) ** 2 < np.diag(distinct_optimum.covariance))
+            for distinct_optimum in distinct_optima
+        )
+        if optimum.log_likelihood > optima[
+            0
+        ].log_likelihood - OPTIONS.allowed_optimum_drop and not any(is_near_optimum):
+            distinct_optima.append(optimum)
+    return distinct_optima
 
 
 class Posterior:
@@ -316,144 +517,220 @@ class Posterior:
 
     Parameters
     ----------
-    branches : mapping of str to Branch
-        By their values of the unknowns that are words.
+    branch_by_words : mapping of str to Branch
+        Branches by their values of the unknowns that are words.
     """
 
-    def __init__(self, branches: Mapping[str, Branch]) -> None:
-        self.branches = dict(branches)
-        logs = [branch.log_evidence for branch in self.branches.values()]
-        self.log_evidence = float(logsumexp(logs) - np.log(len(logs)))
-        total = logsumexp(logs)
-        self.mass = {
-            name: np.exp(branch.height - total) * branch.weight
-            for name, branch in self.branches.items()
+    def __init__(self, branch_by_words: Mapping[str, Branch]) -> None:
+        self.branch_by_words = dict(branch_by_words)
+        log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
+        self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
+        log_evidence_sum = logsumexp(log_evidences)
+        self.mass_by_words = {
+            branch_words: np.exp(branch.grid_log_likelihood - log_evidence_sum)
+            * branch.prior_masses
+            for branch_words, branch in self.branch_by_words.items()
         }
-        """Probability of each point of the grids; their sum is 1."""
-        self._heights = np.concatenate([b.height.ravel() for b in self.branches.values()])
-        self._masses = np.concatenate([mass.ravel() for mass in self.mass.values()])
+        """Probability of each grid point; the sum is 1."""
+        self._log_likelihoods = np.concatenate(
+            [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
+        )
+        self._point_masses = np.concatenate(
+            [point_masses.ravel() for point_masses in self.mass_by_words.values()]
+        )
 
     @property
-    def best(self) -> tuple[str, np.ndarray]:
-        """The words and the unknowns (d,) at which L is largest."""
-        name = max(self.branches, key=lambda name: self.branches[name].optima[0].height)
-        return name, self.branches[name].optima[0].x
+    def best_words_and_unknowns(self) -> tuple[str, np.ndarray]:
+        """Return the words and the unknowns (d,) with the largest L."""
+        branch_words = max(
+            self.branch_by_words,
+            key=lambda branch_words: self.branch_by_words[branch_words].optima[0].log_likelihood,
+        )
+        return branch_words, self.branch_by_words[branch_words].optima[0].x
 
     @property
-    def _most_probable(self) -> tuple[Likelihood, np.ndarray]:
-        """The likelihood and the unknowns (d,) where L is largest."""
-        name, x = self.best
-        return self.branches[name].likelihood, x
+    def _best_likelihood_and_unknowns(self) -> tuple[Likelihood, np.ndarray]:
+        """Return the likelihood and the unknowns (d,) with the largest L."""
+        branch_words, x = self.best_words_and_unknowns
+        return self.branch_by_words[branch_words].likelihood, x
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
-        """chi^2 where L is largest, and its p-value."""
-        likelihood, x = self._most_probable
-        return likelihood.misfit(x)
+        """Return chi^2 and its p-value at the largest L."""
+        likelihood, x = self._best_likelihood_and_unknowns
+        return likelihood.compute_misfit(x)
 
     @cached_property
-    def misfits_without_one(self) -> list[tuple[float, float]]:
-        """The same, at the same place, without each of the measurements."""
-        likelihood, x = self._most_probable
-        return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
+    def misfits_without_measurement(self) -> list[tuple[float, float]]:
+        """Return chi^2 and its p-value at the same x without each of the measurements."""
+        likelihood, x = self._best_likelihood_and_unknowns
+        return [
+            likelihood.without_measurement(row_index).compute_misfit(x)
+            for row_index in range(len(likelihood.measurement_values))
+        ]
 
-    def misfit_since(self, *, clamp: float = 1.0, temperature: float = 1.0) -> tuple[float, float]:
-        """The same, at the same place, with the priors of how much the clamp and an unknown
-        temperature have changed since there was no crack multiplied by factors."""
-        likelihood, x = self._most_probable
-        quantities = likelihood.quantities.since(clamp=clamp, temperature=temperature)
-        return replace(likelihood, quantities=quantities).misfit(x)
+    def compute_misfit_with_changes(
+        self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
+    ) -> tuple[float, float]:
+        """Return chi^2 and its p-value with larger changes since the baseline.
 
-    @cached_property
-    def temperature_change(self) -> float:
-        """Posterior mean of the change of temperature since there was no crack, where L is largest,
-        in standard deviations of the prior."""
-        likelihood, x = self._most_probable
-        return likelihood.temperature_change(x)
-
-    @cached_property
-    def unresolved(self) -> float:
-        """Probability that the grid does not resolve: points whose neighbours along an unknown are
-        all more than two standard deviations away, log L having fallen by 2, as on a thin ridge."""
-        lost = 0.0
-        for name, branch in self.branches.items():
-            falls = np.zeros(branch.height.shape, dtype=bool)
-            for axis in np.eye(falls.ndim, dtype=int):
-                sides = np.reshape([1, 0, 1], 1 + 2 * axis)
-                around = maximum_filter(branch.height, None, sides, None, "constant", -np.inf)
-                falls |= branch.height - around > 2.0
-            lost += float(np.sum(self.mass[name][falls]))
-        return lost
-
-    def level(self, share: float) -> float:
-        """log L at the border of the region that holds a share of the mass."""
-        order = np.argsort(-self._heights)
-        held = np.cumsum(self._masses[order])
-        at = min(int(np.searchsorted(held, share)), len(order) - 1)
-        return float(self._heights[order[at]])
-
-    def cut(self, share: float) -> Iterator[tuple[int, str, float]]:
-        """Bounds that the region with a share of the mass reaches: the place of the unknown,
-        "below" or "above", and the bound."""
-        level, branches = self.level(share), [*self.branches.values()]
-        for place, end in product(range(len(branches[0].axes)), (0, -1)):
-            if any(np.any(one.height.take(end, axis=place) >= level) for one in branches):
-                yield place, "above" if end else "below", float(branches[0].axes[place][end])
-
-    def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
-        """Values of an unknown, and their probabilities: (n,) each."""
-        values, masses = [], []
-        for name, branch in self.branches.items():
-            others = tuple(k for k in range(len(branch.axes)) if k != place)
-            values.append(branch.axes[place])
-            masses.append(self.mass[name].sum(axis=others))
-        order = np.argsort(np.concatenate(values), kind="stable")
-        return np.concatenate(values)[order], np.concatenate(masses)[order]
-
-    def interval(self, place: int, share: float) -> tuple[float, float]:
-        """Equal-tailed interval of an unknown with a probability."""
-        values, masses = self.marginal(place)
-        middle = np.cumsum(masses) - 0.5 * masses
-        tail = 0.5 * (1.0 - share)
-        low, high = np.interp([tail, 1.0 - tail], middle, values)
-        return float(low), float(high)
-
-    def parts(self, share: float, least: float) -> list[tuple[str, np.ndarray, float]]:
-        """The separate parts of the region that holds a share of the mass: words, the middle (d,),
-        and mass, largest first; those with less than ``least`` are left out.
-
-        The middle is the mean or, of a bent part that does not hold it, the nearest point that
-        is.
+        They are at the same x. The factors multiply the prior changes by the clamp and by an
+        unknown temperature.
         """
-        level = self.level(share)
-        found = []
-        for name, branch in self.branches.items():
-            within = branch.height >= level
-            numbers, count = label(within, structure=np.ones((3,) * within.ndim))
-            for number in range(1, count + 1):
-                own = numbers == number
-                masses = self.mass[name][own]
-                if masses.sum() >= least:
-                    places = np.argwhere(own)
-                    columns = [axis[at] for axis, at in zip(branch.axes, places.T, strict=True)]
-                    points = np.stack(columns, axis=1) if columns else np.zeros((1, 0))
-                    x = masses @ points / masses.sum()
-                    if branch.at(x) < level:
-                        width = np.ptp(points, axis=0) + np.finfo(float).tiny
-                        x = points[np.argmin(np.sum(((points - x) / width) ** 2, axis=1))]
-                    found.append((name, x, float(masses.sum())))
-        return sorted(found, key=lambda part: -part[2])
+        likelihood, x = self._best_likelihood_and_unknowns
+        predictor = likelihood.predictor.with_change_factors(
+            clamp_factor=clamp_factor, temperature_factor=temperature_factor
+        )
+        return replace(likelihood, predictor=predictor).compute_misfit(x)
 
-    def spread(self, place: int) -> float:
-        """Standard deviation of an unknown."""
-        values, masses = self.marginal(place)
-        return float(np.sqrt(np.cov(values, aweights=masses, ddof=0)))
+    @cached_property
+    def mean_temperature_change(self) -> float:
+        """Return the mean temperature change since the baseline at the largest L.
 
-    def pair(self, name: str, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
-        """Mass of a branch by two of its unknowns, and its density: (n_first, n_second) each."""
-        parts = self.mass[name], self.branches[name].weight
-        others = tuple(k for k in range(parts[0].ndim) if k not in (first, second))
-        mass, weight = (part.sum(axis=others) for part in parts)
-        if first > second:
-            mass, weight = mass.T, weight.T
-        return mass, mass / weight
+        The mean is that of the posterior, in standard deviations of the prior.
+        """
+        likelihood, x = self._best_likelihood_and_unknowns
+        return likelihood.compute_temperature_change(x)
+
+    @cached_property
+    def unresolved_probability(self) -> float:
+        """Return the probability that the grid does not resolve.
+
+        At such points log L falls by more than 2, two standard deviations, to both neighbours along
+        an unknown, as on a thin ridge.
+        """
+        unresolved_sum = 0.0
+        for branch_words, branch in self.branch_by_words.items():
+            is_unresolved = np.zeros(branch.grid_log_likelihood.shape, dtype=bool)
+            for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
+                neighbour_footprint = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
+                neighbour_maxima = maximum_filter(
+                    branch.grid_log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
+                )
+                is_unresolved |= branch.grid_log_likelihood - neighbour_maxima > 2.0
+            unresolved_sum += float(np.sum(self.mass_by_words[branch_words][is_unresolved]))
+        return unresolved_sum
+
+    def find_region_level(self, probability: float) -> float:
+        """Return log L at the border of the region with a probability."""
+        descending_order = np.argsort(-self._log_likelihoods)
+        cumulative_masses = np.cumsum(self._point_masses[descending_order])
+        border_index = min(
+            int(np.searchsorted(cumulative_masses, probability)), len(descending_order) - 1
+        )
+        return float(self._log_likelihoods[descending_order[border_index]])
+
+    def iterate_reached_bounds(self, probability: float) -> Iterator[tuple[int, str, float]]:
+        """Iterate over bounds that the region with a probability reaches.
+
+        Yields
+        ------
+        int
+            Index of the unknown.
+        str
+            "below" or "above".
+        float
+            The bound.
+        """
+        border_log_likelihood, branches = (
+            self.find_region_level(probability),
+            [*self.branch_by_words.values()],
+        )
+        for unknown_index, end_index in product(range(len(branches[0].axes)), (0, -1)):
+            if any(
+                np.any(
+                    branch.grid_log_likelihood.take(end_index, axis=unknown_index)
+                    >= border_log_likelihood
+                )
+                for branch in branches
+            ):
+                yield (
+                    unknown_index,
+                    "above" if end_index else "below",
+                    float(branches[0].axes[unknown_index][end_index]),
+                )
+
+    def compute_marginal(self, unknown_index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the values of an unknown and their probabilities: (n,) each."""
+        value_arrays, mass_arrays = [], []
+        for branch_words, branch in self.branch_by_words.items():
+            other_axes = tuple(
+                axis_index for axis_index in range(len(branch.axes)) if axis_index != unknown_index
+            )
+            value_arrays.append(branch.axes[unknown_index])
+            mass_arrays.append(self.mass_by_words[branch_words].sum(axis=other_axes))
+        value_order = np.argsort(np.concatenate(value_arrays), kind="stable")
+        return np.concatenate(value_arrays)[value_order], np.concatenate(mass_arrays)[value_order]
+
+    def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
+        """Return the equal-tailed interval of an unknown with a probability."""
+        unknown_values, value_masses = self.compute_marginal(unknown_index)
+        cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
+        tail_probability = 0.5 * (1.0 - probability)
+        lower_quantile, upper_quantile = np.interp(
+            [tail_probability, 1.0 - tail_probability], cumulative_masses, unknown_values
+        )
+        return float(lower_quantile), float(upper_quantile)
+
+    def find_region_parts(
+        self, probability: float, min_probability: float
+    ) -> list[tuple[str, np.ndarray, float]]:
+        """Return the separate parts of the region with a probability, largest first.
+
+        Each part is a tuple of words, middle (d,) and mass. Parts with less mass than
+        ``min_probability`` are left out. The middle is the mean or, if a bent part does not hold
+        its mean, the part's
+        nearest point.
+        """
+        border_log_likelihood = self.find_region_level(probability)
+        region_parts = []
+        for branch_words, branch in self.branch_by_words.items():
+            is_inside = branch.grid_log_likelihood >= border_log_likelihood
+            part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
+            for part_number in range(1, n_parts + 1):
+                is_part_point = part_numbers == part_number
+                point_masses = self.mass_by_words[branch_words][is_part_point]
+                if point_masses.sum() >= min_probability:
+                    grid_indices = np.argwhere(is_part_point)
+                    unknown_columns = [
+                        axis_values[axis_indices]
+                        for axis_values, axis_indices in zip(
+                            branch.axes, grid_indices.T, strict=True
+                        )
+                    ]
+                    part_points = (
+                        np.stack(unknown_columns, axis=1) if unknown_columns else np.zeros((1, 0))
+                    )
+                    part_middle = point_masses @ part_points / point_masses.sum()
+                    if branch.interpolate_log_likelihood(part_middle) < border_log_likelihood:
+                        part_widths = np.ptp(part_points, axis=0) + np.finfo(float).tiny
+                        part_middle = part_points[
+                            np.argmin(
+                                np.sum(((part_points - part_middle) / part_widths) ** 2, axis=1)
+                            )
+                        ]
+                    region_parts.append((branch_words, part_middle, float(point_masses.sum())))
+        return sorted(region_parts, key=lambda part: -part[2])
+
+    def compute_deviation(self, unknown_index: int) -> float:
+        """Return the standard deviation of an unknown."""
+        unknown_values, value_masses = self.compute_marginal(unknown_index)
+        return float(np.sqrt(np.cov(unknown_values, aweights=value_masses, ddof=0)))
+
+    def compute_pair_marginal(
+        self, branch_words: str, first_index: int, second_index: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return a branch's mass over two unknowns, and its density: (n_first, n_second) each."""
+        mass_and_prior = (
+            self.mass_by_words[branch_words],
+            self.branch_by_words[branch_words].prior_masses,
+        )
+        other_axes = tuple(
+            axis_index
+            for axis_index in range(mass_and_prior[0].ndim)
+            if axis_index not in (first_index, second_index)
+        )
+        pair_mass, pair_prior = (point_array.sum(axis=other_axes) for point_array in mass_and_prior)
+        if first_index > second_index:
+            pair_mass, pair_prior = pair_mass.T, pair_prior.T
+        return pair_mass, pair_mass / pair_prior

@@ -1,4 +1,4 @@
-"""Report of an identification, from the summary that its file has, too."""
+"""Report on an identification, from the summary, as also stored in a file."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from fenics_crack.files.store import IDENTIFICATION_KIND, StoredFile
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
-PNG = b"\x89PNG\r\n\x1a\n"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """Beginning of a PNG file."""
 
 
 @dataclass(frozen=True)
-class Identified:
-    """Result of ``identify`` and the files that it has written."""
+class IdentificationOutput:
+    """Result of ``identify`` with the written files."""
 
     KIND: ClassVar[str] = IDENTIFICATION_KIND
     scene: Scene
@@ -33,52 +33,73 @@ class Identified:
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
-    def of(cls, stored: StoredFile) -> Identified:
-        """By its file and the picture beside it."""
-        picture = stored.path.with_name("posterior.png")
-        with stored.checked_datasets() as parts:
-            scene, summary = stored.scene(), json.loads(parts["summary"])
+    def of(cls, stored_result: StoredFile) -> IdentificationOutput:
+        """Take a stored result, and the picture beside its file.
+
+        Raises LookupError for files of older versions, and InputError without the picture.
+        """
+        picture_path = stored_result.path.with_name("posterior.png")
+        with stored_result.checked_datasets() as data_by_name:
+            scene, summary = stored_result.scene(), json.loads(data_by_name["summary"])
             if scene is None:
                 raise LookupError("scene")
             if "priors" not in summary:
                 raise LookupError("priors")
-        drawn = b""
+        picture_bytes = b""
         with suppress(OSError):
-            drawn = read_regular_file(picture, follows_links=False)
-        if not drawn.startswith(PNG):
-            raise InputError("result", str(stored.path), f"with {picture.name} in its folder")
-        return cls(scene, summary, picture)
+            picture_bytes = read_regular_file(picture_path, follows_links=False)
+        if not picture_bytes.startswith(PNG_SIGNATURE):
+            raise InputError(
+                "result", str(stored_result.path), f"with {picture_path.name} in its folder"
+            )
+        return cls(scene, summary, picture_path)
 
 
-def report_of_identification(found: Identified) -> Report:
-    """Verdict, estimates with their intervals, and the fit."""
+def report_of_identification(identify_output: IdentificationOutput) -> Report:
+    """Return the report: verdict, estimates with their intervals, and the fit."""
     from fenics_crack.monitoring.identification.result import (
-        FITTED,  # SciPy's optimize, interpolate
+        FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
     )
 
-    values, rows = found.summary, []
-    share = f"{100.0 * values['priors']['confidence']:g} %"
-    for key, value in values["estimate"].items():
-        ends = values["intervals"].get(key)  # of a word there are none
-        limits = [value_in_words(key, end) for end in ends] if ends else ["", ""]
-        rows.append([key_in_words(key), value_in_words(key, value), *limits])
-    table = Table(("unknown", "estimate", f"{share} from", "to"), rows)
-    where = [f"{key} {value} ({share}: {low} to {high})" for key, value, low, high in rows if low]
-    places = where if values["verdict"] == "crack" else []
-    priors = ", ".join(
-        f"{key} = {value_in_words(f'identify.{key}', value)}"
-        for key, value in values["priors"].items()
+    summary, estimate_rows = identify_output.summary, []
+    confidence_text = f"{100.0 * summary['priors']['confidence']:g} %"
+    for unknown_key, estimate_value in summary["estimate"].items():
+        interval_ends = summary["intervals"].get(unknown_key)  # of a word there are none
+        limit_texts = (
+            [value_in_words(unknown_key, interval_end) for interval_end in interval_ends]
+            if interval_ends
+            else ["", ""]
+        )
+        estimate_rows.append(
+            [key_in_words(unknown_key), value_in_words(unknown_key, estimate_value), *limit_texts]
+        )
+    estimate_table = Table(("unknown", "estimate", f"{confidence_text} from", "to"), estimate_rows)
+    place_texts = [
+        f"{unknown_key} {estimate_value} ({confidence_text}: {lower_text} to {upper_text})"
+        for unknown_key, estimate_value, lower_text, upper_text in estimate_rows
+        if lower_text
+    ]
+    shown_place_texts = place_texts if summary["verdict"] == "crack" else []
+    priors_text = ", ".join(
+        f"{unknown_key} = {value_in_words(f'identify.{unknown_key}', estimate_value)}"
+        for unknown_key, estimate_value in summary["priors"].items()
     )
     return Report(
-        table,
+        estimate_table,
         Conclusion(
-            values.get("conclusion", values["verdict"]), further_clauses=[*places, values["reason"]]
+            summary.get("conclusion", summary["verdict"]),
+            further_clauses=[*shown_place_texts, summary["reason"]],
         ),
-        notes=[f"priors: {priors}", *(f"next to measure: {one}" for one in values["advice"])],
-        warnings=values["warnings"],
+        notes=[
+            f"priors: {priors_text}",
+            *(f"next to measure: {advice_text}" for advice_text in summary["advice"]),
+        ],
+        warnings=summary["warnings"],
         page_tables={
-            "Unknowns": table,
-            "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
+            "Unknowns": estimate_table,
+            "Measurements and predictions of the estimate": Table(
+                FIT_COLUMN_NAMES, summary["measurements"]
+            ),
         },
-        remarks=values["remarks"],
+        remarks=summary["remarks"],
     )

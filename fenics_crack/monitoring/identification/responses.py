@@ -1,22 +1,23 @@
-"""Measured frequency responses: universal files, as programs for modal tests write them, and the
-natural frequencies that they show.
+"""Measured frequency responses in universal files, and their natural frequencies.
 
-Dataset 58, "function at nodal DOF", as text, and 58b, which has the same eleven lines and then
-numbers in binary form (Structural Dynamics Research Laboratory, University of Cincinnati, which
-keeps SDRC's description of the format). Of a file all functions of type 4 are read, frequency
-response functions; its other datasets are left out.
+Programs for modal tests write universal files. Dataset 58, "function at nodal DOF", is text.
+Dataset 58b has the same eleven lines, then binary numbers (Structural Dynamics Research
+Laboratory, University of Cincinnati, keeps SDRC's description of the format). All functions of
+type 4, frequency response functions, are read; other datasets are left out.
 
-Around each peak of all responses together, H_j in the form of displacements over a force, a mode
-and the neighbouring ones are fitted by least squares,
+Let H_j be the receptances, displacements over a force. Around each peak in the sum over all
+responses, a mode and its neighbours' residuals p_j, q_j are fitted by least squares,
 
-    H_j(w) (a + i b r - r^2) = p_j + q_j (r - 1),        r = w / w_peak,
+    H_j(w) (a + i b r - r^2) = p_j + q_j (r - 1),        r = w / w_peak.
 
-with a and b the same in all responses: the frequency is w_peak sqrt(a), the damping ratio
-b / (2 sqrt(a)) (C. K. Sanathanan and J. Koerner, IEEE Transactions on Automatic Control 8, 1963,
-56: weights by the last denominator). A crack that breathes makes its first harmonic over the force
-the response of a nonlinear structure. Without clearance or a steady load it does not depend on the
-force, and near a resonance it is nearly that of a mode of the frequency at which the crack
-resonates; the difference is seen when less of the peak is fitted, and counted as an error.
+All responses share a and b. The frequency is w_peak sqrt(a), the damping ratio b / (2 sqrt(a)) (C.
+K. Sanathanan and J. Koerner, IEEE Transactions on Automatic Control 8, 1963, 56: weights by the
+last denominator).
+
+With a breathing crack, the first harmonic over the force is the response of a nonlinear structure.
+Without clearance or a steady load it does not depend on the force. Near a resonance the response is
+nearly a linear mode's with the resonance frequency. The difference shows if less of the peak is
+fitted, and counts as an error.
 """
 
 from __future__ import annotations
@@ -34,13 +35,14 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, read_regular_file
 
-BORDER = b"-1"
-COMPLEX = {5: "f4", 6: "f8"}
-"""Types of complex numbers, single and double."""
-FORTRAN_NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
-"""A number in text; Fortran leaves out the E of an exponent of three digits."""
-MOTIONS = {8: 0, 11: 1, 12: 2}
-"""Time derivatives of a displacement, a velocity or an acceleration, by their codes."""
+DATASET_BORDER_LINE = b"-1"
+"""Line at the beginning and the end of each dataset."""
+NUMPY_TYPE_BY_CODE = {5: "f4", 6: "f8"}
+"""NumPy types for the parts of complex numbers, single and double, by code."""
+FORTRAN_NUMBER_PATTERN = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
+"""Number in text; Fortran leaves out the E of an exponent with three digits."""
+DERIVATIVE_ORDER_BY_CODE = {8: 0, 11: 1, 12: 2}
+"""Derivative order of displacement, velocity and acceleration, by code."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,15 @@ class FrequencyResponse:
 
     Attributes
     ----------
-    frequency : (n,) [Hz]
-    values : (n,) complex
-    derived : int
-        0 of a displacement over a force, 1 of a velocity, 2 of an acceleration.
+    frequencies : (n,) [Hz]
+    response_values : (n,) complex
+    derivative_order : int
+        0 for a displacement over a force, 1 for a velocity, 2 for an acceleration.
     """
 
-    frequency: np.ndarray
-    values: np.ndarray
-    derived: int
+    frequencies: np.ndarray
+    response_values: np.ndarray
+    derivative_order: int
 
 
 def read_responses(path: Path) -> list[FrequencyResponse]:
@@ -69,151 +71,241 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
         The file cannot be read, contradicts itself, or has none.
     """
     responses = []
-    for heading, numbers, order in _functions(BytesIO(read_regular_file(path, MAX_FILE_BYTES))):
-        lines = [line.decode("latin-1") for line in heading]
-        if int(lines[6][:5]) == 4:  # frequency response functions
-            responses.append(_response(lines, numbers, order))
+    for heading_lines, number_bytes, byte_order in _iterate_datasets(
+        BytesIO(read_regular_file(path, MAX_FILE_BYTES))
+    ):
+        heading_texts = [heading_line.decode("latin-1") for heading_line in heading_lines]
+        if int(heading_texts[6][:5]) == 4:  # frequency response functions
+            responses.append(_parse_response(heading_texts, number_bytes, byte_order))
     if not responses:
         raise ValueError("it has no frequency response: no dataset 58 with a function of type 4")
     return responses
 
 
-def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
-    """Each dataset 58: its lines up to the numbers, from the one with the dataset's number; the
-    numbers; and the order of bytes, "" of text."""
-    while line := file.readline():
-        if line.strip() != BORDER:
+def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
+    """Iterate over datasets 58 of a file.
+
+    Yields
+    ------
+    heading_lines : list of bytes
+        The line with the dataset's number, and eleven more.
+    number_bytes : bytes
+        Its numbers, as text or binary.
+    byte_order : str
+        "<" or ">"; empty for text.
+    """
+    while file_line := file.readline():
+        if file_line.strip() != DATASET_BORDER_LINE:
             continue
-        own, order, numbers = file.readline().rstrip(), "", b""
-        response = own[:6].strip() == b"58"
-        heading = [own, *(file.readline().rstrip() for _ in range(11 * response))]
-        if response and own[6:7].lower() == b"b":
-            order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43].strip() or 0)
-            if (stored := int(heading[7][:10])) in COMPLEX and int(heading[7][20:30]):
+        dataset_line, byte_order, number_bytes = file.readline().rstrip(), "", b""
+        is_response = dataset_line[:6].strip() == b"58"
+        heading_lines = [dataset_line, *(file.readline().rstrip() for _ in range(11 * is_response))]
+        if is_response and dataset_line[6:7].lower() == b"b":
+            byte_order = {1: "<", 2: ">"}[int(dataset_line[7:13])]
+            n_bytes = int(dataset_line[31:43].strip() or 0)
+            if (number_type := int(heading_lines[7][:10])) in NUMPY_TYPE_BY_CODE and int(
+                heading_lines[7][20:30]
+            ):
                 # Some programs announce half of their bytes.
-                size = 2 * int(heading[7][10:20]) * int(COMPLEX[stored][1])
-            if int(own[13:19]) != 2:
+                n_bytes = 2 * int(heading_lines[7][10:20]) * int(NUMPY_TYPE_BY_CODE[number_type][1])
+            if int(dataset_line[13:19]) != 2:
                 raise ValueError("its binary numbers are not those of IEEE 754")
-            numbers = file.read(size)
-            if len(numbers) < size:
-                raise ValueError(f"it ends early: {len(numbers)} of {size} bytes")
-        rest = []
-        while (line := file.readline()).strip() != BORDER:
-            if not line:
-                if response and not order:
+            number_bytes = file.read(n_bytes)
+            if len(number_bytes) < n_bytes:
+                raise ValueError(f"it ends early: {len(number_bytes)} of {n_bytes} bytes")
+        data_lines = []
+        while (file_line := file.readline()).strip() != DATASET_BORDER_LINE:
+            if not file_line:
+                if is_response and not byte_order:
                     raise ValueError("it ends early: a dataset 58 has no end")
                 break
-            rest.append(line)
-        if response:
-            yield heading, numbers or b"".join(rest), order
+            data_lines.append(file_line)
+        if is_response:
+            yield heading_lines, number_bytes or b"".join(data_lines), byte_order
 
 
-def _numbers(text: bytes) -> np.ndarray:
-    """Numbers of fixed width, perhaps without blanks between them."""
-    if left := FORTRAN_NUMBER.sub(b" ", text).split():
-        raise ValueError(f"{left[0][:20].decode('latin-1')!r} instead of a number")
-    words = [re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", word) for word in FORTRAN_NUMBER.findall(text)]
-    return np.array(words, dtype=float)
+def _parse_numbers(number_text: bytes) -> np.ndarray:
+    """Read numbers of fixed width, perhaps without blanks between them."""
+    if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_text).split():
+        raise ValueError(f"{invalid_words[0][:20].decode('latin-1')!r} instead of a number")
+    number_words = [
+        re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", number_word)
+        for number_word in FORTRAN_NUMBER_PATTERN.findall(number_text)
+    ]
+    return np.array(number_words, dtype=float)
 
 
-def _response(heading: list[str], numbers: bytes, order: str) -> FrequencyResponse:
-    """A frequency response from its lines, the first of which has the dataset's number."""
-    stored, count, even = (int(heading[7][at : at + 10]) for at in (0, 10, 20))
-    least, step = (float(heading[7][at : at + 13].replace("D", "E")) for at in (30, 43))
-    motion = int(heading[9][:10])
-    if stored not in COMPLEX:
+def _parse_response(
+    heading_texts: list[str], number_bytes: bytes, byte_order: str
+) -> FrequencyResponse:
+    """Read a frequency response from its heading, the dataset's number first, and its numbers."""
+    number_type, n_lines, is_even = (
+        int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
+    )
+    first_frequency, frequency_step = (
+        float(heading_texts[7][start_column : start_column + 13].replace("D", "E"))
+        for start_column in (30, 43)
+    )
+    motion_code = int(heading_texts[9][:10])
+    if number_type not in NUMPY_TYPE_BY_CODE:
         raise ValueError("a frequency response whose numbers are not complex")
-    if motion not in MOTIONS:
+    if motion_code not in DERIVATIVE_ORDER_BY_CODE:
         raise ValueError("a frequency response of no displacement, velocity or acceleration")
-    if order and not even:
+    if byte_order and not is_even:
         raise ValueError("a binary frequency response whose lines are not equally spaced")
-    if order:
-        values = np.frombuffer(numbers, order + COMPLEX[stored]).astype(float)
+    if byte_order:
+        response_values = np.frombuffer(
+            number_bytes, byte_order + NUMPY_TYPE_BY_CODE[number_type]
+        ).astype(float)
     else:
-        values = _numbers(numbers.upper().replace(b"D", b"E"))
-    if len(values) != count * (2 if even else 3) or not np.all(np.isfinite(values)):
-        raise ValueError(f"{len(values)} finite numbers instead of those of {count} lines")
-    if even:
-        frequency = least + step * np.arange(count)
+        response_values = _parse_numbers(number_bytes.upper().replace(b"D", b"E"))
+    if len(response_values) != n_lines * (2 if is_even else 3) or not np.all(
+        np.isfinite(response_values)
+    ):
+        raise ValueError(
+            f"{len(response_values)} finite numbers instead of those of {n_lines} lines"
+        )
+    if is_even:
+        frequencies = first_frequency + frequency_step * np.arange(n_lines)
     else:
-        frequency, values = values[::3], np.delete(values, np.s_[::3])
-    if np.any(np.diff(frequency) <= 0.0):
+        frequencies, response_values = response_values[::3], np.delete(response_values, np.s_[::3])
+    if np.any(np.diff(frequencies) <= 0.0):
         raise ValueError("a frequency response whose frequencies do not increase")
-    return FrequencyResponse(frequency, values[::2] + 1j * values[1::2], MOTIONS[motion])
+    return FrequencyResponse(
+        frequencies,
+        response_values[::2] + 1j * response_values[1::2],
+        DERIVATIVE_ORDER_BY_CODE[motion_code],
+    )
 
 
 # --- their modes ----------------------------------------------------------------------------------
 
 
-def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
-    """Find the modes of frequency responses: rows of frequency [Hz], its standard deviation, and
-    the ratio of damping, in ascending order.
+def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
+    """Fit the modes of frequency responses around their peaks.
+
+    Returns
+    -------
+    (n, 3)
+        Frequency [Hz], its standard deviation [Hz], and damping ratio, in ascending order.
 
     Raises
     ------
     InputError
         The responses have different lines, or no peak that falls to half its power on both sides.
     """
-    lines = responses[0].frequency
-    if any(not np.array_equal(response.frequency, lines) for response in responses):
+    frequencies = responses[0].frequencies
+    if any(not np.array_equal(response.frequencies, frequencies) for response in responses):
         raise InputError("responses", "of different frequencies", "all at the same frequencies")
-    kept = lines > 0.0
-    omega = RAD_PER_TURN * lines[kept]
-    values = np.stack(
-        [response.values[kept] / (1j * omega) ** response.derived for response in responses]
+    is_positive = frequencies > 0.0
+    omega = RAD_PER_TURN * frequencies[is_positive]
+    receptances = np.stack(
+        [
+            response.response_values[is_positive] / (1j * omega) ** response.derivative_order
+            for response in responses
+        ]
     )
-    power, found = omega**2 * np.sum(np.abs(values) ** 2, axis=0), []
+    response_power, mode_rows = omega**2 * np.sum(np.abs(receptances) ** 2, axis=0), []
     # A peak falls to half of its power on both sides before the power is larger there. It is fitted
     # down to a tenth of its power, and for the error down to half of it.
-    peaks, seen = find_peaks(power, prominence=0.0)
-    for peak in peaks[seen["prominences"] > 0.5 * power[peaks]].tolist():
-        wide, half = (
-            _fitted(omega, values, peak, _around(power, peak, share * power[peak]))
-            for share in (0.1, 0.5)
+    peak_indices, peak_properties = find_peaks(response_power, prominence=0.0)
+    for peak_index in peak_indices[
+        peak_properties["prominences"] > 0.5 * response_power[peak_indices]
+    ].tolist():
+        wide_fit, narrow_fit = (
+            _fit_mode(
+                omega,
+                receptances,
+                peak_index,
+                _lines_around_peak(
+                    response_power, peak_index, power_fraction * response_power[peak_index]
+                ),
+            )
+            for power_fraction in (0.1, 0.5)
         )
-        if wide is None or half is None:
+        if wide_fit is None or narrow_fit is None:
             continue
-        frequency, error, damping = wide
-        error = float(np.hypot(error, frequency - half[0]))
+        mode_frequency, frequency_deviation, damping_ratio = wide_fit
+        frequency_deviation = float(np.hypot(frequency_deviation, mode_frequency - narrow_fit[0]))
         # Peaks of noise do not give a frequency to a tenth of the width.
-        width, off = damping * frequency, abs(frequency - omega[peak] / RAD_PER_TURN)
-        if error < 0.1 * width and off < width:
-            found.append((frequency, error, damping))
-    if not found:
-        allowed = "with peaks that fall to half their power on both sides, of 4 lines or more"
-        raise InputError("responses", f"{len(lines)} lines", allowed)
-    return np.array(found)
+        peak_width = damping_ratio * mode_frequency
+        peak_distance = abs(mode_frequency - omega[peak_index] / RAD_PER_TURN)
+        if frequency_deviation < 0.1 * peak_width and peak_distance < peak_width:
+            mode_rows.append((mode_frequency, frequency_deviation, damping_ratio))
+    if not mode_rows:
+        allowed_text = "with peaks that fall to half their power on both sides, of 4 lines or more"
+        raise InputError("responses", f"{len(frequencies)} lines", allowed_text)
+    return np.array(mode_rows)
 
 
-def _around(power: np.ndarray, peak: int, least: float) -> slice:
-    """Lines around a peak with at least a given power, and no more than the peak's."""
-    ends = np.flatnonzero((power < least) | (power > power[peak]))
-    before, after = ends[ends < peak], ends[ends > peak]
-    return slice(before[-1] + 1 if len(before) else 0, after[0] if len(after) else len(power))
+def _lines_around_peak(response_power: np.ndarray, peak_index: int, min_power: float) -> slice:
+    """Return the slice of lines around a peak with a minimum power.
+
+    Lines with more power than the peak end it, too.
+    """
+    excluded_indices = np.flatnonzero(
+        (response_power < min_power) | (response_power > response_power[peak_index])
+    )
+    excluded_before_peak = excluded_indices[excluded_indices < peak_index]
+    excluded_after_peak = excluded_indices[excluded_indices > peak_index]
+    return slice(
+        excluded_before_peak[-1] + 1 if len(excluded_before_peak) else 0,
+        excluded_after_peak[0] if len(excluded_after_peak) else len(response_power),
+    )
 
 
-def _fitted(
-    omega: np.ndarray, values: np.ndarray, peak: int, lines: slice
+def _fit_mode(
+    omega: np.ndarray, receptances: np.ndarray, peak_index: int, line_slice: slice
 ) -> tuple[float, float, float] | None:
-    """Frequency [Hz], its standard deviation and the ratio of damping of a mode, by ten iterations
-    of Sanathanan and Koerner; None of too few lines."""
-    r, seen = omega[lines] / omega[peak], values[:, lines]
-    count, size = seen.shape
-    if 2 * seen.size <= 2 + 4 * count:
+    """Fit a mode by ten iterations of Sanathanan and Koerner.
+
+    Returns
+    -------
+    tuple or None
+        Frequency [Hz], its standard deviation [Hz] and damping ratio. None with too few lines or
+        without a stable mode.
+    """
+    r, fitted_receptances = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
+    n_responses, n_lines = fitted_receptances.shape
+    if 2 * fitted_receptances.size <= 2 + 4 * n_responses:
         return None
-    own = np.kron(np.eye(count), np.column_stack([np.ones(size), r - 1.0]))
-    flat, every = seen.ravel(), np.tile(r, count)
-    weights = np.ones(len(flat))
+    residual_columns = np.kron(np.eye(n_responses), np.column_stack([np.ones(n_lines), r - 1.0]))
+    receptance_vector, tiled_r = fitted_receptances.ravel(), np.tile(r, n_responses)
+    equation_weights = np.ones(len(receptance_vector))
     for _ in range(10):
-        columns = np.column_stack([flat, 1j * every * flat, -own, -1j * own]) * weights[:, None]
-        right = flat * every**2 * weights
-        stacked, wanted = (np.concatenate([part.real, part.imag]) for part in (columns, right))
-        found = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
-        weights = 1.0 / np.abs(found[0] + 1j * found[1] * every - every**2)
-    if found[0] <= 0.0 or found[1] <= 0.0:
+        weighted_design_matrix = (
+            np.column_stack(
+                [
+                    receptance_vector,
+                    1j * tiled_r * receptance_vector,
+                    -residual_columns,
+                    -1j * residual_columns,
+                ]
+            )
+            * equation_weights[:, None]
+        )
+        weighted_targets = receptance_vector * tiled_r**2 * equation_weights
+        real_design_matrix, real_targets = (
+            np.concatenate([complex_array.real, complex_array.imag])
+            for complex_array in (weighted_design_matrix, weighted_targets)
+        )
+        fit_coefficients = np.linalg.lstsq(real_design_matrix, real_targets, rcond=None)[0]
+        equation_weights = 1.0 / np.abs(
+            fit_coefficients[0] + 1j * fit_coefficients[1] * tiled_r - tiled_r**2
+        )
+    if fit_coefficients[0] <= 0.0 or fit_coefficients[1] <= 0.0:
         return None
-    left = wanted - stacked @ found
-    variance = left @ left / (len(wanted) - len(found)) * np.linalg.inv(stacked.T @ stacked)[0, 0]
-    frequency = omega[peak] / RAD_PER_TURN * np.sqrt(found[0])
-    error = 0.5 * frequency / found[0] * np.sqrt(variance)
-    return float(frequency), float(error), float(0.5 * found[1] / np.sqrt(found[0]))
+    equation_residuals = real_targets - real_design_matrix @ fit_coefficients
+    coefficient_variance = (
+        equation_residuals
+        @ equation_residuals
+        / (len(real_targets) - len(fit_coefficients))
+        * np.linalg.inv(real_design_matrix.T @ real_design_matrix)[0, 0]
+    )
+    mode_frequency = omega[peak_index] / RAD_PER_TURN * np.sqrt(fit_coefficients[0])
+    frequency_deviation = 0.5 * mode_frequency / fit_coefficients[0] * np.sqrt(coefficient_variance)
+    return (
+        float(mode_frequency),
+        float(frequency_deviation),
+        float(0.5 * fit_coefficients[1] / np.sqrt(fit_coefficients[0])),
+    )

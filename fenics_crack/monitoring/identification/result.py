@@ -5,7 +5,7 @@ the unknowns x is
 
     F = (ds / dx)^T V^-1 (ds / dx) + P,
 
-where P is that of the prior. One more measurement, with which it is F', adds in nats
+with the prior's information P. One more measurement changes F to F', and adds in nats
 
     log(det F' / det F) / 2
 
@@ -29,15 +29,19 @@ from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import Table, Tabular, format_count
 from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
-from fenics_crack.monitoring.identification.model import Model, Passages, Quantities
-from fenics_crack.monitoring.identification.nuisance import OF_SIZE
+from fenics_crack.monitoring.identification.model import (
+    ForwardModel,
+    MeasurementPredictor,
+    ProbeDisplacements,
+)
+from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
     Branch,
     Likelihood,
     Posterior,
-    scaled_covariance,
-    with_prior,
+    add_uniform_prior,
+    compute_scaled_covariance,
 )
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Identify
@@ -45,8 +49,8 @@ from fenics_crack.scene.words import key_in_words, value_in_words
 
 # --- where to measure -----------------------------------------------------------------------------
 
-FITTED = "measurement", "value", "deviation", "predicted", "of the model", "residual"
-"""Columns of the table of measurements and predictions."""
+FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the model", "residual"
+"""Column names of the table of measurements and predictions."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,7 +60,7 @@ class Worth(Tabular):
     Attributes
     ----------
     measurements : tuple of Measurement
-        With the predicted values and the standard deviations assumed.
+        With the predicted values and the assumed standard deviations.
     information : (n,)
         Information gained by each [nats].
     deviations : dict of str to (n,)
@@ -71,19 +75,22 @@ class Worth(Tabular):
     now: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every measurement."""
+        """Return columns with a row for every measurement."""
         rows = self.measurements
-        found: dict[str, Any] = {
-            "measurement": [row.name for row in rows],
-            "value": [row.value for row in rows],
-            "deviation": [row.deviation for row in rows],
+        values_by_column: dict[str, Any] = {
+            "measurement": [measurement.name for measurement in rows],
+            "value": [measurement.value for measurement in rows],
+            "deviation": [measurement.deviation for measurement in rows],
             "information": self.information.tolist(),
         }
-        return found | {f"left_of_{key}": part.tolist() for key, part in self.deviations.items()}
+        return values_by_column | {
+            f"left_of_{key}": deviation_array.tolist()
+            for key, deviation_array in self.deviations.items()
+        }
 
     def _units(self) -> Mapping[str, str]:
-        units = {f"left_of_{key}": unit_of_key(key) for key in self.now}
-        return units | {"information": "nats"}
+        unit_by_column = {f"left_of_{key}": unit_of_key(key) for key in self.now}
+        return unit_by_column | {"information": "nats"}
 
     def _title(self) -> str:
         if not self.measurements:
@@ -91,138 +98,257 @@ class Worth(Tabular):
         return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
 
 
-def worth_of(
+def rank_measurements(
     likelihood: Likelihood,
     x: np.ndarray,
     measurements: Sequence[Measurement] | None,
     deviations: tuple[float, float],
 ) -> Worth:
-    """Return the worth of further measurements at an estimate x (d,) from some measurements.
+    """Rank further measurements by their information at an estimate x (d,).
+
+    The deviations are relative, for frequencies and for harmonics, of default candidates.
 
     Raises
     ------
     InputError
         A standard deviation is not > 0, or a measurement is not one of the forward model.
     """
-    names = ("frequency_deviation", "harmonic_deviation")
-    for name, deviation in zip(names, deviations, strict=True):
-        check_number(name, deviation, 0.0, excludes_bound=True)
-    model, made = likelihood.quantities.model, likelihood.quantities.rows
-    rows = tuple(measurements or ())
-    for row in rows:
-        row.check(model.scene)
+    argument_names = ("frequency_deviation", "harmonic_deviation")
+    for argument_name, deviation in zip(argument_names, deviations, strict=True):
+        check_number(argument_name, deviation, 0.0, excludes_bound=True)
+    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
+    candidate_rows = tuple(measurements or ())
+    for measurement in candidate_rows:
+        measurement.check(model.scene)
     if measurements is None:
-        rows = (*model.candidates(), *_more_probes(made))
-    count = len(made)
-    quantities = model.quantities(made, rows)
-    values = quantities(x[None]).values[0]
-    noise = np.array([row.deviation for row in rows])
+        candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
+    n_measured = len(measured_rows)
+    predictor = model.make_predictor(measured_rows, candidate_rows)
+    predicted_values = predictor(x[None]).values[0]
+    candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     if measurements is None:
-        at_probe = np.array([row.quantity == "displacement" for row in rows])
-        shares = np.where([row.natural for row in rows], *deviations)
-        noise = np.where(at_probe, noise, shares * values[count:])
-    fit = np.isfinite(values[count:]) & (noise > 0.0)
-    every = np.concatenate([likelihood.deviations, np.where(fit, noise, 1.0)])
-    seen, first = _seen(quantities, x, every), np.arange(count)
-    before, now = _known(model, x, seen, first)
-    each = [_known(model, x, seen, np.append(first, count + at)) for at in range(len(rows))]
-    gains = 0.5 * np.maximum([after - before for after, _ in each], 0.0)  # below 0 by rounding
-    best = [int(at) for at in np.argsort(-gains, kind="stable") if fit[at]]
+        candidate_deviations = _assume_deviations(
+            candidate_rows, predicted_values[n_measured:], deviations
+        )
+    is_usable = np.isfinite(predicted_values[n_measured:]) & (candidate_deviations > 0.0)
+    all_deviations = np.concatenate(
+        [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
+    )
+    covariance_and_slopes = _compute_covariance_and_slopes(predictor, x, all_deviations)
+    measured_indices = np.arange(n_measured)
+    measured_log_determinant, measured_deviation_by_key = _compute_log_determinant_and_deviations(
+        model, x, covariance_and_slopes, measured_indices
+    )
+    candidate_results = [
+        _compute_log_determinant_and_deviations(
+            model,
+            x,
+            covariance_and_slopes,
+            np.append(measured_indices, n_measured + candidate_index),
+        )
+        for candidate_index in range(len(candidate_rows))
+    ]
+    candidate_log_determinants = np.array(
+        [log_determinant for log_determinant, _ in candidate_results]
+    )
+    # Below 0 by rounding.
+    information_gains = 0.5 * np.maximum(candidate_log_determinants - measured_log_determinant, 0.0)
+    ranked_indices = [
+        int(candidate_index)
+        for candidate_index in np.argsort(-information_gains, kind="stable")
+        if is_usable[candidate_index]
+    ]
     return Worth(
         tuple(
-            replace(rows[at], value=float(values[count + at]), deviation=float(noise[at]))
-            for at in best
+            replace(
+                candidate_rows[candidate_index],
+                value=float(predicted_values[n_measured + candidate_index]),
+                deviation=float(candidate_deviations[candidate_index]),
+            )
+            for candidate_index in ranked_indices
         ),
-        gains[best],
-        {key: np.array([each[at][1][key] for at in best]) for key in model.keys},
-        now,
+        information_gains[ranked_indices],
+        {
+            key: np.array(
+                [candidate_results[candidate_index][1][key] for candidate_index in ranked_indices]
+            )
+            for key in model.unknown_keys
+        },
+        measured_deviation_by_key,
     )
 
 
-def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
-    """Return in words the next measurements: missing frequencies of the plate before it had a
-    crack, and the most informative other one; none that changes no printed digit."""
-    model, rows = likelihood.quantities.model, likelihood.quantities.rows
-    measured = {row.mode for row in rows if row.natural} or {1, 2}
-    known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
-    found, relative = [], OPTIONS.frequency_deviation
-    if model.coarse.bare is not None and (missing := sorted(measured - known)):
-        more = [
-            Measurement("frequency_uncracked", hertz, relative * hertz, mode=mode)
-            for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
-            if mode in missing
+def _assume_deviations(
+    candidate_rows: Sequence[Measurement],
+    predicted_values: np.ndarray,
+    relative_deviations: tuple[float, float],
+) -> np.ndarray:
+    """Return the deviations assumed for default candidates (n,).
+
+    Displacements keep their own. Others have relative ones, of frequencies and of harmonics.
+    """
+    own_deviations = np.array([measurement.deviation for measurement in candidate_rows])
+    is_at_probe = np.array(
+        [measurement.quantity == "displacement" for measurement in candidate_rows]
+    )
+    row_relative_deviations = np.where(
+        [measurement.natural for measurement in candidate_rows], *relative_deviations
+    )
+    return np.where(is_at_probe, own_deviations, row_relative_deviations * predicted_values)
+
+
+def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
+    """Describe the next measurements in words.
+
+    They are missing frequencies of the plate before it had a crack, and the most informative
+    measurement. Advice that changes no printed digit is left out.
+    """
+    model, rows = likelihood.predictor.model, likelihood.predictor.rows
+    measured_modes = {measurement.mode for measurement in rows if measurement.natural} or {1, 2}
+    calibrated_modes = {
+        measurement.mode for measurement in rows if measurement.quantity == "frequency_uncracked"
+    }
+    advice_texts, relative_deviation = [], OPTIONS.advised_frequency_deviation
+    if model.coarse_cases.uncracked_cases is not None and (
+        missing_modes := sorted(measured_modes - calibrated_modes)
+    ):
+        missing_rows = [
+            Measurement(
+                "frequency_uncracked",
+                natural_frequency,
+                relative_deviation * natural_frequency,
+                mode=mode,
+            )
+            for mode, natural_frequency in enumerate(
+                model.uncracked_plate.natural_frequencies.tolist(), 1
+            )
+            if mode in missing_modes
         ]
-        modes = f"{'ies' if len(missing) > 1 else 'y'} {', '.join(map(str, missing))}"
-        what = f"natural frequenc{modes} before there was a crack (frequency_uncracked)"
-        if gained := _gained(worth.now, _left_with(likelihood, x, more)):
-            found.append(f"{what}, to {relative:.1%}: {gained}")
+        modes_text = (
+            f"{'ies' if len(missing_modes) > 1 else 'y'} {', '.join(map(str, missing_modes))}"
+        )
+        rows_text = f"natural frequenc{modes_text} before there was a crack (frequency_uncracked)"
+        if gain_text := _describe_gain(
+            worth.now, _compute_deviations_with(likelihood, x, missing_rows)
+        ):
+            advice_texts.append(f"{rows_text}, to {relative_deviation:.1%}: {gain_text}")
     if worth.measurements:
-        left = {key: float(values[0]) for key, values in worth.deviations.items()}
-        if gained := _gained(worth.now, left):
-            found.append(f"{worth.measurements[0].name}: {gained}")
-    return found
+        deviation_by_key = {key: float(values[0]) for key, values in worth.deviations.items()}
+        if gain_text := _describe_gain(worth.now, deviation_by_key):
+            advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
+    return advice_texts
 
 
-def _gained(now: Mapping[str, float], after: Mapping[str, float]) -> str:
-    """Gain of a measurement, in words: "crack length to 0.2 mm in place of 1 mm", of the unknowns
-    whose printed standard deviations change."""
-    pairs = ((key, value_in_words(key, after[key]), value_in_words(key, now[key])) for key in now)
-    return ", ".join(f"{key_in_words(k)} to {a} in place of {b}" for k, a, b in pairs if a != b)
+def _describe_gain(
+    current_deviation_by_key: Mapping[str, float], improved_deviation_by_key: Mapping[str, float]
+) -> str:
+    """Describe the gain of a measurement: "crack length to 0.2 mm in place of 1 mm".
+
+    Only unknowns with a change in the printed standard deviation are named.
+    """
+    printed_deviations = (
+        (
+            key,
+            value_in_words(key, improved_deviation_by_key[key]),
+            value_in_words(key, current_deviation_by_key[key]),
+        )
+        for key in current_deviation_by_key
+    )
+    return ", ".join(
+        f"{key_in_words(key)} to {improved_text} in place of {current_text}"
+        for key, improved_text, current_text in printed_deviations
+        if improved_text != current_text
+    )
 
 
-def _left_with(
-    likelihood: Likelihood, x: np.ndarray, more: Sequence[Measurement]
+def _compute_deviations_with(
+    likelihood: Likelihood, x: np.ndarray, further_rows: Sequence[Measurement]
 ) -> dict[str, float]:
-    """Standard deviation of each unknown with some further measurements, all of them."""
-    model = likelihood.quantities.model
-    quantities = model.quantities(likelihood.quantities.rows, more)
-    every = np.concatenate([likelihood.deviations, [row.deviation for row in more]])
-    return _known(model, x, _seen(quantities, x, every), np.arange(len(every)))[1]
+    """Return the standard deviation of each unknown with all further measurements."""
+    model = likelihood.predictor.model
+    predictor = model.make_predictor(likelihood.predictor.rows, further_rows)
+    all_deviations = np.concatenate(
+        [likelihood.measurement_deviations, [measurement.deviation for measurement in further_rows]]
+    )
+    return _compute_log_determinant_and_deviations(
+        model,
+        x,
+        _compute_covariance_and_slopes(predictor, x, all_deviations),
+        np.arange(len(all_deviations)),
+    )[1]
 
 
-def _known(
-    model: Model, x: np.ndarray, seen: tuple[np.ndarray, np.ndarray], places: np.ndarray
+def _compute_log_determinant_and_deviations(
+    model: ForwardModel,
+    x: np.ndarray,
+    covariance_and_slopes: tuple[np.ndarray, np.ndarray],
+    row_indices: np.ndarray,
 ) -> tuple[float, dict[str, float]]:
-    """log det F of some (n,) of the measurements, from the covariance and the derivatives of all;
-    and the standard deviation of each unknown by them."""
-    covariance, slopes = seen[0][np.ix_(places, places)], seen[1][places]
-    information = with_prior(slopes.T @ np.linalg.solve(covariance, slopes))
-    own = np.sqrt(np.diag(np.linalg.inv(information))) * (model.cube.high - model.cube.low)
-    left = np.hypot(own, model.crack_deviations(x[None])[0])
-    volume = float(np.linalg.slogdet(information)[1])
-    return volume, dict(zip(model.keys, left.tolist(), strict=True))
+    """Compute log det F for rows (n,), and the standard deviation of each unknown.
+
+    The covariance and the slopes are those of all measurements.
+    """
+    selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
+    selected_slopes = covariance_and_slopes[1][row_indices]
+    fisher_information = add_uniform_prior(
+        selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
+    )
+    equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
+        model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
+    )
+    crack_and_fit_deviations = np.hypot(
+        equivalent_deviations, model.compute_crack_deviations(x[None])[0]
+    )
+    information_log_determinant = float(np.linalg.slogdet(fisher_information)[1])
+    return information_log_determinant, dict(
+        zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
+    )
 
 
-def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
-    """Possible displacements of one more probe, at 24 phases of the period."""
-    phases, probes = 2.0 * np.pi * np.arange(24) / 24, []
-    for passages in Passages.among(made, ()):
-        rows = [made[place] for place in passages.rows]
-        deviation = float(np.median([row.deviation for row in rows]))
-        one = replace(rows[0], value=0.0, deviation=deviation)
-        probes += [replace(one, phase=phase) for phase in phases.tolist()]
-    return probes
+def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
+    """List displacements for a further probe, at 24 phases of the period."""
+    phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
+    for probe_group in ProbeDisplacements.group_measurements(measured_rows, ()):
+        group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
+        deviation = float(np.median([measurement.deviation for measurement in group_rows]))
+        probe_row = replace(group_rows[0], value=0.0, deviation=deviation)
+        candidates += [replace(probe_row, phase=phase) for phase in phases.tolist()]
+    return candidates
 
 
-def _seen(
-    quantities: Quantities, x: np.ndarray, deviations: np.ndarray
+def _compute_covariance_and_slopes(
+    predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance (q, q) of measurements and predictions, over standard deviations (q,), and their
-    derivatives by the unknowns over their ranges (q, d); 0 without a prediction."""
-    predicted, cube = quantities(x[None]), quantities.model.cube
-    covariance = scaled_covariance(predicted, np.nan_to_num(predicted.values[0]), deviations)[0]
-    steps = np.diag(1e-3 * (cube.high - cube.low))
-    above, below = np.minimum(x + steps, cube.high), np.maximum(x - steps, cube.low)
-    distance = np.diag(above - below) / (cube.high - cube.low)
-    difference = quantities(above).values - quantities(below).values
-    slopes = (difference / distance[:, None]).T / deviations[:, None]
-    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
-    return covariance, slopes
+    """Return the covariance of measurements and their slopes by the unknowns at x (d,).
+
+    Returns
+    -------
+    covariance : (q, q)
+        Over products of the standard deviations (q,).
+    slopes : (q, d)
+        Derivatives of predictions over their standard deviations, by the unknowns over their
+        ranges; 0 without a prediction.
+    """
+    prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
+    scaled_covariance = compute_scaled_covariance(
+        prediction, np.nan_to_num(prediction.values[0]), deviations
+    )[0]
+    difference_steps = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
+    upper_points = np.minimum(x + difference_steps, unknown_grid.upper_bounds)
+    lower_points = np.maximum(x - difference_steps, unknown_grid.lower_bounds)
+    relative_distances = np.diag(upper_points - lower_points) / (
+        unknown_grid.upper_bounds - unknown_grid.lower_bounds
+    )
+    value_differences = predictor(upper_points).values - predictor(lower_points).values
+    scaled_slopes = (value_differences / relative_distances[:, None]).T / deviations[:, None]
+    scaled_slopes[~np.isfinite(scaled_slopes).all(axis=1)] = 0.0
+    return scaled_covariance, scaled_slopes
 
 
 # --- the result -----------------------------------------------------------------------------------
 
-NO_CRACK = "no crack"
+NO_CRACK_VERDICT = "no crack"
+"""Verdict on a plate without a crack."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -234,15 +360,15 @@ class Identification(Tabular):
     scene : Scene
         The scene with its table ``[identify]``.
     measurements : Measurements
-        The measurements, without those that the forward model could not predict.
+        The measurements that the forward model predicts.
     posterior : Posterior
         The probability of the unknowns, on a grid.
     plain : Posterior, optional
-        That of the plate without its crack; None where there is no such plate.
+        The posterior of the plate without its crack; None if there is no such plate.
     remarks : tuple of str
         Limits of these measurements.
     doubts : tuple of str
-        Failed cases of the forward model, and measurements that are not used for that.
+        Failed cases of the forward model, and measurements that are not used for that reason.
     """
 
     scene: Scene
@@ -254,139 +380,207 @@ class Identification(Tabular):
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """The unknowns that are numbers."""
-        return self._at[0].likelihood.quantities.model.keys
+        """Return the keys of the unknowns that are numbers."""
+        return self._estimate_branch_and_unknowns[0].likelihood.predictor.model.unknown_keys
 
     @property
     def priors(self) -> dict[str, float]:
-        """Priors and levels of confidence by their keys of ``[identify]``."""
-        return self._table.priors
+        """Return priors and confidence levels by their keys in ``[identify]``."""
+        return self._identify_table.priors
 
     @property
-    def _table(self) -> Identify:
-        """The table ``[identify]`` with the standard deviation of the temperature."""
-        return next(iter(self.posterior.branches.values())).likelihood.quantities.model.whole.table
+    def _identify_table(self) -> Identify:
+        """Return the table ``[identify]`` with the standard deviation of the temperature."""
+        return next(
+            iter(self.posterior.branch_by_words.values())
+        ).likelihood.predictor.model.uncracked_plate.identify_table
 
     @cached_property
-    def _parts(self) -> list[tuple[str, np.ndarray, float]]:
-        return self.posterior.parts(self._table.confidence, OPTIONS.least_part)
+    def _region_parts(self) -> list[tuple[str, np.ndarray, float]]:
+        """List the region's separate parts: words, middle (d,) and probability, largest first."""
+        return self.posterior.find_region_parts(
+            self._identify_table.confidence, OPTIONS.min_part_probability
+        )
 
     @cached_property
-    def _at(self) -> tuple[Branch, np.ndarray]:
-        """The branch and the unknowns of the estimate."""
-        name, x = self._parts[0][:2] if self._parts else self.posterior.best
-        return self.posterior.branches[name], x
+    def _estimate_branch_and_unknowns(self) -> tuple[Branch, np.ndarray]:
+        """Return the branch and the unknowns (d,) of the estimate."""
+        branch_words, x = (
+            self._region_parts[0][:2]
+            if self._region_parts
+            else self.posterior.best_words_and_unknowns
+        )
+        return self.posterior.branch_by_words[branch_words], x
 
     @property
     def estimate(self) -> dict[str, Any]:
-        """Mean of the unknowns over the most probable part of the region, words too."""
-        branch, x = self._at
-        return branch.values(x)
+        """Return the unknowns' mean over the most probable part of the region.
+
+        Words have their values there.
+        """
+        branch, x = self._estimate_branch_and_unknowns
+        return branch.get_value_by_key(x)
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """Interval of each unknown with the probability ``identify.confidence``."""
-        found, share = self.posterior.interval, self._table.confidence
-        return {key: found(place, share) for place, key in enumerate(self.unknown)}
+        """Return the interval of each unknown with the probability ``identify.confidence``."""
+        compute_interval = self.posterior.compute_interval
+        probability = self._identify_table.confidence
+        return {
+            key: compute_interval(unknown_index, probability)
+            for unknown_index, key in enumerate(self.unknown)
+        }
 
     @property
     def log_bayes_factor(self) -> float:
-        """log of the evidence of a crack over that of none; nan without a plate without a crack."""
-        other = np.nan if self.plain is None else self.plain.log_evidence
-        return self.posterior.log_evidence - other
+        """Return the log ratio of the evidences, crack over no crack.
+
+        nan without a plate without a crack.
+        """
+        uncracked_log_evidence = np.nan if self.plain is None else self.plain.log_evidence
+        return self.posterior.log_evidence - uncracked_log_evidence
 
     @property
     def verdict(self) -> str:
-        """The word "crack" or "no crack" where the evidence prefers it by
-        ``identify.log_bayes_factor``, else, and by :attr:`reason`, "undecided"."""
-        return self._assessed[0]
+        """Return "crack" or "no crack" if the evidence prefers it, otherwise "undecided".
+
+        The evidence must exceed ``identify.log_bayes_factor``; :attr:`reason` says why.
+        """
+        return self._verdict_and_reason[0]
 
     @property
     def conclusion(self) -> str:
-        """The verdict in words: of no crack with the sizes, ends of :attr:`intervals`, up to which
-        there may be one all the same."""
-        ends = [(key, end) for key, (_, end) in self.intervals.items() if key in OF_SIZE]
-        sizes = [f"{value_in_words(key, end)} of {key_in_words(key)}" for key, end in ends]
-        above = f" above {' or '.join(sizes)}" if sizes else " of the scene's size"
-        return self.verdict + above * (self.verdict == NO_CRACK)
+        """Return the verdict in words.
+
+        "No crack" comes with the sizes, upper ends of :attr:`intervals`, up to which a crack may
+        exist all the same.
+        """
+        upper_ends = [
+            (key, upper_end)
+            for key, (_, upper_end) in self.intervals.items()
+            if key in CRACK_SIZE_KEYS
+        ]
+        size_texts = [
+            f"{value_in_words(key, upper_end)} of {key_in_words(key)}"
+            for key, upper_end in upper_ends
+        ]
+        above_text = f" above {' or '.join(size_texts)}" if size_texts else " of the scene's size"
+        return self.verdict + above_text * (self.verdict == NO_CRACK_VERDICT)
 
     @property
     def reason(self) -> str:
-        """Reason for the verdict, in words."""
-        return self._assessed[1]
+        """Return the reason for the verdict, in words."""
+        return self._verdict_and_reason[1]
 
     @cached_property
-    def _assessed(self) -> tuple[str, str]:
-        """Verdict and reason, from the misfits of both hypotheses, the logarithm of the ratio of
-        their evidences, and the interval of a crack."""
-        undecided, priors = "undecided", self.priors
+    def _verdict_and_reason(self) -> tuple[str, str]:
+        """Return verdict and reason.
+
+        They follow from both hypotheses' misfits, the log Bayes factor, and the intervals.
+        """
+        undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
-            return undecided, "there is no plate without a crack to compare with"
-        least, strong = 1.0 - priors["confidence"], priors["log_bayes_factor"]
-        fits, healthy, ratio = self.misfit[1], self.plain.misfit[1], self.log_bayes_factor
-        factor = f"log Bayes factor {ratio:.3g}, crack over no crack"
-        if max(fits, healthy) < least:
-            why = "neither a crack of this kind nor a plate without one explains the measurements"
-            other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
-            return undecided, f"{why}; {other} ({factor})"
-        if ratio > strong and healthy >= least:
-            why = "a plate without a crack explains the measurements within its priors"
-            return undecided, f"{why} ({factor}){_if_as_before(self)}"
-        if ratio < -strong:
-            unseen = f"{factor}; an undetected one would be at {_where(self)}"
-            return NO_CRACK, unseen + _if_as_before(self)
-        conditions = _if_alone(self) + _if_as_before(self)
-        if ratio > strong:
-            return "crack", factor + _if_warmer(self) + conditions
-        return undecided, f"{factor}; if there is one it is at {_where(self)}{conditions}"
+            return undecided_verdict, "there is no plate without a crack to compare with"
+        min_p_value, min_log_bayes_factor = (
+            1.0 - prior_by_key["confidence"],
+            prior_by_key["log_bayes_factor"],
+        )
+        crack_p_value = self.misfit[1]
+        uncracked_p_value = self.plain.misfit[1]
+        log_bayes_factor = self.log_bayes_factor
+        factor_text = f"log Bayes factor {log_bayes_factor:.3g}, crack over no crack"
+        if max(crack_p_value, uncracked_p_value) < min_p_value:
+            reason_text = (
+                "neither a crack of this kind nor a plate without one explains the measurements"
+            )
+            alternatives_text = (
+                "two cracks, one of another kind or elsewhere, or a wrong measurement might"
+            )
+            return undecided_verdict, f"{reason_text}; {alternatives_text} ({factor_text})"
+        if log_bayes_factor > min_log_bayes_factor and uncracked_p_value >= min_p_value:
+            reason_text = "a plate without a crack explains the measurements within its priors"
+            return (
+                undecided_verdict,
+                f"{reason_text} ({factor_text}){_describe_unchanged_plate_condition(self)}",
+            )
+        if log_bayes_factor < -min_log_bayes_factor:
+            unseen_crack_text = (
+                f"{factor_text}; an undetected one would be at {_describe_intervals(self)}"
+            )
+            return NO_CRACK_VERDICT, unseen_crack_text + _describe_unchanged_plate_condition(self)
+        conditions_text = _describe_single_crack_condition(
+            self
+        ) + _describe_unchanged_plate_condition(self)
+        if log_bayes_factor > min_log_bayes_factor:
+            return "crack", factor_text + _describe_warming_condition(self) + conditions_text
+        return (
+            undecided_verdict,
+            f"{factor_text}; if there is one it is at {_describe_intervals(self)}{conditions_text}",
+        )
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """chi^2 where the likelihood is largest, and its p-value with as many degrees of freedom as
-        there are measurements more than unknowns (and three of the load of displacements)."""
+        """Return chi^2 at the largest likelihood, and its p-value.
+
+        The degrees of freedom are the measurements less the unknowns (and three for the load behind
+        displacements).
+        """
         return self.posterior.misfit
 
     @property
     def advice(self) -> list[str]:
-        """The next measurements, in words: missing frequencies of the plate before it had a crack,
-        and the most informative other one."""
-        branch, x = self._at
-        return advice(branch.likelihood, x, self.where_to_measure())
+        """Return the next measurements in words.
+
+        They are missing frequencies of the plate before it had a crack, and the most informative
+        measurement.
+        """
+        branch, x = self._estimate_branch_and_unknowns
+        return list_advice(branch.likelihood, x, self.where_to_measure())
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
-        """Separate cracks that explain the measurements, best first, with probabilities; more than
-        one cannot be distinguished."""
-        branches = self.posterior.branches
-        return [(branches[name].values(x), mass) for name, x, mass in self._parts]
+        """Return separate cracks that explain the measurements, best first, with probabilities.
+
+        Several cannot be distinguished.
+        """
+        branch_by_words = self.posterior.branch_by_words
+        return [
+            (branch_by_words[branch_words].get_value_by_key(part_middle), part_probability)
+            for branch_words, part_middle, part_probability in self._region_parts
+        ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
-        """Return True if given values of all unknowns are in the region with a probability, by
-        default ``identify.confidence``.
+        """Return True if values of all unknowns lie in the region with a probability.
+
+        The probability is by default ``identify.confidence``.
 
         Raises
         ------
         InputError
             An unknown is missing.
         """
-        for branch in self.posterior.branches.values():
-            model = branch.likelihood.quantities.model
-            missing = [key for key in (*model.keys, *model.fixed) if key not in values]
-            if missing:
-                raise InputError("values", dict(values), f"with {', '.join(missing)}")
-            if all(values[key] == word for key, word in model.fixed.items()):
-                x = np.array([float(values[key]) for key in model.keys])
-                return branch.at(x) >= self.posterior.level(share or self._table.confidence)
+        for branch in self.posterior.branch_by_words.values():
+            model = branch.likelihood.predictor.model
+            missing_keys = [
+                key for key in (*model.unknown_keys, *model.word_by_key) if key not in values
+            ]
+            if missing_keys:
+                raise InputError("values", dict(values), f"with {', '.join(missing_keys)}")
+            if all(values[key] == word for key, word in model.word_by_key.items()):
+                x = np.array([float(values[key]) for key in model.unknown_keys])
+                return branch.interpolate_log_likelihood(x) >= self.posterior.find_region_level(
+                    share or self._identify_table.confidence
+                )
         return False
 
     def where_to_measure(
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = OPTIONS.frequency_deviation,
+        frequency_deviation: float = OPTIONS.advised_frequency_deviation,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
-        """Worth of one more measurement, from the Fisher information at the estimate.
+        """Return the worth of one more measurement, by the Fisher information at the estimate.
 
         Parameters
         ----------
@@ -403,48 +597,55 @@ class Identification(Tabular):
             A measurement is not one of the forward model.
         """
         deviations = frequency_deviation, harmonic_deviation
-        branch, x = self._at
-        return worth_of(branch.likelihood, x, measurements, deviations)
+        branch, x = self._estimate_branch_and_unknowns
+        return rank_measurements(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
-        """Write ``identify.json``, and ``identify.h5``, with it and the posterior (collective).
+        """Write ``identify.json``, and ``identify.h5`` with it and the posterior (collective).
 
         Raises
         ------
         InputError
             A file cannot be written.
         """
-        parts: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
-        for number, (name, branch) in enumerate(self.posterior.branches.items()):
-            parts[f"words_{number}"] = name
-            parts[f"log_likelihood_{number}"] = branch.height
-            parts[f"probability_{number}"] = self.posterior.mass[name]
-            for key, axis in zip(self.unknown, branch.axes, strict=True):
-                parts[f"{key}_{number}"] = axis
-        text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
-        parts["summary"] = text
-        write_result_file(parts, Path(folder) / "identify.h5", IDENTIFICATION_KIND, self.scene)
-        write_file_whole(Path(folder) / "identify.json", text + "\n")
+        data_by_name: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
+        for branch_number, (branch_words, branch) in enumerate(
+            self.posterior.branch_by_words.items()
+        ):
+            data_by_name[f"words_{branch_number}"] = branch_words
+            data_by_name[f"log_likelihood_{branch_number}"] = branch.grid_log_likelihood
+            data_by_name[f"probability_{branch_number}"] = self.posterior.mass_by_words[
+                branch_words
+            ]
+            for unknown_key, axis_values in zip(self.unknown, branch.axes, strict=True):
+                data_by_name[f"{unknown_key}_{branch_number}"] = axis_values
+        summary_text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
+        data_by_name["summary"] = summary_text
+        write_result_file(
+            data_by_name, Path(folder) / "identify.h5", IDENTIFICATION_KIND, self.scene
+        )
+        write_file_whole(Path(folder) / "identify.json", summary_text + "\n")
 
     # --- shown ------------------------------------------------------------------------------------
 
     def summary(self) -> dict[str, Any]:
-        """Everything in words and numbers, as ``identify.json`` has it."""
-        ratio = self.log_bayes_factor
-        total, chance = self.misfit
+        """Return everything in words and numbers, as in ``identify.json``."""
+        log_bayes_factor = self.log_bayes_factor
+        chi_square, p_value = self.misfit
         return {
             "verdict": self.verdict,
             "conclusion": self.conclusion,
             "reason": self.reason,
-            "log_bayes_factor": None if np.isnan(ratio) else ratio,
+            "log_bayes_factor": None if np.isnan(log_bayes_factor) else log_bayes_factor,
             "estimate": self.estimate,
             "priors": self.priors,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
             "alternatives": [
-                {"values": values, "probability": mass} for values, mass in self.alternatives
+                {"values": values, "probability": part_probability}
+                for values, part_probability in self.alternatives
             ],
-            "chi_square": total,
-            "probability_of_misfit": chance,
+            "chi_square": chi_square,
+            "probability_of_misfit": p_value,
             "remarks": list(self.remarks),
             "warnings": self.warnings,
             "advice": self.advice,
@@ -452,180 +653,296 @@ class Identification(Tabular):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every unknown that is a number."""
+        """Return columns with a row for every unknown that is a number."""
         estimate, intervals = self.estimate, self.intervals
         return {
             "unknown": list(self.unknown),
             "estimate": [estimate[key] for key in self.unknown],
-            "deviation": [self.posterior.spread(place) for place in range(len(self.unknown))],
+            "deviation": [
+                self.posterior.compute_deviation(unknown_index)
+                for unknown_index in range(len(self.unknown))
+            ],
             "low": [intervals[key][0] for key in self.unknown],
             "high": [intervals[key][1] for key in self.unknown],
             "unit": [unit_of_key(key) for key in self.unknown],
         }
 
     def fit_table(self) -> Table:
-        """Each measurement with the prediction of the estimate, both standard deviations, and the
-        residual over both together."""
-        branch, x = self._at
+        """Return each measurement with its prediction at the estimate.
+
+        It has both standard deviations, and the residual over both together.
+        """
+        branch, x = self._estimate_branch_and_unknowns
         likelihood = branch.likelihood
-        found = likelihood.likeliest(x)
-        predicted = found.values[0]
-        spread = np.where(found.known, np.sqrt(np.diag(found.covariance[0])), np.inf)
-        residuals = (likelihood.values - predicted) / np.hypot(likelihood.deviations, spread)
-        columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
-        names = [row.name for row in likelihood.quantities.rows]
-        rows = [list(row) for row in zip(names, *(c.tolist() for c in columns), strict=True)]
-        return Table(FITTED, rows)
+        prediction = likelihood.predict_most_probable(x)
+        predicted_values = prediction.values[0]
+        model_deviations = np.where(
+            prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
+        )
+        residuals = (likelihood.measurement_values - predicted_values) / np.hypot(
+            likelihood.measurement_deviations, model_deviations
+        )
+        table_columns = (
+            likelihood.measurement_values,
+            likelihood.measurement_deviations,
+            predicted_values,
+            model_deviations,
+            residuals,
+        )
+        row_names = [table_row.name for table_row in likelihood.predictor.rows]
+        table_rows = [
+            list(table_row)
+            for table_row in zip(
+                row_names, *(table_column.tolist() for table_column in table_columns), strict=True
+            )
+        ]
+        return Table(FIT_COLUMN_NAMES, table_rows)
 
     @property
     def warnings(self) -> list[str]:
-        """Points to be careful about: cases that failed, several cracks that fit, a misfit, a crack
-        by one measurement alone, an interval that the bounds cut."""
-        found, others = [*self.doubts, *_too_sure(self.measurements)], self.alternatives
-        if self.verdict == NO_CRACK:
-            return found
-        if len(others) > 1:
-            cracks = [
-                " and ".join(f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in values.items())
-                + f" ({mass:.0%})"
-                for values, mass in others
+        """Return warnings in words.
+
+        Reasons are failed cases, several possible cracks, a misfit, a crack by a single
+        measurement, and an interval up to the bounds.
+        """
+        warning_texts = [*self.doubts, *_warn_of_small_deviations(self.measurements)]
+        alternatives = self.alternatives
+        if self.verdict == NO_CRACK_VERDICT:
+            return warning_texts
+        if len(alternatives) > 1:
+            crack_texts = [
+                " and ".join(
+                    f"{key_in_words(unknown_key)} {value_in_words(unknown_key, unknown_value)}"
+                    for unknown_key, unknown_value in value_by_key.items()
+                )
+                + f" ({part_probability:.0%})"
+                for value_by_key, part_probability in alternatives
             ]
-            found.append(f"these cracks cannot be distinguished: {'; '.join(cracks)}")
-        found += _of_fit(self)
-        for place, beyond, bound in self.posterior.cut(self._table.confidence):
-            key = self.unknown[place]
-            where = f"{beyond} {value_in_words(key, bound)}"
-            found.append(f"{key_in_words(key)} may be {where}, outside the bounds of the search")
-        return found
+            warning_texts.append(f"these cracks cannot be distinguished: {'; '.join(crack_texts)}")
+        warning_texts += _warn_of_misfit(self)
+        for unknown_index, side_text, bound_value in self.posterior.iterate_reached_bounds(
+            self._identify_table.confidence
+        ):
+            unknown_key = self.unknown[unknown_index]
+            bound_text = f"{side_text} {value_in_words(unknown_key, bound_value)}"
+            warning_texts.append(
+                f"{key_in_words(unknown_key)} may be {bound_text}, outside the bounds of the search"
+            )
+        return warning_texts
 
     def _title(self) -> str:
-        parts = [self.conclusion]
+        title_parts = [self.conclusion]
         if not np.isnan(self.log_bayes_factor):
-            parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
-        if self.verdict == NO_CRACK:
-            return parts[0]
-        for place, key in enumerate(self.unknown):
-            value = value_in_words(key, self.estimate[key])
-            parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
+            title_parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
+        if self.verdict == NO_CRACK_VERDICT:
+            return title_parts[0]
+        for unknown_index, unknown_key in enumerate(self.unknown):
+            estimate_text = value_in_words(unknown_key, self.estimate[unknown_key])
+            deviation_text = value_in_words(
+                unknown_key, self.posterior.compute_deviation(unknown_index)
+            )
+            title_parts.append(f"{unknown_key} = {estimate_text} ± {deviation_text}")
         if len(self.alternatives) > 1:
-            parts.append("NOT THE ONLY ONE")
-        parts += ["IF IT IS ONE CRACK"] * bool(_if_alone(self))
-        held = self.verdict == "crack" and _if_as_before(self)
-        return ", ".join(parts + ["IF ITS CLAMP HOLDS AS BEFORE"] * bool(held))
+            title_parts.append("NOT THE ONLY ONE")
+        title_parts += ["IF IT IS ONE CRACK"] * bool(_describe_single_crack_condition(self))
+        has_clamp_condition = self.verdict == "crack" and _describe_unchanged_plate_condition(self)
+        return ", ".join(title_parts + ["IF ITS CLAMP HOLDS AS BEFORE"] * bool(has_clamp_condition))
 
 
-def _too_sure(measurements: Measurements) -> list[str]:
-    """Natural frequencies whose standard deviation is smaller than their change by 0.1 K."""
-    rows = [row for row in measurements.rows if row.natural and row.deviation < 1e-5 * row.value]
+def _warn_of_small_deviations(measurements: Measurements) -> list[str]:
+    """Return a warning of a natural frequency with too small a deviation.
+
+    It is below the change by 0.1 K.
+    """
+    rows = [
+        measurement
+        for measurement in measurements.rows
+        if measurement.natural and measurement.deviation < 1e-5 * measurement.value
+    ]
     return [
-        f"{row.name} has a standard deviation of {row.deviation:.3g} Hz, less than its change by "
-        f"0.1 K: if a relative one is meant, it is {row.deviation * row.value:.3g} Hz"
-        for row in rows[:1]
+        f"{measurement.name} has a standard deviation of {measurement.deviation:.3g} Hz, less than "
+        "its change by 0.1 K: if a relative one is meant, it is "
+        f"{measurement.deviation * measurement.value:.3g} Hz"
+        for measurement in rows[:1]
     ]
 
 
-def _of_fit(found: Identification) -> list[str]:
-    """Warnings of a posterior that the grid does not resolve; of measurements that no crack
-    explains, with the one without which chi^2 is smallest; and of one alone that only a crack
-    explains."""
-    (total, chance), rows, said = found.misfit, found.measurements.rows, []
-    least = 1.0 - found.priors["confidence"]
-    if found.posterior.unresolved > OPTIONS.least_part:
-        said.append(
-            f"the grid does not resolve {found.posterior.unresolved:.0%} of the probability: the "
+def _warn_of_misfit(identification: Identification) -> list[str]:
+    """Return warnings of the fit.
+
+    One warns if the grid does not resolve the posterior. One warns if no crack explains the
+    measurements, and names the worst measurement by chi^2. One warns if single measurements alone
+    contradict a plate without a crack.
+    """
+    (chi_square, p_value) = identification.misfit
+    rows = identification.measurements.rows
+    warning_texts = []
+    min_p_value = 1.0 - identification.priors["confidence"]
+    if identification.posterior.unresolved_probability > OPTIONS.min_part_probability:
+        warning_texts.append(
+            "the grid does not resolve "
+            f"{identification.posterior.unresolved_probability:.0%} of the probability: the "
             "intervals may be far too small; use larger priors (identify.*_deviation), or measure "
             "more"
         )
-    now = sum(row.quantity != "frequency_uncracked" for row in rows)
-    if chance < least:
-        misfit = f"chi^2 = {total:.3g} of {len(rows)}"
-        if now > 1:
-            left = [one[0] for one in found.posterior.misfits_without_one]
-            at = int(np.argmin(left))
-            misfit += f", {left[at]:.3g} without {rows[at].name}"
-        said.append(f"no crack of this kind explains the measurements: {misfit}")
-    if now > 1 and found.plain is not None and found.plain.misfit[1] < least:
-        pairs = zip(rows, found.plain.misfits_without_one, strict=True)
-        if names := [row.name for row, (_, without) in pairs if without >= least]:
-            that = "these" if len(names) > 1 else "that"
-            alone = f"a plate without a crack explains all but {' or '.join(names)}"
-            said.append(f"{alone}: measure {that} again")
-    return said
+    n_current_rows = sum(measurement.quantity != "frequency_uncracked" for measurement in rows)
+    if p_value < min_p_value:
+        misfit_text = f"chi^2 = {chi_square:.3g} of {len(rows)}"
+        if n_current_rows > 1:
+            chi_squares_without_row = [
+                misfit[0] for misfit in identification.posterior.misfits_without_measurement
+            ]
+            worst_row = int(np.argmin(chi_squares_without_row))
+            misfit_text += (
+                f", {chi_squares_without_row[worst_row]:.3g} without {rows[worst_row].name}"
+            )
+        warning_texts.append(f"no crack of this kind explains the measurements: {misfit_text}")
+    if (
+        n_current_rows > 1
+        and identification.plain is not None
+        and identification.plain.misfit[1] < min_p_value
+    ):
+        rows_and_misfits = zip(rows, identification.plain.misfits_without_measurement, strict=True)
+        if row_names := [
+            measurement.name
+            for measurement, (_, p_value_without_row) in rows_and_misfits
+            if p_value_without_row >= min_p_value
+        ]:
+            rows_pronoun = "these" if len(row_names) > 1 else "that"
+            plate_text = f"a plate without a crack explains all but {' or '.join(row_names)}"
+            warning_texts.append(f"{plate_text}: measure {rows_pronoun} again")
+    return warning_texts
 
 
-def _if_alone(found: Identification) -> str:
-    """Condition of the verdict, in words, where two cracks have as many unknowns as there are
-    measured modes, or more, so that no misfit excludes two; else empty."""
-    table, rows = found._table, found.measurements.rows
-    keys = [axis.key for axis in table.unknown if not isinstance(axis.values[0], str)]
-    numbers = len(table.mesh_axes) + sum(key.startswith("crack.") for key in keys)
-    modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
-    if not all(row.natural for row in rows) or len(modes) > 2 * numbers:
-        return ""
-    same = f"may have the same frequencies of {format_count(len(modes), 'mode')}"
-    return f"; place and size are those of one crack: two of them, or one elsewhere, {same}"
+def _describe_single_crack_condition(identification: Identification) -> str:
+    """Return the condition of a single crack in words; else empty.
 
-
-def _if_as_before(found: Identification) -> str:
-    """Condition of the verdict, in words, where a plate without a crack does not explain the
-    measurements, but would with changes since before as large as a clamp can make.
-
-    The same where it does, but only by the prior of changes since before; else empty.
+    The condition applies if two cracks have at least as many unknowns as modes were measured: then
+    no misfit excludes two cracks.
     """
-    table, rows = found._table, found.measurements.rows
-    plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
-    heat = abs(0.5 * table.temperature_coefficient * found.priors["temperature_deviation"])
-    least = 1.0 - table.confidence
-    stated, most = max(table.before_deviation, heat), table.clamp_deviation
-    if plain is None or not known or stated == 0.0:
-        return ""
-    healthy = plain.misfit[1] >= least
-    if healthy and plain.misfit_since(temperature=0.0)[1] < least:
-        return (
-            f"; {_modulus_change(found, plain)}, explains the measurements without a crack: "
-            "measure the temperature, too, before and since (temperature), or open the clamp, "
-            "close it, measure again and give their change as identify.before_deviation"
-        )
-    factors = [
-        0.0 if healthy else max(1.0, most / one) if one else 1.0
-        for one in (table.before_deviation, heat)
+    identify_table, rows = identification._identify_table, identification.measurements.rows
+    number_keys = [
+        unknown_axis.key
+        for unknown_axis in identify_table.unknown
+        if not isinstance(unknown_axis.values[0], str)
     ]
-    other = plain.misfit_since(clamp=factors[0], temperature=factors[1])
-    if (other[1] >= least) == healthy:
+    n_numbers = len(identify_table.mesh_axes) + sum(key.startswith("crack.") for key in number_keys)
+    modes = {
+        measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
+    }
+    if not all(measurement.natural for measurement in rows) or len(modes) > 2 * n_numbers:
         return ""
-    such = f", or {_modulus_change(found, plain)}," if healthy else ""
+    frequencies_text = f"may have the same frequencies of {format_count(len(modes), 'mode')}"
     return (
-        "; a clamp, a temperature or a sensor that has changed frequencies by "
-        f"{stated if healthy else most:.2g} since before{such} explains the measurements without a "
-        f"crack (identify.before_deviation = {table.before_deviation:.2g}): open the clamp, close "
-        "it, measure again and give their change there"
+        "; place and size are those of one crack: two of them, or one elsewhere, "
+        f"{frequencies_text}"
     )
 
 
-def _if_warmer(found: Identification) -> str:
-    """The change of Young's modulus without which a crack does not explain the measurements, in
-    words; else empty."""
-    if found.posterior.misfit_since(temperature=0.0)[1] >= 1.0 - found.priors["confidence"]:
+def _describe_unchanged_plate_condition(identification: Identification) -> str:
+    """Return the condition of an unchanged plate in words; else empty.
+
+    The condition applies if a plate without a crack does not explain the measurements, but would
+    with changes since the baseline as large as a clamp can make. It also applies if the plate does
+    explain them, but only by the prior of changes.
+    """
+    identify_table, rows = identification._identify_table, identification.measurements.rows
+    uncracked_posterior = identification.plain
+    has_baseline = any(measurement.quantity == "frequency_uncracked" for measurement in rows)
+    thermal_frequency_change = abs(
+        0.5
+        * identify_table.temperature_coefficient
+        * identification.priors["temperature_deviation"]
+    )
+    min_p_value = 1.0 - identify_table.confidence
+    max_stated_change = max(identify_table.before_deviation, thermal_frequency_change)
+    clamp_deviation = identify_table.clamp_deviation
+    if uncracked_posterior is None or not has_baseline or max_stated_change == 0.0:
         return ""
-    return f"; with {_modulus_change(found, found.posterior)}"
+    is_uncracked_explained = uncracked_posterior.misfit[1] >= min_p_value
+    if (
+        is_uncracked_explained
+        and uncracked_posterior.compute_misfit_with_changes(temperature_factor=0.0)[1] < min_p_value
+    ):
+        return (
+            f"; {_describe_modulus_change(identification, uncracked_posterior)}, "
+            "explains the measurements without a crack: measure the temperature, too, before and "
+            "since (temperature), or open the clamp, close it, measure again and give their change "
+            "as identify.before_deviation"
+        )
+    clamp_and_temperature_factors = [
+        0.0
+        if is_uncracked_explained
+        else max(1.0, clamp_deviation / stated_change)
+        if stated_change
+        else 1.0
+        for stated_change in (identify_table.before_deviation, thermal_frequency_change)
+    ]
+    changed_misfit = uncracked_posterior.compute_misfit_with_changes(
+        clamp_factor=clamp_and_temperature_factors[0],
+        temperature_factor=clamp_and_temperature_factors[1],
+    )
+    if (changed_misfit[1] >= min_p_value) == is_uncracked_explained:
+        return ""
+    modulus_text = (
+        f", or {_describe_modulus_change(identification, uncracked_posterior)},"
+        if is_uncracked_explained
+        else ""
+    )
+    return (
+        "; a clamp, a temperature or a sensor that has changed frequencies by "
+        f"{max_stated_change if is_uncracked_explained else clamp_deviation:.2g} since before"
+        f"{modulus_text} explains the measurements without a crack (identify.before_deviation = "
+        f"{identify_table.before_deviation:.2g}): open the clamp, close it, measure again and give "
+        "their change there"
+    )
 
 
-def _modulus_change(found: Identification, posterior: Posterior) -> str:
-    """Posterior mean of the change of Young's modulus, in words: "a Young's modulus 1 % lower than
-    before, as about 25 K more make it"."""
-    kelvin = found.priors["temperature_deviation"] * posterior.temperature_change
-    change = found.priors["temperature_coefficient"] * kelvin
-    way = "lower" if change < 0.0 else "higher"
-    how = f"as about {abs(kelvin):.2g} K {'more' if kelvin > 0.0 else 'less'} make it"
-    return f"a Young's modulus {abs(change):.2%} {way} than before, {how}"
+def _describe_warming_condition(identification: Identification) -> str:
+    """Return the change of Young's modulus that a crack needs, in words; else empty.
+
+    Without the change the crack does not explain the measurements.
+    """
+    if (
+        identification.posterior.compute_misfit_with_changes(temperature_factor=0.0)[1]
+        >= 1.0 - identification.priors["confidence"]
+    ):
+        return ""
+    return f"; with {_describe_modulus_change(identification, identification.posterior)}"
 
 
-def _where(found: Identification) -> str:
-    """Intervals of the unknowns, in words, and sizes below the bounds of the search."""
-    cube = found.posterior.branches[found.posterior.best[0]].likelihood.quantities.model.cube
-    places = []
-    for (key, ends), least in zip(found.intervals.items(), cube.low, strict=True):
-        low, high = (value_in_words(key, end) for end in ends)
-        shorter = f", or below {value_in_words(key, least)}, outside the bounds of the search"
-        places.append(f"{key_in_words(key)} {low} to {high}{shorter * (key in OF_SIZE)}")
-    return "; ".join(places)
+def _describe_modulus_change(identification: Identification, posterior: Posterior) -> str:
+    """Return the posterior mean of the change of Young's modulus, in words.
+
+    An example: "a Young's modulus 1 % lower than before, as about 25 K more make it".
+    """
+    temperature_change = (
+        identification.priors["temperature_deviation"] * posterior.mean_temperature_change
+    )
+    relative_change = identification.priors["temperature_coefficient"] * temperature_change
+    direction_text = "lower" if relative_change < 0.0 else "higher"
+    kelvin_text = (
+        f"{abs(temperature_change):.2g} K {'more' if temperature_change > 0.0 else 'less'}"
+    )
+    modulus_text = f"a Young's modulus {abs(relative_change):.2%} {direction_text} than before"
+    return f"{modulus_text}, as about {kelvin_text} make it"
+
+
+def _describe_intervals(identification: Identification) -> str:
+    """Return the unknowns' intervals in words, and sizes below the bounds."""
+    unknown_grid = identification.posterior.branch_by_words[
+        identification.posterior.best_words_and_unknowns[0]
+    ].likelihood.predictor.model.unknown_grid
+    interval_texts = []
+    for (key, interval_ends), lower_bound in zip(
+        identification.intervals.items(), unknown_grid.lower_bounds, strict=True
+    ):
+        lower_text, upper_text = (
+            value_in_words(key, interval_end) for interval_end in interval_ends
+        )
+        shorter_text = (
+            f", or below {value_in_words(key, lower_bound)}, outside the bounds of the search"
+        )
+        interval_text = f"{key_in_words(key)} {lower_text} to {upper_text}"
+        interval_texts.append(interval_text + shorter_text * (key in CRACK_SIZE_KEYS))
+    return "; ".join(interval_texts)

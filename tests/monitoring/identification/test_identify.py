@@ -20,7 +20,10 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.monitoring.identification.report import Identified, report_of_identification
+from fenics_crack.monitoring.identification.report import (
+    IdentificationOutput,
+    report_of_identification,
+)
 from fenics_crack.scene.words import value_in_words
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
@@ -111,7 +114,10 @@ def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
         found = fc.identify(scene.replace(EXACT), rows, folder=folder)
         real = fc.identify(scene, rows, folder=folder)
         assert real.verdict == "crack" and real.contains(truth)
-        assert all(real.posterior.spread(k) > found.posterior.spread(k) for k in (0, 1))
+        assert all(
+            real.posterior.compute_deviation(k) > found.posterior.compute_deviation(k)
+            for k in (0, 1)
+        )
         assert found.verdict == "crack" and found.log_bayes_factor > 3.0
         assert all(one.startswith("interpolation between") for one in found.remarks)
         assert found.estimate["crack.length"] == pytest.approx(length, abs=0.03 * 0.1)
@@ -190,7 +196,9 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     least = f"no crack above {longest} of crack length"
     assert sound.conclusion == least and f"({least} (" in repr(sound) and "mm," not in repr(sound)
     assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
-    closing = report_of_identification(Identified(scene, sound.summary(), folder)).closing_sentence
+    closing = report_of_identification(
+        IdentificationOutput(scene, sound.summary(), folder)
+    ).closing_sentence
     assert sound.summary()["conclusion"] == least and closing.startswith(f"{least}; log")
 
 
@@ -229,7 +237,7 @@ def test_crack_from_arrivals(scene: fc.Scene, folder: Path) -> None:
     alone = fc.identify(scene.replace({"identify.frequencies": (700.0,)}), few, folder=folder)
 
     def area(found: fc.Identification) -> float:
-        return found.posterior.spread(0) * found.posterior.spread(1)
+        return found.posterior.compute_deviation(0) * found.posterior.compute_deviation(1)
 
     assert area(both) < 0.7 * area(alone)
     # Where one more probe would stand.
@@ -424,7 +432,7 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
         )  # fmt: skip
         both = plain.replace({"identify.frequencies": loads})  # one sweep
         found[load] = fc.identify(both, rows + harmonics, unknown, folder=folder)
-        spread[load] = found[load].posterior.spread(2)
+        spread[load] = found[load].posterior.compute_deviation(2)
     near = found[1735.0]
     assert near.estimate["damping.ratio"] == pytest.approx(0.011, rel=0.1)
     assert near.contains(truth) and spread[1735.0] < 0.1 * 0.011
@@ -518,11 +526,13 @@ def test_a_stiffer_plate(scene: fc.Scene, folder: Path) -> None:
     blind = fc.identify(scene, natural, folder=folder)
     found = fc.identify(scene, fc.Measurements((*natural.rows, *own)), folder=folder)
     assert not sure.contains(changes) and blind.contains(changes) and found.contains(changes)
-    assert found.verdict == "crack" and found.posterior.spread(1) < 0.6 * blind.posterior.spread(1)
+    assert found.verdict == "crack" and found.posterior.compute_deviation(
+        1
+    ) < 0.6 * blind.posterior.compute_deviation(1)
     assert found.estimate["crack.length"] == pytest.approx(0.02, abs=0.003)
     assert blind.advice[0].startswith("natural frequencies 1, 2, 3, 4, 5 before there was a crack")
     said = float(blind.advice[0].split("height of the crack to ")[1].split(" mm")[0])
-    assert said == pytest.approx(1e3 * found.posterior.spread(1), rel=0.5)
+    assert said == pytest.approx(1e3 * found.posterior.compute_deviation(1), rel=0.5)
     assert "before there was a crack" not in found.advice[0]
 
 
@@ -650,7 +660,7 @@ def test_intervals_that_the_bounds_cut(
     found = fc.identify(scene, natural_of(rows), folder=folder)
     said = [text for text in found.warnings if "outside the bounds of the search" in text]
     assert len(said) == cut and all("above" in text for text in said)
-    assert 0.03 < found.posterior.best[1][1] < 0.15
+    assert 0.03 < found.posterior.best_words_and_unknowns[1][1] < 0.15
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "kHz"), (1e3, "mHz")])

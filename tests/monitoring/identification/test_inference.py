@@ -24,27 +24,27 @@ from test_identify import PROBES, SPINNING, command_of_one_unknown
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.monitoring.identification.identify import remarks_on
+from fenics_crack.monitoring.identification.identify import list_measurement_remarks
 from fenics_crack.monitoring.identification.interpolation import (
-    Cube,
     Interpolation,
-    left_out_errors,
+    UnknownGrid,
+    compute_leave_one_out_errors,
 )
-from fenics_crack.monitoring.identification.model import Passages, Prediction
-from fenics_crack.monitoring.identification.nuisance import Whole, crack_deviations
+from fenics_crack.monitoring.identification.model import MeasurementPrediction, ProbeDisplacements
+from fenics_crack.monitoring.identification.nuisance import UncrackedPlate, compute_crack_deviations
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
-from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
-from fenics_crack.monitoring.scene_timing import mode_of, passed_in_words
+from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
+from fenics_crack.monitoring.scene_timing import describe_passage, match_mode
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
-SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
+SQUARE = UnknownGrid((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
 
 def test_errors_at_nodes_left_out() -> None:
     """Of a fifth power between the ends; a cubic has none."""
     line = np.linspace(0.0, 1.0, 8) ** 1.3
-    errors = left_out_errors(line, np.column_stack([line**3 - line, line**5]))
+    errors = compute_leave_one_out_errors(line, np.column_stack([line**3 - line, line**5]))
     np.testing.assert_allclose(errors[:, 0], 0.0, atol=1e-13)
     others = np.delete(line, 3)
     expected = line[3] ** 5 - CubicSpline(others, others**5)(line[3])
@@ -57,19 +57,23 @@ def test_order_of_the_interpolation() -> None:
     fewer values than a cubic needs quadratics."""
 
     def worst(count: int) -> float:
-        cube = Cube((np.linspace(0.0, 2.0, count), np.linspace(1.0, 3.0, count)))
+        cube = UnknownGrid((np.linspace(0.0, 2.0, count), np.linspace(1.0, 3.0, count)))
         x = np.stack(np.meshgrid(np.linspace(0, 2, 41), np.linspace(1, 3, 41)), -1).reshape(-1, 2)
         wave = np.sin(2.0 * cube.nodes[:, :1] + cube.nodes[:, 1:])
         return float(
-            np.abs(Interpolation(cube, wave).at(x) - np.sin(2.0 * x[:, :1] + x[:, 1:])).max()
+            np.abs(
+                Interpolation(cube, wave).interpolate(x) - np.sin(2.0 * x[:, :1] + x[:, 1:])
+            ).max()
         )
 
     order = np.log2(worst(9) / worst(17))
     assert 3.5 < order < 5.0
     for shape, power in (((4, 4), 3), ((5, 6), 3), ((4, 5, 3), 2)):
-        cube = Cube(tuple(np.linspace(0.0, k + 1.0, n) for k, n in enumerate(shape)))
-        x = cube.high * np.random.default_rng(0).random((9, len(shape)))
-        found = Interpolation(cube, (1.0 + cube.nodes**power).prod(axis=1, keepdims=True)).at(x)
+        cube = UnknownGrid(tuple(np.linspace(0.0, k + 1.0, n) for k, n in enumerate(shape)))
+        x = cube.upper_bounds * np.random.default_rng(0).random((9, len(shape)))
+        found = Interpolation(
+            cube, (1.0 + cube.nodes**power).prod(axis=1, keepdims=True)
+        ).interpolate(x)
         np.testing.assert_allclose(found[:, 0], (1.0 + x**power).prod(axis=1), rtol=1e-12)
 
 
@@ -80,37 +84,44 @@ def test_stated_error_of_the_interpolation() -> None:
     values = np.column_stack([np.sin(2.0 * nodes[:, 0]) * nodes[:, 1], nodes[:, 0] + nodes[:, 1]])
     values[5, 1] = np.nan
     found = Interpolation(SQUARE, values)
-    x = SQUARE.low + (SQUARE.high - SQUARE.low) * np.random.default_rng(3).random((200, 2))
-    predicted, deviation = found.at(x), np.sqrt(np.sum(found.scatter(x) ** 2, axis=1))
+    x = SQUARE.lower_bounds + (SQUARE.upper_bounds - SQUARE.lower_bounds) * np.random.default_rng(
+        3
+    ).random((200, 2))
+    predicted, deviation = (
+        found.interpolate(x),
+        np.sqrt(np.sum(found.compute_weighted_errors(x) ** 2, axis=1)),
+    )
     exact = np.column_stack([np.sin(2.0 * x[:, 0]) * x[:, 1], x.sum(axis=1)])
     assert np.mean(np.abs(predicted - exact)[:, 0] < 3.0 * deviation[:, 0]) > 0.9
     np.testing.assert_allclose(predicted[:, 1], exact[:, 1], atol=1e-9)
     too_few = Interpolation(SQUARE, np.where(np.arange(42)[:, None] < 3, 1.0, np.nan))
-    assert found.known.all() and not too_few.known.any()
+    assert found.has_enough_nodes.all() and not too_few.has_enough_nodes.any()
 
 
 def test_what_failed_between_others() -> None:
     """Is made up for, with an error that holds what is missed, unless fewer than half are left or
     none of four may be spared; at an end it is said that nothing stands beyond."""
-    cube = Cube((np.linspace(0.0, 3.0, 8),))
+    cube = UnknownGrid((np.linspace(0.0, 3.0, 8),))
     values = np.exp(cube.nodes) * np.sin(2.0 * cube.nodes)
     for lost in range(8):
         found = Interpolation(cube, np.where(np.arange(8)[:, None] == lost, np.nan, values))
-        assert found.known.all() and found.between.all() == (0 < lost < 7)
+        assert found.has_enough_nodes.all() and found.is_between_known.all() == (0 < lost < 7)
         at = cube.nodes[[lost]]
-        missed = abs(found.at(at) - values[lost]).item()
-        stated = np.sqrt(np.sum(found.scatter(at) ** 2)).item()
-        assert missed < 3.0 * stated or not found.between.all()
+        missed = abs(found.interpolate(at) - values[lost]).item()
+        stated = np.sqrt(np.sum(found.compute_weighted_errors(at) ** 2)).item()
+        assert missed < 3.0 * stated or not found.is_between_known.all()
     for count in (20, 21):
         few = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(SQUARE, few).known.all() == (count == 21)
-    four = Cube((np.linspace(0.0, 3.0, 4),))
+        assert Interpolation(SQUARE, few).has_enough_nodes.all() == (count == 21)
+    four = UnknownGrid((np.linspace(0.0, 3.0, 4),))
     for count in (3, 4):
         own = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(four, own).known.all() == (count == 4)
+        assert Interpolation(four, own).has_enough_nodes.all() == (count == 4)
     holes = np.ones((42, 3))
     holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
-    np.testing.assert_array_equal(Interpolation(SQUARE, holes).between, [False, True, True])
+    np.testing.assert_array_equal(
+        Interpolation(SQUARE, holes).is_between_known, [False, True, True]
+    )
 
 
 @dataclass
@@ -119,8 +130,8 @@ class Linear:
 
     matrix: np.ndarray
     offset: np.ndarray
-    cube: Cube
-    keys: tuple[str, ...] = ("crack.length", "crack.height")
+    unknown_grid: UnknownGrid
+    unknown_keys: tuple[str, ...] = ("crack.length", "crack.height")
 
     @property
     def model(self) -> Any:
@@ -132,51 +143,53 @@ class Linear:
     def scene(self) -> fc.Scene:
         return fc.Scene.from_text(identification.SCENE)
 
-    def crack_deviations(self, x: np.ndarray) -> np.ndarray:
+    def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
-    def quantities(self, rows: Any, more: Any = ()) -> Any:
+    def make_predictor(self, rows: Any, more: Any = ()) -> Any:
         places = [*range(len(self.matrix)), *range(len(more))]
         return replace(self, matrix=self.matrix[places], offset=self.offset[places])
 
-    def __call__(self, x: np.ndarray) -> Prediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         return exact(x @ self.matrix.T + self.offset)
 
-    def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+    def iterate_face_states(
+        self, x: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """One alone."""
         yield np.arange(len(x)), np.ones(len(x)), self(x)
 
 
-def exact(values: np.ndarray) -> Prediction:
+def exact(values: np.ndarray) -> MeasurementPrediction:
     """Predictions (m, q) without an error."""
     (m, q), known = values.shape, np.ones(values.shape[1], dtype=bool)
-    return Prediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
+    return MeasurementPrediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
 
 
 def test_ridge_that_is_narrower_than_the_grid() -> None:
     """One number of two unknowns: the grid holds the region of a wide ridge, of which it says so
     little as of that of a bound, and not that of a thin one."""
-    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     rng = np.random.default_rng(7)
     for deviation, resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
         model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
         likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
         posterior = Posterior({"": Branch(likelihood)})
-        assert (posterior.unresolved < 0.01) == resolved
-        assert (posterior.unresolved > 0.3) != resolved
+        assert (posterior.unresolved_probability < 0.01) == resolved
+        assert (posterior.unresolved_probability > 0.3) != resolved
         # Of that posterior: along the ridge both are uniform.
         y = rng.uniform(0.0, 20.0, 4000)
         x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
         inside = (x > 0.0) & (x < 10.0)
         heights = likelihood(np.column_stack([x, y])[inside])
-        held = np.mean(heights >= posterior.level(0.95))
+        held = np.mean(heights >= posterior.find_region_level(0.95))
         assert (abs(held - 0.95) < 0.03) == resolved
 
 
 def test_linear_model() -> None:
     """Estimate, intervals, region, evidence and gain of a Gaussian posterior in closed form."""
     matrix = np.array([[1.0, 0.2], [0.3, 1.0], [1.0, 1.0]])
-    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     truth, deviations = np.array([3.0, 8.0]), np.array([0.1, 0.2, 0.15])
     likelihood = Likelihood(
         matrix @ truth + 5.0,
@@ -186,20 +199,20 @@ def test_linear_model() -> None:
     posterior = Posterior({"": Branch(likelihood)})
     weights = matrix / deviations[:, None]
     covariance = np.linalg.inv(weights.T @ weights)
-    np.testing.assert_allclose(posterior.best[1], truth, atol=1e-6)
+    np.testing.assert_allclose(posterior.best_words_and_unknowns[1], truth, atol=1e-6)
     for place in range(2):
         sigma = math.sqrt(covariance[place, place])
-        low, high = posterior.interval(place, 0.95)
+        low, high = posterior.compute_interval(place, 0.95)
         assert low == pytest.approx(truth[place] - 1.96 * sigma, abs=0.05 * sigma)
         assert high == pytest.approx(truth[place] + 1.96 * sigma, abs=0.05 * sigma)
-        assert posterior.spread(place) == pytest.approx(sigma, rel=0.02)
+        assert posterior.compute_deviation(place) == pytest.approx(sigma, rel=0.02)
     # Of two unknowns: chi^2 < 5.991 holds 95 %.
-    assert posterior.level(0.95) == pytest.approx(-0.5 * 5.991, rel=0.05)
+    assert posterior.find_region_level(0.95) == pytest.approx(-0.5 * 5.991, rel=0.05)
     volume = 2.0 * math.pi * math.sqrt(np.linalg.det(covariance))
     assert posterior.log_evidence == pytest.approx(math.log(volume / 200.0), abs=0.02)
-    assert [round(part[2], 2) for part in posterior.parts(0.95, 0.03)] == [0.95]
+    assert [round(part[2], 2) for part in posterior.find_region_parts(0.95, 0.03)] == [0.95]
     again = fc.Measurement("harmonic_1", 1.0, 0.1, frequency=10.0)
-    worth = worth_of(likelihood, truth, [again], (1e-3, 0.05))
+    worth = rank_measurements(likelihood, truth, [again], (1e-3, 0.05))
     more = np.linalg.inv(
         weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
     )
@@ -214,25 +227,27 @@ def test_misfit_of_what_is_fitted() -> None:
     there are measurements more than unknowns. At the same place without one of them it is less by
     the square of that one's residual."""
     matrix = np.array([[1.0, 0.2], [0.3, 1.0], [1.0, 1.0], [-0.5, 1.0]])
-    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     linear = Rows(matrix, np.zeros(4), cube, rows=(0, 1, 2, 3))
     rng, chances = np.random.default_rng(8), []
     for _ in range(150):
         values = matrix @ [3.0, 8.0] + 0.1 * rng.normal(size=4)
         likelihood = Likelihood(values, np.full(4, 0.1), linear)  # type: ignore[arg-type]
         x = np.linalg.lstsq(matrix, values, rcond=None)[0]
-        total, chance = likelihood.misfit(x)
+        total, chance = likelihood.compute_misfit(x)
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
     posterior = Posterior({"": Branch(likelihood)})
     left = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
-    assert [one[0] for one in posterior.misfits_without_one] == pytest.approx(left, rel=1e-3)
+    assert [one[0] for one in posterior.misfits_without_measurement] == pytest.approx(
+        left, rel=1e-3
+    )
 
 
 def test_picture_of_one_unknown() -> None:
     """The density of a normal distribution, over its largest, and what is within 1.96 standard
     deviations; of two unknowns that of each alone, and neither twice."""
-    cube = Cube((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
+    cube = UnknownGrid((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
     linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
     likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
     posterior = Posterior({"": Branch(likelihood)})
@@ -240,8 +255,8 @@ def test_picture_of_one_unknown() -> None:
     found: Any = type("Identification", (SimpleNamespace,), {})(
         unknown=keys,
         posterior=posterior,
-        estimate=dict(zip(keys, posterior.best[1].tolist(), strict=True)),
-        intervals={key: posterior.interval(place, 0.95) for place, key in enumerate(keys)},
+        estimate=dict(zip(keys, posterior.best_words_and_unknowns[1].tolist(), strict=True)),
+        intervals={key: posterior.compute_interval(place, 0.95) for place, key in enumerate(keys)},
     )
     for key, middle, sigma in (("crack.length", 0.03, 1e-3), ("crack.height", 0.08, 4e-3)):
         [panel] = fc.draw_posterior(found, key).axes
@@ -263,38 +278,38 @@ class Advised(Linear):
     row."""
 
     @property
-    def coarse(self) -> Any:
-        return SimpleNamespace(bare=True)
+    def coarse_cases(self) -> Any:
+        return SimpleNamespace(uncracked_cases=True)
 
     @property
-    def whole(self) -> Any:
-        return SimpleNamespace(frequencies=np.array([100.0]))
+    def uncracked_plate(self) -> Any:
+        return SimpleNamespace(natural_frequencies=np.array([100.0]))
 
 
 @pytest.mark.parametrize("slope", [0.0, 1000.0])
 def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     """To the digits that are printed, of each unknown; neither of the plate before it had a crack
     nor of the most informative one."""
-    cube = Cube((np.linspace(0.01, 0.02, 4), np.linspace(0.1, 0.2, 4)))
+    cube = UnknownGrid((np.linspace(0.01, 0.02, 4), np.linspace(0.1, 0.2, 4)))
     matrix, offset = np.array([[slope, 0.0], [30.0, 40.0]]), np.zeros(2)
     rows = (fc.Measurement("frequency_open", 100.0, 0.1, 1),) * 2
     model = Advised(matrix, offset, cube, rows=rows)
     likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
     more, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
-    said = advice(likelihood, x, worth_of(likelihood, x, [more], (1e-3, 0.05)))
+    said = list_advice(likelihood, x, rank_measurements(likelihood, x, [more], (1e-3, 0.05)))
     assert len(said) == (2 if slope else 0)
     for text in said:
         assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
     now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
     left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
-    [*_, text] = advice(likelihood, x, Worth((more,), np.ones(1), left, now))
+    [*_, text] = list_advice(likelihood, x, Worth((more,), np.ones(1), left, now))
     assert text == "frequency_tied of mode 1: height of the crack to 1 mm in place of 2 mm"
 
 
 class Rows(Linear):
     """Of some of the rows, which are numbers."""
 
-    def quantities(self, rows: Any, more: Any = ()) -> Any:
+    def make_predictor(self, rows: Any, more: Any = ()) -> Any:
         places = list(rows)
         return replace(self, matrix=self.matrix[places], offset=self.offset[places], rows=rows)
 
@@ -302,16 +317,16 @@ class Rows(Linear):
 class Even(Linear):
     """s = (x - 5)^2, which does not tell 2 from 8."""
 
-    def __call__(self, x: np.ndarray) -> Prediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         return exact(np.column_stack([(x[:, 0] - 5.0) ** 2, x[:, 1]]))
 
 
 def test_two_that_cannot_be_told_apart() -> None:
     """Both are reported, each with half of the probability."""
-    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     even = Even(np.zeros((2, 2)), np.zeros(2), cube)
     likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even)  # type: ignore[arg-type]
-    parts = Posterior({"": Branch(likelihood)}).parts(0.95, 0.03)
+    parts = Posterior({"": Branch(likelihood)}).find_region_parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
 
@@ -328,7 +343,9 @@ def test_soft_clamps() -> None:
     }  # fmt: skip
     scene = fc.Scene.from_text(identification.SCENE)
     table = scene.given("identify")
-    found = Whole(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
+    found = UncrackedPlate(
+        scene.replace(changes | {"identify": None}), table
+    ).compute_baseline_sensitivities(1.0)[0]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
@@ -348,23 +365,23 @@ def test_units_at_other_speeds() -> None:
         structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
-    whole, fast = Whole(plain, scene.given("identify")), hertz(rpm=9000.0)
-    assert fast > 1.3 * whole.frequencies[0]
+    whole, fast = UncrackedPlate(plain, scene.given("identify")), hertz(rpm=9000.0)
+    assert fast > 1.3 * whole.natural_frequencies[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
-    whole.check(fc.Measurements((row,)), [], other=False)
+    whole.check_units_and_modes(fc.Measurements((row,)), [], may_be_other_plate=False)
     with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
         wrong = replace(row, value=2.0 * np.pi * fast)
-        whole.check(fc.Measurements((wrong,)), [], other=False)
+        whole.check_units_and_modes(fc.Measurements((wrong,)), [], may_be_other_plate=False)
     young = 0.5 * scene.given("identify").young_deviation
-    still, own, faster = (whole.changes_at(one)[0, 0] for one in (0.0, 1.0, 3.0))
+    still, own, faster = (whole.compute_prior_sensitivities(one)[0, 0] for one in (0.0, 1.0, 3.0))
     assert still == pytest.approx(young)
     assert own == pytest.approx(young * (hertz() / hertz(rpm=3000.0)) ** 2, rel=0.01)
     assert faster == pytest.approx(young * (hertz() / fast) ** 2, rel=0.01)
     # Of another modulus at another speed: all of the change to 1 %, at 0 that of the root.
     softer = plain.replace({"material.young": 0.98 * plain.material.young, "rotation.rpm": 9000.0})
     changed = fc.solve_modes(fc.build_structure(softer), 1).omega[0] / (2.0 * np.pi * fast) - 1.0
-    assert whole.stiffened(3.0, 0.98)[0] - 1.0 == pytest.approx(changed, rel=0.01)
-    assert whole.stiffened(0.0, 0.98)[0] == pytest.approx(np.sqrt(0.98), rel=1e-9)
+    assert whole.compute_stiffening_factors(3.0, 0.98)[0] - 1.0 == pytest.approx(changed, rel=0.01)
+    assert whole.compute_stiffening_factors(0.0, 0.98)[0] == pytest.approx(np.sqrt(0.98), rel=1e-9)
 
 
 PASSED = fc.PassageFit(
@@ -398,9 +415,9 @@ def test_modes_of_resonances(
     fit = replace(PASSED, **changes)
     both = 1500.0 * np.array([opened, tied])
     diagram: Any = SimpleNamespace(between=lambda speed: both)
-    mode, said = mode_of(fit, diagram)
+    mode, said = match_mode(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
-    words = passed_in_words(fit, mode, said)
+    words = describe_passage(fit, mode, said)
     where = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
     assert words == (f"not used: {where} ({said})" if why else f"mode 1: {where}")
 
@@ -426,7 +443,7 @@ def test_resonances_in_doubt(changes: dict[str, Any], deviation: float, why: str
     [row] = fc.Measurements.from_passages([fit, PASSED], [1, 0]).rows
     assert row.deviation == pytest.approx(deviation / (2.0 * np.pi))
     assert row.value == pytest.approx(1500.0 / (2.0 * np.pi))
-    assert passed_in_words(fit, 1, "").endswith(f"Hz, engine order 5 at 2864.79 rpm ({why})")
+    assert describe_passage(fit, 1, "").endswith(f"Hz, engine order 5 at 2864.79 rpm ({why})")
 
 
 # --- displacements at probes ----------------------------------------------------------------------
@@ -454,9 +471,9 @@ def test_displacements_whatever_the_load_is() -> None:
         return np.asarray(size * (turns @ waves).real)
 
     made = displaced(phases, motion(wave, 1.7, 2.5) + 3e-6)
-    passages = Passages(range(12), made, [])
+    passages = ProbeDisplacements(range(12), made, [])
     both = np.stack([wave, wave * [1, 2, 1, 1, 1, 1]])
-    values, turns, free, _ = passages.aligned(both)
+    values, turns, free, _ = passages.fit_harmonics(both)
     left = np.abs(values - [row.value for row in made])
     assert left[0].max() < 1e-9 and left[1].max() > 1e-6
     more = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
@@ -642,12 +659,17 @@ def test_remark_on_the_size_of_the_load() -> None:
     """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
     scene = fc.Scene.from_text(identification.SCENE)
     row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
-    assert remarks_on(scene, fc.Measurements((row,))) == ()
+    assert list_measurement_remarks(scene, fc.Measurements((row,))) == ()
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
         changed = scene.replace({key: value})
-        [remark] = remarks_on(changed, fc.Measurements((row,)))
+        [remark] = list_measurement_remarks(changed, fc.Measurements((row,)))
         assert remark.startswith("a clearance or a steady load")
-        assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
+        assert (
+            list_measurement_remarks(
+                changed, fc.Measurements((replace(row, quantity="harmonic_1"),))
+            )
+            == ()
+        )
 
 
 def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
@@ -672,7 +694,9 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
         changed.append((side * tilted, side * straight))
     tilted, straight = np.sum(changed, axis=0)
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    spread = crack_deviations(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
+    spread = compute_crack_deviations(
+        np.array([[length, height]]), ("crack.length", "crack.height"), scene
+    )
     assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
 
 

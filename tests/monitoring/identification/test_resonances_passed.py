@@ -105,7 +105,7 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
         for now, then in ((np.nan, np.nan), (45.0, 20.0))
     )
     assert blind.contains(TRUE) and sure.contains(TRUE) and sure.verdict == "crack"
-    assert sure.posterior.spread(0) < blind.posterior.spread(0)
+    assert sure.posterior.compute_deviation(0) < blind.posterior.compute_deviation(0)
 
 
 def _hertz(blade: fc.Scene, rpm: float, kind: str) -> float:
@@ -127,7 +127,7 @@ def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
     both = rows(scene, "frequency_resonance", {0.0: "bilinear"} | speeds)
     known = fc.identify(scene, both, folder=folder)
     assert known.verdict == "crack" and known.contains(TRUE)
-    assert known.posterior.spread(0) < 0.7 * found.posterior.spread(0)
+    assert known.posterior.compute_deviation(0) < 0.7 * found.posterior.compute_deviation(0)
 
 
 def test_speeds_that_mean_nothing(scene: fc.Scene) -> None:
