@@ -71,7 +71,8 @@ RESULT_KINDS = {
     "identification": ResultKind(
         "identify", "Identification",
         "monitoring.identification.report:report_of_identification",
-        "monitoring.identification.report:IdentificationOutput.of", "cli.pictures:copy_posterior_picture",
+        "monitoring.identification.report:IdentificationOutput.of",
+        "cli.pictures:copy_posterior_picture",
     ),
     "verification": ResultKind(
         "verify", "Convergence study", "cli.studies:report_of_verification",

@@ -221,7 +221,7 @@ class Growth(SavedResult):
 
     def _size_in_words(self, row: int) -> str:
         """Return the crack's length, and depth if any, at a row in words."""
-        length_text = quantity(float(self.length[row]), "m")
+        length_text = format_quantity(float(self.length[row]), "m")
         if self.depth is None:
             return length_text
         return f"{length_text} x {format_quantity(float(self.depth[row]), 'm')} deep"
@@ -230,7 +230,7 @@ class Growth(SavedResult):
         sizes_text = f"{self._size_in_words(0)} to {self._size_in_words(-1)}"
         frequency_text = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         life_text = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
-        solved_text = f"{counted(len(self.solved), 'size')} solved"
+        solved_text = f"{format_count(len(self.solved), 'size')} solved"
         return f"{sizes_text}, {life_text}, {self.end}, {frequency_text}, {solved_text}"
 
 
@@ -520,7 +520,9 @@ def _grow_ellipse(
         )
         for column_name in ellipse_table.column_by_name
     }
-    elapsed_time = _integrate_over_cycles(TURN / values_by_column["omega"], ellipse_path.cycles)
+    elapsed_time = _integrate_over_cycles(
+        RAD_PER_TURN / values_by_column["omega"], ellipse_path.cycles
+    )
     remark_texts = _collect_ellipse_remarks(
         sweep_result, ellipse_table, ellipse_path, values_by_column, law
     )

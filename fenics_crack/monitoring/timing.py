@@ -294,7 +294,8 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
                 ]
             )
             if len(peak_rows) == 1:
-                peak_frequency_text = f"{track.omega[peak_row_index] / RAD_PER_TURN:.6g} Hz, engine order {track.order:g}"
+                peak_frequency = track.omega[peak_row_index] / RAD_PER_TURN
+                peak_frequency_text = f"{peak_frequency:.6g} Hz, engine order {track.order:g}"
                 peak_text = f"{peak_frequency_text}: {_amplitude_in_words(*peak_and_error)}"
                 answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Conclusion("run-up tracked", answer_text)

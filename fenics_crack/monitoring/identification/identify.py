@@ -558,7 +558,7 @@ class _ForwardSweeper:
                 judged=False,
                 natural=self.frequency_only_indices,
             )
-        if stop_request.asked(self.comm):
+        if stop_request.is_requested(self.comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
         return sweep_result
 
@@ -590,7 +590,7 @@ class _ForwardSweeper:
         """Run sweeps on the finer mesh and halfway, if any, beside all cases (collective)."""
         table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
         n_numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-        n_axis_values = MIN_VALUES - (n_numbers > 2)
+        n_axis_values = MIN_ALLOWED_UNKNOWN_VALUES - (n_numbers > 2)
         finer_sweep = halfway_sweep = None
         if self.fine_scene is not None:
             check_axes = [

@@ -388,7 +388,7 @@ class Measurements(Tabular):
             raise InputError("noise", None, "given where passages have no scatter")
         elif np.isnan(variance_factor := student(probe_means.within)):
             arrivals_text = format_count(int(n_arrivals.sum()), "arrival")
-            probes_text = counted(len(n_arrivals), "probe")
+            probes_text = format_count(len(n_arrivals), "probe")
             allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
             raise InputError("noise", None, allowed_text)
         else:
