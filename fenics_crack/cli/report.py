@@ -158,7 +158,7 @@ def _draw_curves(
     for label, run, colour in zip(names, runs, distinct_colours(len(runs)), strict=True):
         look = {"label": label, "colour": colour, "in_hertz": run.scene.in_hertz}
         plot_curve.draw_curve(run.result, run.watched_dof, axes=panel, **look)
-    picture.saved()
+    picture.save_with_title()
     return folder / f"overlay_curve.{kind}"
 
 

@@ -12,7 +12,13 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_of
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel
-from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.draw.figure import (
+    COLOURS,
+    Picture,
+    PictureOptions,
+    label_axis,
+    magnification_to_tenth,
+)
 from fenics_crack.draw.plot_mesh import draw_moved
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
@@ -24,7 +30,7 @@ FRAMES = 48
 """Instants of the period at which the largest displacement of each node is looked for."""
 
 
-def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
+def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw a bladed disk coloured by the amplitude of its vibration (collective).
 
     The shape is that of the instant at which the wheel moves most, magnified; the colour is the
@@ -35,7 +41,7 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     ----------
     solution : PeriodicSolution
         Of a scene with [disk].
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -61,14 +67,16 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     sizes = np.linalg.norm(displacements, axis=2)
     amplitude = sizes.max(axis=0)
     largest_displacement = displacements[int(np.argmax(sizes.max(axis=1)))]
-    [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
+    [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **picture_options)
     factor, unit = readable(float(amplitude.max()), "m")
-    shape_displacement = 0.5 * tenth(largest_displacement, mesh.size) * largest_displacement
+    shape_displacement = (
+        0.5 * magnification_to_tenth(largest_displacement, mesh.size) * largest_displacement
+    )
     coloured_mesh = draw_moved(panel, mesh, shape_displacement, factor * amplitude, of_wheel=True)
     panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
         _number_blades(panel, wheel)
-    return picture.saved()
+    return picture.save_with_title()
 
 
 def _number_blades(panel: Axes, wheel: Wheel) -> None:
@@ -88,7 +96,11 @@ def _number_blades(panel: Axes, wheel: Wheel) -> None:
 
 
 def draw_blades(
-    curve: ResponseCurve, dof: int | None = None, *, in_hertz: bool = True, **where: Unpack[Where]
+    curve: ResponseCurve,
+    dof: int | None = None,
+    *,
+    in_hertz: bool = True,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw the response of every blade of a bladed disk along a curve.
 
@@ -102,7 +114,7 @@ def draw_blades(
         Of one blade, whose place is taken on each; default: the watched one.
     in_hertz : bool
         Frequencies in Hz, else in rad/s.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -123,7 +135,7 @@ def draw_blades(
     dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
     lines = np.array([curve.amplitude(blade_dof) for blade_dof in dofs])
     factor, *name = parameter_axis(curve.parameter, in_hertz)
-    [panel] = picture = Picture(comm=wheel.comm, **where)
+    [panel] = picture = Picture(comm=wheel.comm, **picture_options)
     whole_blades = [place for place in range(len(dofs)) if place not in wheel.cracked]
     peaks = lines.max(axis=1)
     for place in whole_blades:
@@ -141,11 +153,11 @@ def draw_blades(
     panel.set_yscale("log")
     panel.set_xlabel(f"{name[0]} [{name[1]}]")
     label_axis(panel.yaxis, "amplitude", "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_nodal_diameters(
-    found: NodalDiameters, *, families: int | None = None, **where: Unpack[Where]
+    found: NodalDiameters, *, families: int | None = None, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw natural frequencies over the nodal diameter (SAFE diagram).
 
@@ -159,7 +171,7 @@ def draw_nodal_diameters(
         Result to draw.
     families : int, optional
         How many; default: all.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -173,7 +185,7 @@ def draw_nodal_diameters(
     """
     from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
 
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     frequencies = found.omega[:, :families] / TURN
     diameters = np.arange(len(frequencies))
     for (family, row), colour in zip(
@@ -194,10 +206,10 @@ def draw_nodal_diameters(
         panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return picture.finished()
+    return picture.finish()
 
 
-def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
+def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the distribution of the amplification factors of mistuning patterns.
 
     It has a histogram, the share of patterns below a factor, and Whitehead's bound.
@@ -206,7 +218,7 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
     ----------
     found : Amplification
         Result to draw.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -218,7 +230,7 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
     --------
     >>> figure = fc.draw_amplification(fc.amplification(disk, 200), path="amplification.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     count = len(found.factor)
     look = {"weights": np.full(count, 100.0 / count), "color": COLOURS["blue"], "alpha": 0.6}
     panel.hist(found.factor, max(8, int(np.sqrt(count))), **look)
@@ -234,4 +246,4 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
     )
     share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
     share_axes.yaxis.label.set_color(COLOURS["orange"])
-    return picture.finished()
+    return picture.finish()

@@ -29,7 +29,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import readable
 from fenics_crack.draw import vtk
-from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
+from fenics_crack.draw.figure import COLOURS, copy_canvas_image, label_axis
 from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.scene.tables import Material
 
@@ -278,7 +278,7 @@ class _Page:
         self.text.set_text(f"{self.caption}, phase {360.0 * at:.0f}°")
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
-        page = drawn_on(self.canvas)
+        page = copy_canvas_image(self.canvas)
         plate = plate.reduce(2)
         left, top = self.corner
         page.paste(plate, (left + (self.size[0] - plate.width) // 2, top))

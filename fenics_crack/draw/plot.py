@@ -24,11 +24,11 @@ from fenics_crack.draw.figure import (
     COLOURS,
     STYLE,
     Picture,
-    Where,
+    PictureOptions,
     distinct_colours,
-    given_axes,
     label_axis,
-    upright,
+    read_axes_option,
+    wrap_upright_label,
 )
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
@@ -79,7 +79,7 @@ def draw_waves(
     quantity: str,
     period: float | None = None,
     zero: str | None = None,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw displacements over time.
 
@@ -93,7 +93,7 @@ def draw_waves(
         Unit of the time axis; default: seconds.
     zero : str, optional
         Legend entry of a line at zero, for example "crack faces touch".
-    **where
+    **picture_options
         ``axes``, or ``ax``: where to draw, by default in a new figure; ``path``: where to save the
         new figure; ``title`` of the picture; ``legend=False``: without a legend.
 
@@ -110,7 +110,7 @@ def draw_waves(
     """
     if not isinstance(quantity, str):
         raise InputError("quantity", quantity, "a text")
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     for wave in waves:
         time = wave.time / period if period else wave.time
         colour = COLOURS.get(wave.colour, wave.colour)
@@ -125,11 +125,11 @@ def draw_waves(
     else:
         label_axis(panel.xaxis, "time", "s")
     label_axis(panel.yaxis, quantity, "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_laws(
-    laws: Mapping[str, ContactLaw], closing: np.ndarray, **where: Unpack[Where]
+    laws: Mapping[str, ContactLaw], closing: np.ndarray, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw the contact forces [N] of laws, by their labels, over the closing of a pair [m].
 
@@ -139,7 +139,7 @@ def draw_laws(
         By the labels of their lines.
     closing : (n,) [m]
         Positive where the pair penetrates.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -152,18 +152,18 @@ def draw_laws(
     >>> closing = np.linspace(-1e-6, 1e-6, 101)
     >>> figure = fc.draw_laws({"penalty": contact}, closing, path="laws.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     looks = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
     for (label, law), (colour, style) in zip(laws.items(), looks, strict=True):
         force = law.force(closing[:, None])[:, 0]
         panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_contact_map(
-    solution: PeriodicSolution, *, instants: int = 400, **where: Unpack[Where]
+    solution: PeriodicSolution, *, instants: int = 400, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw where along the crack and when in the period the crack faces touch, and how hard; of a
     solid where on each crack, how hard at most, and for how much of the period.
@@ -178,7 +178,7 @@ def draw_contact_map(
         With the contact force of two or more pairs.
     instants : int
         In the period.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -209,10 +209,10 @@ def draw_contact_map(
     if points.shape[1] == 3:
         shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
         shown["share of the period closed"] = (values[:-1] > 0.0).mean(axis=0)
-        return _over_cracks(structure, shown, where)
+        return _over_cracks(structure, shown, picture_options)
     depth, ends = _along_cracks(structure.pairs)
     loads = time * solution.omega / (2.0 * np.pi)
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     shown = np.ma.masked_less_equal(scale * values.T, 0.0)
     _colour(panel, loads, depth, shown, f"{label} [{unit}] (grey: open)", OPEN_COLOUR)
     panel.set_ylim(bottom=0.0)
@@ -224,10 +224,12 @@ def draw_contact_map(
     if ends:
         of_crack = f"along cracks 1 to {len(ends) + 1}, one above the other"
     label_axis(panel.yaxis, f"distance {of_crack}", "m")
-    return picture.saved()
+    return picture.save_with_title()
 
 
-def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: Where) -> Figure:
+def _over_cracks(
+    structure: Structure, shown: Mapping[str, np.ndarray], picture_options: PictureOptions
+) -> Figure:
     """Values of the pairs of a solid, by their labels, over each of its cracks."""
     from scipy.spatial import cKDTree
 
@@ -238,14 +240,16 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     of_pair = np.zeros(len(tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
     of_crack = of_pair[tree.query(mesh.points[triangles].mean(axis=1))[1]]
     cracks = np.unique(of_pair)
-    picture = Picture(2 * len(cracks), columns=2, size=(9.0, 3.4 * len(cracks)), **where)
+    picture = Picture(
+        2 * len(cracks), n_columns=2, size=(9.0, 3.4 * len(cracks)), **picture_options
+    )
     for panel, (crack, label) in zip(picture, product(cracks, shown), strict=True):
         nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
         values = mesh.patch_functions[1][nodes] @ shown[label]
         _over_crack(panel, mesh.points[nodes], corners.reshape(-1, 3), values, label)
         if len(cracks) > 1:
             panel.set_title(f"crack {crack + 1}", fontsize="medium")
-    return picture.saved()
+    return picture.save_with_title()
 
 
 def _over_crack(
@@ -283,7 +287,7 @@ def draw_response(
     over: str = "load frequency [rad/s]",
     doubtful: Mapping[str, np.ndarray] | None = None,
     unit: str = "m",
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw amplitudes [m] or other quantities over the load frequency [rad/s] or other values.
 
@@ -305,7 +309,7 @@ def draw_response(
         Where a curve has rings.
     unit : str
         Of the curves; lengths [m] are drawn in a readable multiple.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -325,7 +329,7 @@ def draw_response(
     """
     if not curves:
         raise InputError("curves", curves, "one or more")
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     values, curves = np.asarray(values), {name: np.asarray(y, float) for name, y in curves.items()}
     every = np.concatenate([found[np.isfinite(found)] for found in curves.values()])
     low, high = every.min(initial=np.inf), every.max(initial=-np.inf)
@@ -343,7 +347,7 @@ def draw_response(
         panel.plot(x, y, "o", color=COLOURS["grey"], mfc="none", ms=size + 4.0, label=DOUBTFUL)
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_map(
@@ -355,7 +359,7 @@ def draw_map(
     y_label: str,
     value_label: str,
     doubtful: np.ndarray | None = None,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw values over two swept quantities, such as load frequency and crack length, as colours.
 
@@ -371,7 +375,7 @@ def draw_map(
         With units.
     doubtful : (m, n) bool, optional
         Hatched cells: not stable, or with a large estimated error.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -404,7 +408,7 @@ def draw_map(
     marked = np.zeros(shown.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
     if marked.shape != shown.shape:
         raise InputError("doubtful", marked.shape, f"of the shape of values, {shown.shape}")
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     _colour(panel, x, y, shown, value_label, MISSING_COLOUR, norm=scale(low, high))
     lost = np.ma.getmaskarray(shown)
     panel.plot(*(at.ravel()[lost.ravel()] for at in np.meshgrid(x, y)), "x", color="white", ms=5)
@@ -415,11 +419,11 @@ def draw_map(
         panel.pcolor(x, y, hatched, shading="nearest").set(facecolor="none", **look)
         keys.append(Patch(label=DOUBTFUL, facecolor="#3b528b", **look))
     panel.set(xlabel=x_label, ylabel=y_label)
-    if keys and picture.legend:
+    if keys and picture.has_legend:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         with rc_context(STYLE):
             panel.legend(handles=keys, ncol=2, handlelength=3.0, frameon=False, **below)
-    return picture.saved()
+    return picture.save_with_title()
 
 
 def _colour(
@@ -428,14 +432,14 @@ def _colour(
     """Draw values (len(y), len(x)) as coloured cells; masked ones are grey."""
     axes.set_facecolor(grey)
     image = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", **options)
-    axes.figure.colorbar(image, ax=axes, label=upright(label)).minorticks_off()
+    axes.figure.colorbar(image, ax=axes, label=wrap_upright_label(label)).minorticks_off()
 
 
 # --- harmonics, orbits, tips ----------------------------------------------------------------------
 
 
 def draw_spectrum(
-    solution: PeriodicSolution, dof: int | None = None, **where: Unpack[Where]
+    solution: PeriodicSolution, dof: int | None = None, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
 
@@ -450,7 +454,7 @@ def draw_spectrum(
         Result to draw.
     dof : int, optional
         Whose displacement.
-    **where
+    **picture_options
         ``axes`` (one, or two with the force), ``path``, ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -479,15 +483,15 @@ def draw_spectrum(
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = solution.force_coefficients.sum(axis=1)
-    axes = given_axes(where)
+    axes = read_axes_option(picture_options)
     count = 1 + bool(np.any(force)) if axes is None else min(2, np.size(axes))
     size, comm = (7.0, 2.4 + 2.2 * count), solution.structure.comm
-    picture = Picture(count, size=size, sharex=True, comm=comm, **where)
+    picture = Picture(count, size=size, sharex=True, comm=comm, **picture_options)
     forces = {"contact force, all pairs": force}, "contact force", "N"
     for panel, part in zip(picture, ((lengths, "displacement", "m"), forces), strict=False):
         _stems(panel, solution.subharmonic, *part)
     picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
-    return picture.finished()
+    return picture.finish()
 
 
 def _stems(
@@ -520,7 +524,7 @@ def draw_orbits(
     dof: int | None = None,
     *,
     instants: int = 2000,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
@@ -534,7 +538,7 @@ def draw_orbits(
         As of :func:`draw_spectrum`.
     instants : int
         Points of the orbit.
-    **where
+    **picture_options
         ``axes``, one or two, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -565,10 +569,10 @@ def draw_orbits(
         raise InputError("dof", None, "given where there is no contact pair")
     count = len(orbits)
     size, comm = (1.0 + 4.2 * count, 4.4), solution.structure.comm
-    picture = Picture(count, columns=count, size=size, comm=comm, **where)
+    picture = Picture(count, n_columns=count, size=size, comm=comm, **picture_options)
     for panel, content in zip(picture, orbits, strict=True):
         _orbit(panel, solution, *content)
-    return picture.finished()
+    return picture.finish()
 
 
 Motion = Callable[[np.ndarray], np.ndarray]
@@ -605,7 +609,9 @@ LOOPS = 4
 """Pairs whose loops are drawn: those of the largest friction losses."""
 
 
-def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
+def draw_friction_loops(
+    solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]
+) -> Figure:
     """Draw the friction force over the tangential gap of the pairs that lose most by friction, at
     most four, thick where they slip (collective).
 
@@ -615,7 +621,7 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     ----------
     solution : PeriodicSolution
         Result to draw, with friction.
-    **where
+    **picture_options
         ``axes`` (one), ``path``, ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -641,7 +647,7 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     (_, slide), (normal, drag) = (np.hsplit(one, 2) for one in solution.gaps_and_forces(time))
     slips = is_slipping(coefficient, normal, drag)
     loss = friction_losses(slide, drag)
-    [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
+    [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **picture_options)
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
     for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
         name = solution.structure.describe_pair(pair).removeprefix("of ")
@@ -652,10 +658,12 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "tangential gap", "m")
     label_axis(panel.yaxis, "friction force", "N")
-    return picture.finished()
+    return picture.finish()
 
 
-def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Figure:
+def draw_stress_intensity(
+    found: StressIntensity, **picture_options: Unpack[PictureOptions]
+) -> Figure:
     """Draw K_I at each tip over time, grey and thick where the tip is closed, and K_II dashed.
 
     Of a solid draw two panels: the largest K_I, K_II and K_III, of either sign, along its fronts,
@@ -665,7 +673,7 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     ----------
     found : StressIntensity
         Of :func:`stress_intensity`.
-    **where
+    **picture_options
         ``axes``, ``path``, ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -683,7 +691,7 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
     count = 1 if found.three is None else 2
-    picture = Picture(count, size=(7.0, 1.0 + 3.3 * count), **where)
+    picture = Picture(count, size=(7.0, 1.0 + 3.3 * count), **picture_options)
     if found.three is not None:
         _along_fronts(found, picture.panels[0])
     _over_time(found, picture.panels[-1])
@@ -691,7 +699,7 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     for panel in picture:
         panel.axhline(0.0, color="black", lw=0.6)
         label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
-    return picture.finished()
+    return picture.finish()
 
 
 def _over_time(found: StressIntensity, panel: Axes) -> None:

@@ -15,7 +15,14 @@ from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import frequency_axis, percent, quantity, with_unit
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import damping_by_width
-from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
+from fenics_crack.draw.figure import (
+    COLOURS,
+    FIRST_IN_LEGEND_GID,
+    Picture,
+    PictureOptions,
+    distinct_colours,
+    label_axis,
+)
 from fenics_crack.numerics.fourier import to_complex
 
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
@@ -35,7 +42,7 @@ def draw_curve(
     behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     in_hertz: bool = False,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
@@ -59,7 +66,7 @@ def draw_curve(
     in_hertz : bool
         Load frequencies in Hz and speeds in rpm, those of ``behind`` and ``points`` too, which are
         given in rad/s.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -71,7 +78,7 @@ def draw_curve(
     --------
     >>> figure = fc.draw_curve(curve, tip, in_hertz=True, path="curve.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     if curve.parameter == "omega":
         panel.set_yscale("log")
     amplitude, factor = curve.amplitude(dof), parameter_axis(curve.parameter, in_hertz)[0]
@@ -89,7 +96,7 @@ def draw_curve(
     _label_parameter(panel, curve, in_hertz)
     panel.margins(y=0.1)
     label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_parts(
@@ -101,7 +108,7 @@ def _draw_parts(
     inexact, faint = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
         name = label if known else f"{label} ({UNASSESSED})"
-        axes.plot([], [], color=ink, lw=1.8, label=name, gid=FIRST)
+        axes.plot([], [], color=ink, lw=1.8, label=name, gid=FIRST_IN_LEGEND_GID)
     for state, style in VERDICT_STYLES.items():
         if not np.any(states == state):
             continue
@@ -214,7 +221,7 @@ def draw_content(
     *,
     highest: int = 5,
     in_hertz: bool = False,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw the amplitudes of the lowest harmonics of a dof's displacement over the parameter.
 
@@ -224,7 +231,7 @@ def draw_content(
         As of :func:`draw_curve`.
     highest : int
         Highest harmonic of the load that is drawn.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -242,7 +249,7 @@ def draw_content(
     >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
     check_count("highest", highest, 1)
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     panel.set_yscale("log")
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
@@ -253,11 +260,11 @@ def draw_content(
     panel.set_ylim(1e-5 * shown.max(), 2.0 * shown.max())
     _label_parameter(panel, curve, in_hertz)
     label_axis(panel.yaxis, "amplitude of the harmonic", "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_multipliers(
-    curve: ResponseCurve, *, in_hertz: bool = False, **where: Unpack[Where]
+    curve: ResponseCurve, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw the modulus of the largest Floquet multiplier along a curve.
 
@@ -272,7 +279,7 @@ def draw_multipliers(
         Followed with ``stability=True``.
     in_hertz
         As of :func:`draw_curve`.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -291,13 +298,13 @@ def draw_multipliers(
     """
     if curve.multipliers is None:
         raise InputError("stability", False, "True when the curve is followed")
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     x, found = parameter_axis(curve.parameter, in_hertz)[0] * curve.values, curve.multipliers
     sizes, verdicts = np.abs(found), curve.verdicts
     open_ = verdicts == "undecided"
     pair = np.abs(found.imag) > 1e-9 * sizes
     kinds = {"irregular": verdicts == "irregular", "pair": pair, "+1": found.real > 0.0}
-    where = np.select([*kinds.values()], [*kinds], "-1")
+    multiplier_kinds = np.select([*kinds.values()], [*kinds], "-1")
     panel.axhline(1.0, color=COLOURS["grey"], lw=0.9, label="limit of stability")
     panel.plot(x, sizes, color=COLOURS["grey"], lw=0.4, alpha=0.6)
     for kind, label, colour in (
@@ -306,7 +313,7 @@ def draw_multipliers(
         ("pair", "a complex pair", "green"),
         ("irregular", "growth of an irregular motion", "pink"),
     ):
-        at = (where == kind) & ~open_
+        at = (multiplier_kinds == kind) & ~open_
         if at.any():
             panel.plot(x[at], sizes[at], ".", ms=4.0, color=COLOURS[colour], label=label)
     if open_.any():
@@ -319,4 +326,4 @@ def draw_multipliers(
         panel.plot([], [], " ", label=f"{far} of {len(sizes)} lie above")
     _label_parameter(panel, curve, in_hertz)
     panel.set_ylabel("modulus of the largest multiplier [-]")
-    return picture.finished()
+    return picture.finish()

@@ -16,14 +16,20 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.draw.figure import (
+    COLOURS,
+    Picture,
+    PictureOptions,
+    label_axis,
+    magnification_to_tenth,
+)
 from fenics_crack.fem.cracks import rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 
 
-def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
+def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
     They are what is clamped, the crack faces, the pairs of their nodes where contact is
@@ -34,7 +40,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     ----------
     structure : Structure
         Whole or reduced, from a mesh.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -54,12 +60,12 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     mesh = NodalMesh(structure)
     load = mesh.nodal_vectors(mesh.structure.force)
     if mesh.dimension == 3:
-        picture = Picture(size=(5.5, 6.5), **where)
+        picture = Picture(size=(5.5, 6.5), **picture_options)
         _solid(picture, mesh, load)
-        return picture.finished()
+        return picture.finish()
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
     size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
-    [panel] = picture = Picture(size=size, **where)
+    [panel] = picture = Picture(size=size, **picture_options)
     clamped = mesh.boundary[mesh.is_clamped[mesh.boundary].all(axis=1)]
     for edges, colour, width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
@@ -89,7 +95,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     label_axis(panel.xaxis, "x", "m")
     label_axis(panel.yaxis, "y", "m")
     panel.set_axisbelow(True)
-    return picture.finished()
+    return picture.finish()
 
 
 LOAD_PARTS = ("mean", "cosine part", "sine part", "largest further harmonic")
@@ -101,7 +107,7 @@ def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: s
     sizes = np.linalg.norm(load, axis=1)
     loaded = np.flatnonzero(sizes > 1e-9 * sizes.max())
     loaded = loaded[:: -(-len(loaded) // 40)]  # at most 40 arrows
-    arrows = tenth(load, mesh.size) * load[loaded]
+    arrows = magnification_to_tenth(load, mesh.size) * load[loaded]
     look = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(*mesh.points[loaded].T, *arrows.T, units="inches", width=0.03, zorder=4, **look)
     axes.update_datalim(mesh.points[loaded] + arrows)
@@ -109,7 +115,11 @@ def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: s
 
 
 def draw_modes(
-    modes: Modes, *, numbers: Sequence[int] | None = None, columns: int = 3, **where: Unpack[Where]
+    modes: Modes,
+    *,
+    numbers: Sequence[int] | None = None,
+    columns: int = 3,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw mode shapes over the structure at rest, coloured by their displacement (collective).
 
@@ -121,7 +131,7 @@ def draw_modes(
         Numbers of the modes, from 1; default: all.
     columns : int
         Panels side by side in a new figure.
-    **where
+    **picture_options
         ``axes``, one for each mode, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -149,13 +159,20 @@ def draw_modes(
     across, up = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # they move by a tenth
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
-    picture = Picture(len(numbers), columns=columns, size=size, comm=mesh.structure.comm, **where)
+    picture = Picture(
+        len(numbers), n_columns=columns, size=size, comm=mesh.structure.comm, **picture_options
+    )
     shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     for panel, number in zip(picture, numbers, strict=True):
         shape = shapes[number - 1]
-        draw_moved(panel, mesh, tenth(shape, mesh.size) * shape, np.linalg.norm(shape, axis=1))
+        draw_moved(
+            panel,
+            mesh,
+            magnification_to_tenth(shape, mesh.size) * shape,
+            np.linalg.norm(shape, axis=1),
+        )
         panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
-    return picture.saved()
+    return picture.save_with_title()
 
 
 def draw_moved(
@@ -199,7 +216,7 @@ def draw_moved(
 
 def draw_faces(
     triangles: np.ndarray, owners: np.ndarray, faces: Sequence[int], places: np.ndarray,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:  # fmt: skip
     """Draw faces of a part with their numbers, from 1, at places (n, 3) of each.
 
@@ -207,7 +224,7 @@ def draw_faces(
     """
     from fenics_crack.draw import vtk
 
-    picture = Picture(2, columns=2, size=(11.0, 6.5), **where)
+    picture = Picture(2, n_columns=2, size=(11.0, 6.5), **picture_options)
     numbers = [str(number) for number in range(1, len(faces) + 1)]
     look = {"font_size": 24, "show_points": False, "shape": None}
     for panel, turn, words in zip(
@@ -222,7 +239,7 @@ def draw_faces(
         panel.imshow(vtk.image_of(plotter, corners), interpolation="antialiased")
         panel.axis("off")
         panel.set_title(words)
-    return picture.finished()
+    return picture.finish()
 
 
 # --- of solids ------------------------------------------------------------------------------------
@@ -261,5 +278,5 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     [axes] = picture
     axes.imshow(vtk.image_of(plotter, points), interpolation="antialiased")
     axes.axis("off")
-    if handles and picture.legend:
+    if handles and picture.has_legend:
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)

@@ -26,12 +26,12 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.draw.figure import (
     COLOURS,
-    LETTERS,
+    MAX_LETTERS_PER_LINE,
     Picture,
-    Where,
+    PictureOptions,
     distinct_colours,
     label_axis,
-    label_count,
+    label_count_axis,
 )
 from fenics_crack.errors.convergence import SAFE
 from fenics_crack.errors.verification import Verification
@@ -56,7 +56,10 @@ Looks = dict[str, dict[str, Any]]
 
 
 def draw_posterior(
-    found: Identification, x: str | None = None, y: str | None = None, **where: Unpack[Where]
+    found: Identification,
+    x: str | None = None,
+    y: str | None = None,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw the regions that hold 50, 95 and 99.9 % of the probability of two unknowns, or the
     density of one, with the interval that holds 95 %.
@@ -70,7 +73,7 @@ def draw_posterior(
         Made by :func:`identify`.
     x, y : str, optional
         The two unknowns, or one. Default: the first two, or the only one.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -92,10 +95,10 @@ def draw_posterior(
     for name, key in zip("xy", (x, *others), strict=False):
         if key not in found.unknown or others == [x]:
             raise InputError(name, key, f"one or two different ones of {', '.join(found.unknown)}")
-    [panel] = picture = Picture(size=(6.0, 4.6), **where)
+    [panel] = picture = Picture(size=(6.0, 4.6), **picture_options)
     if not others:
         _draw_density(panel, found, x)
-        return picture.finished()
+        return picture.finish()
     [y] = others
     first, second = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
@@ -124,7 +127,7 @@ def draw_posterior(
     _set_limits(panel, np.concatenate(within), (axes[first], axes[second]))
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of(y))
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_density(panel: Axes, found: Identification, x: str) -> None:
@@ -172,7 +175,7 @@ def _set_limits(panel: Any, within: np.ndarray, axes: tuple[np.ndarray, np.ndarr
         change(max(axis[0], values.min() - room), min(axis[-1], values.max() + room))
 
 
-def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
+def draw_verification(found: Verification, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the distance of each quantity from its extrapolated value over the size of elements, or
     of what else was varied first, and the contribution of each cause to its uncertainty.
 
@@ -185,7 +188,7 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     ----------
     found : Verification
         Made by :func:`verify`.
-    **where
+    **picture_options
         ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -199,12 +202,12 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
     size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
-    left, right = picture = Picture(2, columns=2, size=size, **where)
+    left, right = picture = Picture(2, n_columns=2, size=size, **picture_options)
     cause = next(iter(found.causes), "")
     looks = _looks(found, cause) if cause else {}
     _draw_orders(left, found, cause, looks)
     _draw_contributions(right, found, looks)
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> None:
@@ -285,10 +288,12 @@ def _in_words(found: Verification, name: str) -> str:
     words = f"{QUANTITIES[kind].words}, mode {mode}" if row is None else row.words
     if point:
         words += f", {found.scene.point_names.get(point, point)}"
-    return f"{fill(words, LETTERS)}, {quantity(found.values[name], found.units[name])}"
+    return f"{fill(words, MAX_LETTERS_PER_LINE)}, {quantity(found.values[name], found.units[name])}"
 
 
-def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
+def draw_growth(
+    found: Growth, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
+) -> Figure:
     """Draw a crack's length, the frequencies and its stress intensity over the cycles.
 
     Dots are the lengths that were solved; of a half-ellipse its depth and length are drawn.
@@ -299,7 +304,7 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
         Of :func:`grow`.
     in_hertz : bool
         Frequencies in Hz instead of rad/s.
-    **where
+    **picture_options
         ``axes`` (three), ``path``, ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -319,7 +324,7 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     size, solved = (7.0, 8.6), np.zeros(0)
     if found.depth is None:
         solved = found.solved[found.solved <= found.length[-1]]
-    picture = Picture(3, size=size, sharex=True, **where)
+    picture = Picture(3, size=size, sharex=True, **picture_options)
     length, frequency, strength = picture.panels
     at = np.interp(solved, found.length, found.cycles)
     factor, _, unit = frequency_axis(in_hertz)
@@ -345,8 +350,8 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     label_axis(length.yaxis, "crack", "m")
     label_axis(frequency.yaxis, "frequency", unit)
     label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
-    label_count(strength.xaxis, "load cycles")
-    return picture.finished()
+    label_count_axis(strength.xaxis, "load cycles")
+    return picture.finish()
 
 
 # --- rotors ---------------------------------------------------------------------------------------
@@ -358,7 +363,7 @@ def draw_campbell(
     *,
     in_hertz: bool = True,
     in_rpm: bool = True,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw natural frequencies over the speed: as lines those of the crack as it is held open, shut
     or partly open, or breathes at each speed, in bands from open to bonded; engine orders
@@ -373,7 +378,7 @@ def draw_campbell(
         Engine orders.
     in_hertz, in_rpm : bool
         Frequencies in Hz, else in rad/s; speeds in revolutions per minute, else in rad/s.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -395,7 +400,7 @@ def draw_campbell(
 
     for order in orders:
         check_count("orders", order, 1)
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     factor, _, unit = frequency_axis(in_hertz)
     pace, *name = speed_axis(in_rpm)
     speed, real = pace * diagram.speed, factor * diagram.omega_real
@@ -420,7 +425,7 @@ def draw_campbell(
     if diagram.cracked:
         panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to bonded")
     panel.set(xlabel=with_unit(*name), ylabel=f"natural frequency [{unit}]")
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_order(
@@ -442,7 +447,7 @@ def _write_order(panel: Any, order: float, place: Any, by: tuple[int, int], **lo
 
 
 def draw_arrivals(
-    arrivals: ArrivalTimes, *, in_rpm: bool = False, **where: Unpack[Where]
+    arrivals: ArrivalTimes, *, in_rpm: bool = False, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw the displacements that follow from the arrivals, for each probe.
 
@@ -455,7 +460,7 @@ def draw_arrivals(
         Result to draw.
     in_rpm : bool
         Speeds of a run-up in revolutions per minute, else in rad/s.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -467,9 +472,9 @@ def draw_arrivals(
     --------
     >>> figure = fc.draw_arrivals(arrivals, path="arrivals.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     _draw_displacements(panel, arrivals, in_rpm)
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
@@ -487,7 +492,9 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
     label_axis(panel.yaxis, "blade tip displacement", "m")
 
 
-def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) -> Figure:
+def draw_tip_fit(
+    fit: TipFit, arrivals: ArrivalTimes, **picture_options: Unpack[PictureOptions]
+) -> Figure:
     """Draw a fitted vibration, with the arrivals over its period, and the engine orders that were
     tried; of one order alone the amplitudes of its harmonics, with their standard errors.
 
@@ -495,7 +502,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     ----------
     fit, arrivals : TipFit, ArrivalTimes
         A fit, and what it was fitted to.
-    **where
+    **picture_options
         ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -512,7 +519,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     --------
     >>> figure = fc.draw_tip_fit(fc.fit_order(arrivals), arrivals, path="fit.png")
     """
-    upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
+    upper, lower = picture = Picture(2, size=(7.0, 7.0), **picture_options)
     loads = max(1, round(1.0 / fit.multiples[0]))  # load periods of a response
     turns = np.linspace(0.0, loads, 500)
     wave = fit.displacement(2.0 * np.pi * turns / fit.order)
@@ -527,7 +534,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
         _draw_candidates(lower, fit.candidates, fit.order)
     else:
         _draw_harmonics(lower, fit)
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
@@ -571,7 +578,9 @@ def _draw_harmonics(axes: Axes, fit: TipFit) -> None:
     label_axis(axes.yaxis, "amplitude of the blade tip", "m")
 
 
-def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
+def draw_tip_track(
+    track: TipTrack, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
+) -> Figure:
     """Draw the amplitudes of a run-up over the load's frequency, with their standard errors.
 
     Parameters
@@ -580,7 +589,7 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
         Result to draw.
     in_hertz : bool
         Frequencies in Hz, not rad/s.
-    **where
+    **picture_options
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -592,7 +601,7 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
     --------
     >>> figure = fc.draw_tip_track(fc.track_order(arrivals, 6), path="track.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     factor, name, unit = frequency_axis(in_hertz)
     place = factor * track.omega
     series = zip(track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True)
@@ -604,11 +613,13 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
     panel.set_xlabel(with_unit(name, unit))
     label_axis(panel.yaxis, "amplitude of the blade tip", "m")
     panel.set_ylim(bottom=0.0)
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_passages(
-    passages: Sequence[PassageFit], arrivals: ArrivalTimes, **where: Unpack[Where]
+    passages: Sequence[PassageFit],
+    arrivals: ArrivalTimes,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw a record over the speed, the resonances found in it, and the clearest of them closely:
     what one probe sees of each passage without drift, and the fit.
@@ -619,7 +630,7 @@ def draw_passages(
         The clearest one first, as :func:`find_passages` gives them.
     arrivals : ArrivalTimes
         In which they were found.
-    **where
+    **picture_options
         ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
@@ -636,7 +647,7 @@ def draw_passages(
     --------
     >>> figure = fc.draw_passages(fc.find_passages(arrivals), arrivals, path="passages.png")
     """
-    upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
+    upper, lower = picture = Picture(2, size=(7.0, 7.0), **picture_options)
     _draw_displacements(upper, arrivals, in_rpm=True)
     upper_edge = "data", "axes fraction"
     for number, fit in enumerate(passages):
@@ -649,7 +660,7 @@ def draw_passages(
         _draw_passage(lower, passages[0], arrivals)
     else:
         lower.set_axis_off()
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
@@ -664,5 +675,5 @@ def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
     axes.set_xlabel("rotor speed [rpm]")
     label_axis(axes.yaxis, "blade tip displacement", "m")
     angle = np.degrees(arrivals.probes[probe])
-    where = f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe at {angle:.4g}°"
-    axes.set_title(where, fontsize="medium")
+    title = f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe at {angle:.4g}°"
+    axes.set_title(title, fontsize="medium")

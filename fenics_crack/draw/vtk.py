@@ -27,7 +27,7 @@ from fenics_crack.basics.atomic_files import check_inner, write_together, write_
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows, on_root
-from fenics_crack.draw.figure import tenth
+from fenics_crack.draw.figure import magnification_to_tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
@@ -276,7 +276,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     def write() -> None:
         grid = grid_at_rest(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
-            factor = tenth(shape, mesh.size)
+            factor = magnification_to_tenth(shape, mesh.size)
             moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
             grid.point_data[name] = moved
             grid.field_data[f"magnification of mode {number}"] = [factor]
@@ -372,7 +372,9 @@ class PeriodFields:
         assert structure.pair_areas is not None
         self.time = np.arange(frames) * solution.period / frames
         self.displacement = self.mesh.nodal_vectors(solution.displacement_field(self.time))
-        self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
+        self.magnification = float(
+            magnification or magnification_to_tenth(self.displacement, self.mesh.size)
+        )
         self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
         parts = self.mesh.nodal_vectors(structure.force).reshape(len(structure.force), -1)
         self.load = evaluate(parts, solution.omega, self.time).reshape(self.displacement.shape)
