@@ -91,8 +91,8 @@ class _Colours:
     """Colours in steps from 0 to the end of the scale, in a unit with a prefix."""
 
     def __init__(self, fields: PeriodFields) -> None:
-        name, unit = fields.colour
-        end, highest = fields.colour_end, fields.colour_values.max()
+        name, unit = fields.colour_name_and_unit
+        end, highest = fields.colour_scale_end, fields.colour_values.max()
         self.factor, unit = readable(end, unit)
         self.label = f"{name} [{unit}]"
         self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, self.factor * end)
@@ -108,9 +108,9 @@ class _Plate:
         self.plotter, self.fields, self.colours, mesh = plotter, fields, colours, fields.mesh
         self.height = 1e-3 * mesh.size  # of lines above the plate
         solid = mesh.dimension == 3
-        boundary = vtk.outline(mesh) if solid else mesh.boundary
+        boundary = vtk.find_sharp_edges(mesh) if solid else mesh.boundary
         self._line(boundary, "rest", 2)
-        self.surface = vtk.surface(mesh.points, mesh.boundary if solid else mesh.triangles)
+        self.surface = vtk.make_surface(mesh.points, mesh.boundary if solid else mesh.triangles)
         self.surface["shown"] = colours.factor * fields.colour_values[0]
         plotter.add_mesh(
             self.surface, scalars="shown", cmap=colours.map, clim=colours.levels[[0, -1]],
@@ -120,11 +120,13 @@ class _Plate:
         if not solid:  # whose outline has the mouth
             self.lines.append(self._line(mesh.crack_faces, "lips", 5))
         self._line(boundary[mesh.is_clamped[boundary].all(axis=1)], "rest", 9)
-        self.dots = vtk.pyvista().PolyData(np.zeros((len(fields.areas), 3)))
-        if len(fields.areas):
+        self.dots = vtk.import_pyvista().PolyData(np.zeros((len(fields.pair_areas), 3)))
+        if len(fields.pair_areas):
             round_dots = {"point_size": 16, "render_points_as_spheres": True}
             plotter.add_mesh(self.dots, color=INK["contact"], **round_dots, **FLAT)
-        self.arrow = vtk.pyvista().Arrow(tip_length=0.45, tip_radius=0.16, shaft_radius=0.055)
+        self.arrow = vtk.import_pyvista().Arrow(
+            tip_length=0.45, tip_radius=0.16, shaft_radius=0.055
+        )
         self.unit_arrow = self.arrow.points.copy()
         self.room = np.array([0.0, 0.0, 0.0 if solid else 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
@@ -134,14 +136,14 @@ class _Plate:
 
     def _line(self, edges: np.ndarray, ink: str, width: float) -> Any:
         """Draw edges, and return them."""
-        drawn = vtk.lines(self._above(self.fields.mesh.points), edges)
+        drawn = vtk.make_lines(self._above(self.fields.mesh.points), edges)
         if len(edges):
             self.plotter.add_mesh(drawn, color=INK[ink], line_width=width, **FLAT)
         return drawn
 
     def _above(self, points: np.ndarray) -> np.ndarray:
         """Lift points to where lines are drawn: above a plate."""
-        return vtk.in_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
+        return vtk.pad_to_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
 
     def image(self, frame: int) -> Image.Image:
         """The picture of a frame."""
@@ -152,15 +154,19 @@ class _Plate:
     def _move(self, frame: int) -> None:
         """Put all parts where they are in a frame."""
         fields = self.fields
-        moved = fields.moved[frame]
-        self.surface.points = vtk.in_space(moved)
+        moved = fields.magnified_points[frame]
+        self.surface.points = vtk.pad_to_space(moved)
         for part in self.lines:
             part.points = self._above(moved)
         self.surface["shown"] = self.colours.factor * fields.colour_values[frame]
-        pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
-        self.dots.points = vtk.in_space(pairs @ moved) + self.room
-        self.dots.verts = np.insert(np.argwhere(fields.force[frame] > 0.0), 0, 1, axis=1).ravel()
-        start, arrow = (vtk.in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
+        pairs = (fields.nodal_pair_forces / fields.nodal_pair_forces.sum(axis=0)).T
+        self.dots.points = vtk.pad_to_space(pairs @ moved) + self.room
+        self.dots.verts = np.insert(
+            np.argwhere(fields.contact_forces[frame] > 0.0), 0, 1, axis=1
+        ).ravel()
+        start, arrow = (
+            vtk.pad_to_space(part[frame][None])[0] for part in (self.starts, self.arrows)
+        )
         _, size, axes = np.linalg.svd(arrow[None])
         axes[0] *= np.sign(axes[0] @ arrow)
         self.arrow.points = start + self.room + size * (self.unit_arrow @ axes)
@@ -171,12 +177,12 @@ def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
 
     The longest arrow is an eighth of the plate.
     """
-    total = fields.load.sum(axis=1)
-    share = np.abs(fields.load).sum(axis=(0, 2))
+    total = fields.nodal_loads.sum(axis=1)
+    share = np.abs(fields.nodal_loads).sum(axis=(0, 2))
     largest = np.linalg.norm(total, axis=1).max()
     if largest == 0.0:
         return np.zeros_like(total), np.zeros_like(total)
-    return share @ fields.moved / share.sum(), fields.mesh.size / 8.0 * total / largest
+    return share @ fields.magnified_points / share.sum(), fields.mesh.size / 8.0 * total / largest
 
 
 # --- the animation --------------------------------------------------------------------------------
@@ -225,9 +231,9 @@ def _look_at_all(plotter: Any, fields: PeriodFields) -> float:
         vtk.look_from_corner(plotter.renderer, fields.mesh.points)
         return float(width / height)
     heads = np.add(*_load_arrows(fields)) if fields.has_one_load else np.empty((0, 2))
-    points = np.concatenate([fields.mesh.points, *fields.moved, heads])
+    points = np.concatenate([fields.mesh.points, *fields.magnified_points, heads])
     low, high = points.min(axis=0), points.max(axis=0)
-    size, camera = fields.mesh.size, vtk.seen_parallel(plotter.renderer)
+    size, camera = fields.mesh.size, vtk.set_parallel_camera(plotter.renderer)
     middle, (across, up) = 0.5 * (low + high), high - low
     seen = 1.03 * max(up, across * height / width)
     camera.SetFocalPoint(*middle, 0.0)
@@ -255,7 +261,7 @@ class _Page:
         self.size, self.corner = (532, 444), (6, 92)  # of the plate, and its place [pixels]
         self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
-        title = "Breathing crack" if fields.cracked else "Vibrating structure"
+        title = "Breathing crack" if fields.has_cracks else "Vibrating structure"
         centred = {"ha": "center", "va": "center"}
         self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
         moves = "load" if fields.has_one_load else "motion"
@@ -289,8 +295,8 @@ class _Page:
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.is_clamped.any(), "rest", 6, None),
             ("load", fields.has_one_load, "load", 3, ">"),
-            ("crack faces", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
-            ("in contact", len(fields.areas), "contact", 0, "o"),
+            ("crack faces", fields.has_cracks and fields.mesh.dimension == 2, "lips", 3, None),
+            ("in contact", len(fields.pair_areas), "contact", 0, "o"),
         )
         keys = [
             Line2D([], [], label=label, color=INK[ink], lw=width, marker=marker, ms=8)
@@ -305,7 +311,7 @@ class _Page:
         axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)
         loads, closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)
-        if len(fields.areas):
+        if len(fields.pair_areas):
             gaps, watched = solution.gap(time), solution.structure.watched_pairs.values()
             pair = max(watched, key=lambda number: float(np.ptp(gaps[:, number])))
             quantity, wave = f"opening {solution.structure.describe_pair(pair)}", -gaps[:, pair]

@@ -201,14 +201,14 @@ def draw_moved(
         from fenics_crack.draw import vtk
 
         plotter = vtk.off_screen_plotter()
-        surface = vtk.surface(moved, mesh.boundary)
+        surface = vtk.make_surface(moved, mesh.boundary)
         surface["amplitude"] = values
         plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-        outline = vtk.outline(mesh)
-        plotter.add_mesh(vtk.lines(moved, outline), color="black", line_width=2)
+        outline = vtk.find_sharp_edges(mesh)
+        plotter.add_mesh(vtk.make_lines(moved, outline), color="black", line_width=2)
         if not of_wheel:
-            plotter.add_mesh(vtk.lines(mesh.points, outline), color="#8a8a8a", line_width=2)
-        axes.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
+            plotter.add_mesh(vtk.make_lines(mesh.points, outline), color="#8a8a8a", line_width=2)
+        axes.imshow(vtk.render_cropped_image(plotter, mesh.points), interpolation="antialiased")
         drawn = ScalarMappable(Normalize(0.0, float(values.max())), "viridis")
     axes.axis("off")
     return drawn
@@ -234,9 +234,9 @@ def draw_faces(
         plotter, corners = vtk.off_screen_plotter(), turn * triangles.reshape(-1, 3)
         rows = np.arange(len(corners)).reshape(-1, 3)
         for face, colour in zip(faces, cycle(COLOURS.values()), strict=False):
-            plotter.add_mesh(vtk.surface(corners, rows[owners == face]), color=to_rgb(colour))
+            plotter.add_mesh(vtk.make_surface(corners, rows[owners == face]), color=to_rgb(colour))
         plotter.add_point_labels(turn * places[: len(faces)], numbers, **look)
-        panel.imshow(vtk.image_of(plotter, corners), interpolation="antialiased")
+        panel.imshow(vtk.render_cropped_image(plotter, corners), interpolation="antialiased")
         panel.axis("off")
         panel.set_title(words)
     return picture.finish()
@@ -253,16 +253,18 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     points, facets = mesh.points, mesh.boundary
     clamped = mesh.is_clamped[facets].all(axis=1)
     is_lip = rows_in(facets, mesh.crack_faces)
-    shown = vtk.surface(points, facets[~clamped & ~is_lip])
+    shown = vtk.make_surface(points, facets[~clamped & ~is_lip])
     plotter.add_mesh(shown, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a")
-    plotter.add_mesh(vtk.lines(points, vtk.outline(mesh)), color="black", line_width=3)
+    plotter.add_mesh(
+        vtk.make_lines(points, vtk.find_sharp_edges(mesh)), color="black", line_width=3
+    )
     handles = []
     for rows, colour, label in (
         (facets[clamped], "green", "clamped"),
         (facets[is_lip], "orange", "crack faces"),
     ):
         if len(rows):
-            faces = vtk.surface(points, rows)
+            faces = vtk.make_surface(points, rows)
             plotter.add_mesh(faces, color=to_rgb(COLOURS[colour]), lighting=False)
             handles.append(Patch(color=COLOURS[colour], label=label))
     for part in load:
@@ -271,12 +273,12 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
             place = share @ points / share.sum()
             length, thick = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
             start = place - length * total / np.linalg.norm(total)
-            arrow = vtk.pyvista().Arrow(start=start, direction=total, scale=length, **thick)
+            arrow = vtk.import_pyvista().Arrow(start=start, direction=total, scale=length, **thick)
             plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
     if np.any(load):
         handles.append(Patch(color=COLOURS["pink"], label="load"))
     [axes] = picture
-    axes.imshow(vtk.image_of(plotter, points), interpolation="antialiased")
+    axes.imshow(vtk.render_cropped_image(plotter, points), interpolation="antialiased")
     axes.axis("off")
     if handles and picture.has_legend:
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)
