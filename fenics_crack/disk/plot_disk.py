@@ -42,12 +42,12 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     solution : PeriodicSolution
         Of a scene with [disk].
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -115,12 +115,12 @@ def draw_blades(
     in_hertz : bool
         Frequencies in Hz, else in rad/s.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -172,12 +172,12 @@ def draw_nodal_diameters(
     families : int, optional
         How many; default: all.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Examples
     --------
@@ -219,12 +219,12 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     found : Amplification
         Result to draw.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Examples
     --------

@@ -67,12 +67,12 @@ def draw_curve(
         Load frequencies in Hz and speeds in rpm, those of ``behind`` and ``points`` too, which are
         given in rad/s.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Examples
     --------
@@ -232,12 +232,12 @@ def draw_content(
     highest : int
         Highest harmonic of the load that is drawn.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -280,12 +280,12 @@ def draw_multipliers(
     in_hertz
         As of :func:`draw_curve`.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------

@@ -41,12 +41,12 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     structure : Structure
         Whole or reduced, from a mesh.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -132,12 +132,12 @@ def draw_modes(
     columns : int
         Panels side by side in a new figure.
     **picture_options
-        ``axes``, one for each mode, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, one for each mode, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------

@@ -74,12 +74,12 @@ def draw_posterior(
     x, y : str, optional
         The two unknowns, or one. Default: the first two, or the only one.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -189,12 +189,12 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     found : Verification
         Made by :func:`verify`.
     **picture_options
-        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Examples
     --------
@@ -305,12 +305,12 @@ def draw_growth(
     in_hertz : bool
         Frequencies in Hz instead of rad/s.
     **picture_options
-        ``axes`` (three), ``path``, ``title``, as of :func:`draw_waves`.
+        ``axes`` (three), ``path``, ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -379,12 +379,12 @@ def draw_campbell(
     in_hertz, in_rpm : bool
         Frequencies in Hz, else in rad/s; speeds in revolutions per minute, else in rad/s.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -461,12 +461,12 @@ def draw_arrivals(
     in_rpm : bool
         Speeds of a run-up in revolutions per minute, else in rad/s.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Examples
     --------
@@ -503,12 +503,12 @@ def draw_tip_fit(
     fit, arrivals : TipFit, ArrivalTimes
         A fit, and what it was fitted to.
     **picture_options
-        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
@@ -590,12 +590,12 @@ def draw_tip_track(
     in_hertz : bool
         Frequencies in Hz, not rad/s.
     **picture_options
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Examples
     --------
@@ -631,12 +631,12 @@ def draw_passages(
     arrivals : ArrivalTimes
         In which they were found.
     **picture_options
-        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+        ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Figure of matplotlib, also with given ``axes``.
 
     Raises
     ------
