@@ -47,7 +47,7 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def draw_blades(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def draw_nodal_diameters(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -224,7 +224,7 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------

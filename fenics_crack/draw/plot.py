@@ -104,7 +104,7 @@ def draw_waves(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -149,7 +149,7 @@ def draw_laws(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -188,7 +188,7 @@ def draw_contact_map(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -356,7 +356,7 @@ def draw_response(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -434,7 +434,7 @@ def draw_map(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -540,7 +540,7 @@ def draw_spectrum(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -656,7 +656,7 @@ def draw_orbits(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -763,7 +763,7 @@ def draw_friction_loops(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -826,7 +826,7 @@ def draw_stress_intensity(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def draw_modes(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------

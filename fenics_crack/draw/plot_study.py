@@ -79,7 +79,7 @@ def draw_posterior(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -310,7 +310,7 @@ def draw_growth(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -384,7 +384,7 @@ def draw_campbell(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -466,7 +466,7 @@ def draw_arrivals(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -508,7 +508,7 @@ def draw_tip_fit(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -595,7 +595,7 @@ def draw_tip_track(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -636,7 +636,7 @@ def draw_passages(
     Returns
     -------
     Figure
-        Figure of matplotlib, also with given ``axes``.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
