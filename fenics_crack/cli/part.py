@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.draw.plot_mesh import draw_faces
+from fenics_crack.draw.plot_mesh import draw_numbered_faces
 from fenics_crack.fem.solid import ray_length, read_part_faces
 from fenics_crack.version import packaged
 
@@ -114,7 +114,9 @@ def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
     start, normal, depth = _crack_start(surface, axis)
     shown_faces = surface.faces[:MOST_FACES]
     picture = scene.with_name(f"{scene.stem}_faces.png")
-    draw_faces(surface.triangles, surface.owners, shown_faces, surface.points, path=picture)
+    draw_numbered_faces(
+        surface.triangles, surface.owners, shown_faces, surface.points, path=picture
+    )
     lines = [f"clamp = [{_vector(clamp)}]", f"tip = [{_vector(tip)}]"]
     for number, (face, point) in enumerate(zip(shown_faces, surface.points, strict=False), 1):
         area = 1e6 * surface.area(face)

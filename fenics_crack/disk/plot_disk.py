@@ -19,7 +19,7 @@ from fenics_crack.draw.figure import (
     label_axis,
     magnification_to_tenth,
 )
-from fenics_crack.draw.plot_mesh import draw_moved
+from fenics_crack.draw.plot_mesh import draw_displaced_mesh
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 if TYPE_CHECKING:
@@ -72,7 +72,9 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     shape_displacement = (
         0.5 * magnification_to_tenth(largest_displacement, mesh.size) * largest_displacement
     )
-    coloured_mesh = draw_moved(panel, mesh, shape_displacement, factor * amplitude, of_wheel=True)
+    coloured_mesh = draw_displaced_mesh(
+        panel, mesh, shape_displacement, factor * amplitude, is_wheel=True
+    )
     panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
         _number_blades(panel, wheel)

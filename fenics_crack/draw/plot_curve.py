@@ -57,10 +57,10 @@ def draw_curve(
 
     Stable parts are solid, unstable parts dashed, irregular parts dash-dotted and undecided parts
     dotted. Without multipliers the curve is solid, and the legend says that stability was not
-    examined. Parts with a large estimated error of the displacement are faint. A ring marks the
-    largest response inside the curve; the legend has its position and size. Bifurcations have
-    marks, only some of many in one place, and the legend counts them. Superharmonic peaks have the
-    order of their largest harmonic.
+    examined. Parts with a large estimated displacement error are faint. A ring marks the largest
+    response inside the curve; the legend has its position and size. Bifurcations have marks, only
+    some if many are in one place, and the legend counts them. Superharmonic peaks have the order of
+    their largest harmonic.
 
     Parameters
     ----------
