@@ -191,8 +191,9 @@ def draw_modes(
         mode_shape = mode_shapes[mode_number - 1]
         displacement = magnification_to_tenth(mode_shape, mesh.size) * mode_shape
         draw_displaced_mesh(panel, mesh, displacement, np.linalg.norm(mode_shape, axis=1))
-        frequency = modes.omega[mode_number - 1] / (2.0 * np.pi)
-        panel.set_title(f"mode {mode_number}: {frequency:.1f} Hz")
+        panel.set_title(
+            f"mode {mode_number}: {modes.omega[mode_number - 1] / (2.0 * np.pi):.1f} Hz"
+        )
     return picture.save_with_title()
 
 

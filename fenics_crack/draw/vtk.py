@@ -210,8 +210,9 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
         A matrix for each axis.
     """
     n_cell_nodes = mesh.cells.shape[1]
-    unit_coordinates = make_grid_at_rest(mesh).GetCell(0).GetParametricCoords()
-    node_coordinates = np.reshape(unit_coordinates, (n_cell_nodes, 3))
+    node_coordinates = np.reshape(
+        make_grid_at_rest(mesh).GetCell(0).GetParametricCoords(), (n_cell_nodes, 3)
+    )
     unit_cell = _make_grid(node_coordinates, np.arange(n_cell_nodes)[None], mesh.vtk_type)
     unit_cell.point_data["shape"] = np.eye(n_cell_nodes)
     flat_gradients = np.asarray(unit_cell.compute_derivative("shape")["gradient"])
@@ -294,8 +295,8 @@ def stress_at(
     outside_indices = np.flatnonzero(np.asarray(sampled_points["vtkValidPointMask"]) == 0)
     if len(outside_indices):
         raise InputError("points", stress_points[outside_indices[0]].tolist(), "on the mesh")
-    point_stresses = np.asarray(sampled_points["stress"])
-    return time, np.moveaxis(point_stresses.reshape(len(stress_points), len(time), -1), 0, 1)
+    point_stresses = np.reshape(sampled_points["stress"], (len(stress_points), len(time), -1))
+    return time, np.moveaxis(point_stresses, 0, 1)
 
 
 # --- files for ParaView ---------------------------------------------------------------------------
@@ -448,8 +449,8 @@ class PeriodFields:
             self.nodal_pair_forces = _make_nodal_pair_forces(structure)
             self.pressure_weights = self.nodal_pair_forces * self.pair_areas
             nodal_area_sums = self.pressure_weights.sum(axis=1, keepdims=True)
-            min_area_sum = 1e-9 * nodal_area_sums.max(initial=0.0)
-            nodal_area_sums[nodal_area_sums <= min_area_sum] = np.inf  # rounding at tips
+            is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)  # at tips
+            nodal_area_sums[is_rounding] = np.inf
             self.pressure_weights /= nodal_area_sums
 
     @property
@@ -493,9 +494,8 @@ class PeriodFields:
         pair_forces, displacement = self.contact_forces[frame_index], self.displacement[frame_index]
         grid = make_grid_at_rest(self.mesh)
         # A node half-way between two pairs is closed if both are closed.
-        closed_weights = self.pressure_weights @ (pair_forces > 0.0)
         weight_sums = self.pressure_weights.sum(axis=1)
-        is_closed = closed_weights > 0.501 * weight_sums
+        is_closed = self.pressure_weights @ (pair_forces > 0.0) > 0.501 * weight_sums
         point_fields = {
             "displacement": pad_to_space(displacement),
             "contact state": np.where(weight_sums > 0.0, 1.0 * is_closed, -1.0),
@@ -650,5 +650,6 @@ def _make_nodal_pair_forces(structure: Structure) -> np.ndarray:
     free_nodes, local_dofs = free_entries[0], dofs[free_entries] - structure.first_dof
     matrix_entries = np.ones(len(free_nodes)), (free_nodes, local_dofs)
     node_dof_matrix = csr_matrix(matrix_entries, (len(dofs), structure.n_local))
-    squares = node_dof_matrix @ gap_matrix.multiply(gap_matrix)
-    return gather_rows(structure.comm, np.sqrt(squares.toarray()))
+    return gather_rows(
+        structure.comm, np.sqrt((node_dof_matrix @ gap_matrix.multiply(gap_matrix)).toarray())
+    )
