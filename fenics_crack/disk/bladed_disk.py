@@ -382,7 +382,7 @@ def amplification(
     bonded_scene = scene.replace({"disk.cracked": [], **pattern_keys})
     wheel = wheel_of(assemble(bonded_scene, comm))
     find_peak = _make_peak_finder(wheel, scene.excitation.omega)
-    tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.count))
+    tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.n_sectors))
     rank_rows = []
     for number in range(comm.rank, patterns, comm.size):
         pattern_scene = bonded_scene.replace({"disk.seed": seed + number})
@@ -414,8 +414,8 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     It looks in the family of modes that the engine order excites next to the load's frequency.
     """
     structure = WheelStructure(wheel, count_basis_families(wheel.families))
-    count = wheel.sector.count
-    (mass, tuned_stiffness), damping = structure.basis.tuned_matrices, wheel.damping
+    count = wheel.sector.n_sectors
+    (mass, tuned_stiffness), damping = structure.basis.tuned_mass_and_stiffness, wheel.damping
     force = structure.force[1] - 1j * structure.force[2]
     if not np.any(force):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
@@ -425,7 +425,7 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     excited_omega = families[excited_diameter(wheel.order, count)]
     family_omega = excited_omega[np.argmin(np.abs(excited_omega - load_omega))]
     is_slower = families < family_omega * (1.0 - 1e-9)
-    n_slower = round(count * float(wheel.sector.shares @ is_slower.sum(axis=1)))
+    n_slower = round(count * float(wheel.sector.diameter_shares @ is_slower.sum(axis=1)))
     # Of the excited family all N modes are looked at, and as many around it.
     mode_range = slice(max(n_slower - count, 0), max(n_slower - count, 0) + 2 * count)
     rows = structure.values_at(np.eye(structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T

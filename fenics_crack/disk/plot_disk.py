@@ -87,7 +87,7 @@ def _number_blades(panel: Axes, wheel: Wheel) -> None:
     assert nodes is not None
     sector_middle = nodes.points.mean(axis=0) - sector.center
     reach = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
-    for place in range(sector.count):
+    for place in range(sector.n_sectors):
         position = sector.center + reach * sector.rotation_matrix(place) @ (
             sector_middle / np.linalg.norm(sector_middle)
         )

@@ -43,8 +43,8 @@ from fenics_crack.disk.cyclic import (
     CyclicModes,
     Sector,
     SectorNumbering,
-    cyclic_basis,
-    selection_matrix,
+    make_cyclic_basis,
+    make_selection_matrix,
     solve_cyclic_modes,
 )
 from fenics_crack.model.body import DEFAULT_SETTING, Body
@@ -117,13 +117,13 @@ class Wheel(Structure):
     ) -> None:
         fitting_argument("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
-        structure, n_sectors = sector.structure, sector.count
+        structure, n_sectors = sector.structure, sector.n_sectors
         tangential = structure.tangential
         cracked = tuple(cracked) if structure.n_pairs else ()
-        dofs, places = sector.dofs.in_wheel(n_sectors, cracked)
+        dofs, places = sector.dof_numbering.number_wheel_members(n_sectors, cracked)
         absent_matrix = AbsentMatrix(len(places), comm.rank)
         own_rows = slice(None if comm.rank == 0 else 0)
-        copies = selection_matrix(dofs.ravel(), len(places))
+        copies = make_selection_matrix(dofs.ravel(), len(places))
         crack_selection = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
@@ -157,7 +157,7 @@ class Wheel(Structure):
     @property
     def n_sectors(self) -> int:
         """N."""
-        return self.sector.count
+        return self.sector.n_sectors
 
     @property
     def sector_structure(self) -> Structure:
@@ -187,7 +187,7 @@ class Wheel(Structure):
         InputError
             There is no such sector, or no such dof in a sector.
         """
-        n_sectors, n_sector_dofs = self.sector.count, self.sector.structure.n_dofs
+        n_sectors, n_sector_dofs = self.sector.n_sectors, self.sector.structure.n_dofs
         if not 1 <= blade <= n_sectors:
             raise InputError("blade", blade, f"a whole number from 1 to {n_sectors}")
         if not 0 <= dof < n_sector_dofs:
@@ -221,7 +221,7 @@ class Wheel(Structure):
 
     def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return rows of the load on the watched blade, as :meth:`Structure.load_on_sector`."""
-        own_members = ~self.sector.dofs.is_next_sector
+        own_members = ~self.sector.dof_numbering.is_next_sector
         blade_dofs = np.unique(self.numbers[self.watched_sector, own_members])
         dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
         blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
@@ -232,12 +232,12 @@ class Wheel(Structure):
     @shared_property
     def mass(self) -> Any:
         """M: (n, n) [kg]; made at the first request (collective)."""
-        return self._assemble_wheel(sparse.kron(np.eye(self.sector.count), self.sector.mass))
+        return self._assemble_wheel(sparse.kron(np.eye(self.sector.n_sectors), self.sector.mass))
 
     @shared_property
     def stiffness(self) -> Any:
         """K: (n, n) [N/m]; made at the first request (collective)."""
-        tuned_stiffness = sparse.kron(np.eye(self.sector.count), self.sector.stiffness)
+        tuned_stiffness = sparse.kron(np.eye(self.sector.n_sectors), self.sector.stiffness)
         stiffness_at_rest = local_rows(self.sector.stiffness_at_rest)
         return self._assemble_wheel(
             tuned_stiffness + sparse.kron(np.diag(self.mistuning), stiffness_at_rest)
@@ -245,19 +245,19 @@ class Wheel(Structure):
 
     def _assemble_wheel(self, matrix: sparse.spmatrix) -> Any:
         """Assemble the wheel's matrix from the uncoupled sectors' (collective)."""
-        copies = selection_matrix(self.numbers.ravel(), self.n_dofs)
+        copies = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
         wheel_matrix = sparse.csr_matrix(copies.T @ matrix @ copies)
         return distribute_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
     def _size_description(self) -> str:
-        return f"{self.sector.count} sectors, {self.n_dofs} dofs"
+        return f"{self.sector.n_sectors} sectors, {self.n_dofs} dofs"
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of the few coordinates, ``families`` for each sector."""
         wheel_structure = self.in_few_coordinates()
         count = min(
-            self.families * self.sector.count, wheel_structure.n_dofs - wheel_structure.n_pairs
+            self.families * self.sector.n_sectors, wheel_structure.n_dofs - wheel_structure.n_pairs
         )
         modes = solve_modes(
             wheel_structure, count, lips="tied" if is_bonded and wheel_structure.n_pairs else "open"
@@ -278,7 +278,7 @@ class Wheel(Structure):
             There are more or fewer, or one leaves no stiffness.
         """
         return self._in_setting(
-            self.setting, mistuning=_read_deviations(deviations, self.sector.count)
+            self.setting, mistuning=_read_deviations(deviations, self.sector.n_sectors)
         )
 
     def basis(self, families: int) -> CyclicBasis:
@@ -291,9 +291,9 @@ class Wheel(Structure):
         families : int
             Number of modes of each nodal diameter.
         """
-        bases, key = self.sector.bases, (families, self.order, self.cracked)
+        bases, key = self.sector.bases_by_key, (families, self.order, self.cracked)
         if key not in bases:
-            bases[key] = cyclic_basis(self.sector, *key, self.comm)
+            bases[key] = make_cyclic_basis(self.sector, *key, self.comm)
         return bases[key]
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
@@ -322,8 +322,8 @@ def _read_deviations(data: Any, n_sectors: int) -> np.ndarray:
 def _sector_loads(sector: Sector, order: int) -> np.ndarray:
     """Return the load on the dofs of each sector: (2K+1, N, n_sector) [N]."""
     waves = to_complex(sector.structure.force)
-    angles = np.multiply.outer(np.arange(len(waves)), np.arange(sector.count)) * order
-    turns = np.exp(2j * np.pi * angles / sector.count)
+    angles = np.multiply.outer(np.arange(len(waves)), np.arange(sector.n_sectors)) * order
+    turns = np.exp(2j * np.pi * angles / sector.n_sectors)
     return from_complex(turns[..., None] * waves[:, None])
 
 
@@ -340,10 +340,12 @@ def _wheel_nodes(
     nodes = sector.structure.nodes
     assert nodes is not None
     count = len(nodes.points)
-    node_numbers = SectorNumbering(np.arange(count)[:, None], sector.sides, sector.lips)
-    numbers, places = node_numbers.in_wheel(sector.count, cracked_places)
+    node_numbers = SectorNumbering(
+        np.arange(count)[:, None], sector.side_nodes, sector.crack_face_nodes
+    )
+    numbers, places = node_numbers.number_wheel_members(sector.n_sectors, cracked_places)
     sector_index, node = divmod(places[own_rows], count)
-    rotations = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.count)])
+    rotations = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.n_sectors)])
     frames = rotations[sector_index]
     points = np.einsum("nij,nj->ni", frames, nodes.points[node] - sector.center) + sector.center
     node_dofs = nodes.dofs[node]
@@ -420,18 +422,18 @@ class WheelStructure(Structure):
         begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
         basis, sector, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin("matrices of the wheel")
-        mass, stiffness = basis.tuned_matrices
+        mass, stiffness = basis.tuned_mass_and_stiffness
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
         loads = _sector_loads(wheel.sector, wheel.order)
         force = sum(
-            loads[:, sector_index] @ basis.columns(sector_index)
-            for sector_index in range(wheel.sector.count)
+            loads[:, sector_index] @ basis.sector_motions(sector_index)
+            for sector_index in range(wheel.sector.n_sectors)
         )
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """Assemble U^T B of all cracks from B of one: (n, p)."""
-            parts = [basis.columns(sector_index).T @ gap for sector_index in wheel.cracked]
+            parts = [basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked]
             return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *parts]))
 
         tangents = sector.tangential if wheel.cracked else None
@@ -501,9 +503,10 @@ class WheelStructure(Structure):
 
     def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the displacement (m, n_sector) of each sector, from coordinates (m, n_dofs)."""
-        sector_indices = range(self.whole.sector.count)
+        sector_indices = range(self.whole.sector.n_sectors)
         return (
-            displacement @ self.basis.columns(sector_index).T for sector_index in sector_indices
+            displacement @ self.basis.sector_motions(sector_index).T
+            for sector_index in sector_indices
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -521,7 +524,7 @@ class WheelStructure(Structure):
         """Return displacements at dofs of the wheel, from coordinates (m, n_dofs) (collective)."""
         wheel = self.whole
         places = wheel.places[wheel.check_dofs(dofs)]
-        rows = self.basis.columns(*divmod(places, wheel.sector.structure.n_dofs))
+        rows = self.basis.sector_motions(*divmod(places, wheel.sector.structure.n_dofs))
         return np.asarray(displacement @ rows.T)
 
 
@@ -598,17 +601,17 @@ def reduce_wheel(
     check_count("families", families, 1)
     check_count("more", more, 0)
     # With more families, static responses are made of modes but for rounding.
-    maximum = len(wheel.sector.dofs.own_members) // 2
+    maximum = len(wheel.sector.dof_numbering.own_members) // 2
     if families > maximum:
         raise InputError("families", families, f"at most {maximum}, half of a sector's dofs")
-    maximum = (count_basis_families(families) - families) * wheel.sector.count
+    maximum = (count_basis_families(families) - families) * wheel.sector.n_sectors
     if more > maximum:
         raise InputError("more", more, f"at most {maximum}, those of four families")
     structure = WheelStructure(
         wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
     )
     begin("reduction")
-    count = min(families * wheel.sector.count, structure.n_dofs - structure.n_pairs)
+    count = min(families * wheel.sector.n_sectors, structure.n_dofs - structure.n_pairs)
     if not structure.n_pairs:
         reduced_structure = reduce_structure(structure, modes=count + more, reference=reference)
         return reduced_structure._in_setting(wheel.setting)

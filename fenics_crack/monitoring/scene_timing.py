@@ -319,7 +319,7 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
         )
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
         if is_disk or rotation is None:  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
-            Q, center = structure.sector.turn, structure.sector.center
+            Q, center = structure.sector.rotation, structure.sector.center
             direction = (Q - Q.T) @ (points[node_index] - center)
             direction /= np.linalg.norm(direction)
         else:

@@ -314,14 +314,14 @@ def reduction_memory(structure: Structure, modes: int, method: str) -> float:
 def wheel_memory(wheel: Wheel, families: int) -> float:
     """The same of :func:`reduce_wheel` with a basis of so many families (collective)."""
     sector = wheel.sector
-    size, dofs = 2 * len(sector.dofs.own_members), sector.structure.n_dofs
+    size, dofs = 2 * len(sector.dof_numbering.own_members), sector.structure.n_dofs
     solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
     of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_size(families)
     modes = 16.0 * len(sector.diameters) * dofs * families
     # Answers to the opening of the crack by sectors, their products with a matrix, and as much
     # again while either is made; bonds have up to 40 patterns of forces beyond those of the pairs.
-    columns = min(2 * sector.structure.n_pairs + 40, len(sector.dofs.upper_members))
-    opened = 32.0 * sector.count * dofs * columns
+    columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))
+    opened = 32.0 * sector.n_sectors * dofs * columns
     return _memory_held(wheel) + wheel.comm.size * (of_modes + modes + opened)
 
 
