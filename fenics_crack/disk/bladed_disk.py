@@ -47,7 +47,7 @@ FREQUENCIES_PER_BANDWIDTH = 8
 The largest amplitude at these is within 8e-3 of the peak of one mode. A second search in 40 steps,
 over an interval to either side, is within 2e-5.
 """
-SEARCH_BANDWIDTHS = 1.5
+SEARCH_BANDWIDTHS_PER_SIDE = 1.5
 """Half-power bandwidths to either side of a natural frequency in which a peak is sought."""
 
 
@@ -447,8 +447,8 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     structure = WheelStructure(wheel, count_basis_families(wheel.families))
     n_sectors = wheel.sector.n_sectors
     (mass, tuned_stiffness), damping = structure.basis.tuned_mass_and_stiffness, wheel.damping
-    force = structure.force[1] - 1j * structure.force[2]
-    if not np.any(force):
+    complex_load = structure.force[1] - 1j * structure.force[2]
+    if not np.any(complex_load):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
     if not isinstance(damping, DampingRule):
         raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
@@ -465,8 +465,8 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
         np.eye(structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
     ).T
     bandwidth_steps = np.arange(
-        -SEARCH_BANDWIDTHS,
-        SEARCH_BANDWIDTHS + 0.5 / FREQUENCIES_PER_BANDWIDTH,
+        -SEARCH_BANDWIDTHS_PER_SIDE,
+        SEARCH_BANDWIDTHS_PER_SIDE + 0.5 / FREQUENCIES_PER_BANDWIDTH,
         1.0 / FREQUENCIES_PER_BANDWIDTH,
     )
 
@@ -476,7 +476,7 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
         )
         squared_omegas, shapes = scipy.linalg.eigh(stiffness, mass)
         natural_omegas, damping_rates = np.sqrt(squared_omegas), damping.rate(squared_omegas)
-        modal_forces, blade_shapes = shapes.T @ force, blade_matrix @ shapes
+        modal_forces, blade_shapes = shapes.T @ complex_load, blade_matrix @ shapes
         search_omegas = np.sort(
             (
                 natural_omegas[mode_range, None] + damping_rates[mode_range, None] * bandwidth_steps

@@ -84,17 +84,19 @@ class SectorNumbering:
         crack_face_nodes : (2, p) int
             Nodes on the lower crack face, and their partners on the upper face.
         """
-        representatives = np.arange(node_members.max() + 1)
+        representative_members = np.arange(node_members.max() + 1)
         for kept_nodes, merged_nodes in (side_nodes, crack_face_nodes):
             kept_members, merged_members = node_members[kept_nodes], node_members[merged_nodes]
             has_member = merged_members >= 0
-            representatives[merged_members[has_member]] = kept_members[has_member]
-        self.own_members, self.member_positions = np.unique(representatives, return_inverse=True)
+            representative_members[merged_members[has_member]] = kept_members[has_member]
+        self.own_members, self.member_positions = np.unique(
+            representative_members, return_inverse=True
+        )
         right_members, upper_members = (
             node_members[side_nodes[1]],
             node_members[crack_face_nodes[1]].ravel(),
         )
-        self.is_next_sector = np.isin(np.arange(len(representatives)), right_members)
+        self.is_next_sector = np.isin(np.arange(len(representative_members)), right_members)
         self.upper_members = upper_members[upper_members >= 0]
 
     def number_wheel_members(
@@ -163,14 +165,14 @@ class Sector:
         return SectorNumbering(nodes.dofs, self.side_nodes, self.crack_face_nodes)
 
     @property
-    def diameters(self) -> range:
+    def nodal_diameters(self) -> range:
         """The nodal diameters 0 .. N/2."""
         return range(self.n_sectors // 2 + 1)
 
     @property
     def diameter_shares(self) -> np.ndarray:
         """Share of each nodal diameter and its conjugate in a load on sector 0: (N/2 + 1,)."""
-        multiplicities = [1.0 if self.has_single_wave(n) else 2.0 for n in self.diameters]
+        multiplicities = [1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameters]
         return np.array(multiplicities) / self.n_sectors
 
     def has_single_wave(self, diameter: int) -> bool:
@@ -221,12 +223,12 @@ class Sector:
     @contextmanager
     def factor_stiffness(self) -> Iterator[NodalDiameter]:
         """Factor the inside's stiffness for all nodal diameters, and yield nodal diameter 0."""
-        numbering, n_own = self.dof_numbering, len(self.dof_numbering.own_members)
+        dof_numbering, n_own = self.dof_numbering, len(self.dof_numbering.own_members)
         tie_parts = make_selection_matrix(
-            numbering.member_positions + n_own * numbering.is_next_sector, 2 * n_own
+            dof_numbering.member_positions + n_own * dof_numbering.is_next_sector, 2 * n_own
         )
         stiffness = sparse.csr_matrix(tie_parts.T @ self.stiffness @ tie_parts)
-        side_rows = np.unique(numbering.member_positions[numbering.is_next_sector])
+        side_rows = np.unique(dof_numbering.member_positions[dof_numbering.is_next_sector])
         inside_rows, right_rows = np.setdiff1d(np.arange(n_own), side_rows), n_own + side_rows
         left_coupling, right_coupling = (
             stiffness[inside_rows][:, columns] for columns in (side_rows, right_rows)
@@ -460,7 +462,7 @@ class CyclicBasis:
 
     Attributes
     ----------
-    modes : CyclicModes
+    cyclic_modes : CyclicModes
         Lowest modes of each nodal diameter, together with static responses to the load and to
         forces on sides.
     opening_responses : (N, n_dofs, m)
@@ -471,7 +473,7 @@ class CyclicBasis:
         Places of the sectors with a crack.
     """
 
-    modes: CyclicModes
+    cyclic_modes: CyclicModes
     opening_responses: np.ndarray
     opening_shapes: np.ndarray
     cracked_places: tuple[int, ...]
@@ -479,10 +481,10 @@ class CyclicBasis:
     @property
     def squared_omegas(self) -> np.ndarray:
         """omega^2 [rad^2/s^2] of the modes, which are the first :meth:`sector_motions`."""
-        has_single_wave = self.modes.sector.has_single_wave
+        has_single_wave = self.cyclic_modes.sector.has_single_wave
         omegas_by_diameter = [
             np.tile(omegas, 1 if has_single_wave(n) else 2)
-            for n, omegas in enumerate(self.modes.omega)
+            for n, omegas in enumerate(self.cyclic_modes.omega)
         ]
         return np.concatenate(omegas_by_diameter) ** 2
 
@@ -502,8 +504,8 @@ class CyclicBasis:
         -------
         (n_dofs, n) or (k, n)
         """
-        sector, motion_blocks = self.modes.sector, []
-        for diameter, shapes in enumerate(self.modes.shapes):
+        sector, motion_blocks = self.cyclic_modes.sector, []
+        for diameter, shapes in enumerate(self.cyclic_modes.shapes):
             angle = np.asarray(2.0 * np.pi * diameter / sector.n_sectors * sector_index)[..., None]
             wave = np.exp(1j * angle) * np.sqrt(sector.diameter_shares[diameter]) * shapes[rows]
             motion_blocks += (
@@ -521,11 +523,13 @@ class CyclicBasis:
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
         """Yield U_j^T A U_j, or some of its columns, for each sector j."""
-        modes = replace(self.modes, shapes=tuple(matrix @ shapes for shapes in self.modes.shapes))
+        modes = replace(
+            self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
+        )
         opening_responses = np.array([matrix @ response for response in self.opening_responses])
         openings = matrix @ self.opening_shapes
         mapped_basis = CyclicBasis(modes, opening_responses, openings, self.cracked_places)
-        for sector_index in range(self.modes.sector.n_sectors):
+        for sector_index in range(self.cyclic_modes.sector.n_sectors):
             yield (
                 self.sector_motions(sector_index).T
                 @ mapped_basis.sector_motions(sector_index)[:, column_range]
@@ -538,7 +542,7 @@ class CyclicBasis:
         Both are diagonal for the modes. The openings have the stiffness of the bonds on the upper
         faces.
         """
-        sector, opening_columns = self.modes.sector, slice(len(self.squared_omegas), None)
+        sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
         mass_columns = sum(self._sector_products(sector.mass, opening_columns))
         mass, stiffness = np.eye(len(mass_columns)), np.zeros((len(mass_columns),) * 2)
         mass[:, opening_columns], mass[opening_columns] = mass_columns, mass_columns.T
@@ -555,7 +559,7 @@ class CyclicBasis:
     @cached_property
     def sector_stiffnesses(self) -> np.ndarray:
         """U_j^T K U_j of each sector with its stiffness at rest: (N, n, n)."""
-        stiffness_at_rest = local_rows(self.modes.sector.stiffness_at_rest)
+        stiffness_at_rest = local_rows(self.cyclic_modes.sector.stiffness_at_rest)
         return np.array(
             [
                 0.5 * (sector_stiffness + sector_stiffness.T)
@@ -571,7 +575,7 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicM
     """
     families, modes_by_diameter = min(families, len(sector.dof_numbering.own_members)), {}
     with sector.factor_stiffness() as zero_diameter:
-        for diameter in sector.diameters[comm.rank :: comm.size]:
+        for diameter in sector.nodal_diameters[comm.rank :: comm.size]:
             modes_by_diameter[diameter] = zero_diameter.at_diameter(diameter).solve_modes(families)
     omegas, shapes = zip(*_gather_by_diameter(modes_by_diameter, comm).values(), strict=True)
     return CyclicModes(omegas, shapes, sector)
@@ -606,7 +610,7 @@ def make_cyclic_basis(
     loads_by_diameter, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
     # The modes of a few nodal diameters have the patterns of all.
     first_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
-    next_diameters = [n for n in sector.diameters if n not in first_diameters]
+    next_diameters = [n for n in sector.nodal_diameters if n not in first_diameters]
     own_diameters = [*first_diameters, *next_diameters][comm.rank :: comm.size]
     results_by_diameter: dict[int, tuple[Any, ...]] = {}
     with sector.factor_stiffness() as zero_diameter:
@@ -623,30 +627,23 @@ def make_cyclic_basis(
         left_rows = zero_diameter.side_rows
         right_rows = len(sector.dof_numbering.own_members) + left_rows
         inside_forces = bond_force_matrix[zero_diameter.inside_rows].toarray()
-        side_force_parts = (
-            bond_force_matrix[left_rows].toarray(),
-            bond_force_matrix[right_rows].toarray(),
-        )
+        side_parts = bond_force_matrix[left_rows].toarray(), bond_force_matrix[right_rows].toarray()
         inside_motions = zero_diameter.solve_inside(inside_forces)
         relieved_stiffness = inside_forces.T @ inside_motions
         del inside_forces, bond_force_matrix
         left_forces, right_forces = (
             side_forces - coupling.T @ inside_motions
-            for side_forces, coupling in zip(
-                side_force_parts, zero_diameter.side_couplings, strict=True
-            )
+            for side_forces, coupling in zip(side_parts, zero_diameter.side_couplings, strict=True)
         )
         for diameter in own_diameters:
             nodal_diameter = zero_diameter.at_diameter(diameter)
             _, shapes = own_modes_by_diameter.get(diameter) or nodal_diameter.solve_modes(families)
-            diameter_basis = _make_diameter_basis(
+            basis_parts = _make_diameter_basis(
                 nodal_diameter, shapes, loads_by_diameter[diameter], side_force_patterns
             )
             side_forces = left_forces + np.conj(nodal_diameter.phase_factor) * right_forces
-            results_by_diameter[diameter] = (
-                *diameter_basis,
-                nodal_diameter.side_stiffness_inverse @ side_forces,
-            )
+            side_wave = nodal_diameter.side_stiffness_inverse @ side_forces
+            results_by_diameter[diameter] = *basis_parts, side_wave
         diameter_results = _gather_by_diameter(results_by_diameter, comm).values()
         omegas, all_shapes, bond_forces, side_motion_waves = zip(*diameter_results, strict=True)
         side_motions = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
@@ -657,12 +654,10 @@ def make_cyclic_basis(
         side_motions, inside_motions = side_motions @ face_shapes, inside_motions @ face_shapes
         opening_responses = np.zeros((sector.n_sectors, n_dofs, face_shapes.shape[1]))
         for sector_index in range(comm.rank, sector.n_sectors, comm.size):
-            side_displacements = (
-                side_motions[sector_index],
-                side_motions[(sector_index + 1) % sector.n_sectors],
-            )
+            right_motions = side_motions[(sector_index + 1) % sector.n_sectors]
+            own_inside_motions = inside_motions if sector_index == 0 else 0.0
             opening_responses[sector_index] = zero_diameter.sector_displacement(
-                *side_displacements, inside_motions if sector_index == 0 else 0.0
+                side_motions[sector_index], right_motions, own_inside_motions
             )
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
     modes = CyclicModes(omegas, all_shapes, sector)
@@ -713,7 +708,7 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
 
     The responses turn with the sectors as modes do. The load's harmonics are f - i g.
     """
-    parts_by_diameter: list[list[np.ndarray]] = [[] for _ in sector.diameters]
+    parts_by_diameter: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameters]
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * engine_order, sector.n_sectors)
         force = force if diameter == harmonic * engine_order % sector.n_sectors else force.conj()
@@ -790,9 +785,11 @@ def _find_opening_shapes(
     return scipy.linalg.solve_triangular(lower_factor.T, kept_patterns)
 
 
-def _gather_by_diameter(own_results: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
+def _gather_by_diameter(results_by_diameter: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
     """Gather all ranks' results by nodal diameter, ascending (collective)."""
-    results_by_rank = comm.allgather(own_results) if comm.size > 1 else [own_results]
+    results_by_rank = (
+        comm.allgather(results_by_diameter) if comm.size > 1 else [results_by_diameter]
+    )
     return dict(
         sorted(
             diameter_and_result

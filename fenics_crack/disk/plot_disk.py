@@ -13,7 +13,7 @@ from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_o
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel
 from fenics_crack.draw.figure import (
-    COLOURS,
+    COLOURS_BY_NAME,
     Picture,
     PictureOptions,
     label_axis,
@@ -94,7 +94,12 @@ def _number_blades(panel: Axes, wheel: Wheel) -> None:
             sector_middle / np.linalg.norm(sector_middle)
         )
         colour, weight = ("orange", "bold") if sector_index in wheel.cracked else ("grey", "normal")
-        text_options = {"color": COLOURS[colour], "weight": weight, "ha": "center", "va": "center"}
+        text_options = {
+            "color": COLOURS_BY_NAME[colour],
+            "weight": weight,
+            "ha": "center",
+            "va": "center",
+        }
         panel.text(*position, str(sector_index + 1), **text_options)
         panel.update_datalim([position])
 
@@ -149,19 +154,21 @@ def draw_blades(
         panel.plot(
             unit_factor * curve.values, blade_amplitudes[blade_index], color="#b4b4b4", lw=0.8
         )
-    highlighted_blades = (
+    highlighted_blade_styles = (
         [(max(whole_blades, key=lambda blade_index: largest_amplitudes[blade_index]), "blue", "")]
         if whole_blades
         else []
     )
-    highlighted_blades += [(blade_index, "orange", ", cracked") for blade_index in wheel.cracked]
-    for blade_index, colour, label_suffix in highlighted_blades:
+    highlighted_blade_styles += [
+        (blade_index, "orange", ", cracked") for blade_index in wheel.cracked
+    ]
+    for blade_index, colour, label_suffix in highlighted_blade_styles:
         peak_text = quantity(float(largest_amplitudes[blade_index]), "m")
         label = f"blade {blade_index + 1}{label_suffix}, up to {peak_text}"
         panel.plot(
             unit_factor * curve.values,
             blade_amplitudes[blade_index],
-            color=COLOURS[colour],
+            color=COLOURS_BY_NAME[colour],
             lw=1.5,
             label=label,
         )
@@ -207,7 +214,7 @@ def draw_nodal_diameters(
     frequencies = found.omega[:, :families] / TURN
     diameters = np.arange(len(frequencies))
     for (family_number, family_frequencies), colour in zip(
-        enumerate(frequencies.T, 1), [*COLOURS.values()] * 99, strict=False
+        enumerate(frequencies.T, 1), [*COLOURS_BY_NAME.values()] * 99, strict=False
     ):
         panel.plot(
             diameters,
@@ -275,23 +282,23 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     n_patterns = len(found.factor)
     histogram_options = {
         "weights": np.full(n_patterns, 100.0 / n_patterns),
-        "color": COLOURS["blue"],
+        "color": COLOURS_BY_NAME["blue"],
         "alpha": 0.6,
     }
     panel.hist(found.factor, max(8, int(np.sqrt(n_patterns))), **histogram_options)
     panel.set(xlabel="amplification factor", ylabel=f"share of {n_patterns} patterns [%]")
-    panel.axvline(found.bound, color=COLOURS["pink"], ls="--", label="Whitehead's bound")
+    panel.axvline(found.bound, color=COLOURS_BY_NAME["pink"], ls="--", label="Whitehead's bound")
     percentile_95 = found.percentile(95.0)
     label = f"95 % of patterns below {percentile_95:.3g}"
-    panel.axvline(percentile_95, color=COLOURS["grey"], ls=":", label=label)
+    panel.axvline(percentile_95, color=COLOURS_BY_NAME["grey"], ls=":", label=label)
     sorted_factors = np.sort(found.factor)
     share_axes = panel.twinx()
     share_axes.plot(
         sorted_factors,
         100.0 * np.arange(1, n_patterns + 1) / n_patterns,
-        color=COLOURS["orange"],
+        color=COLOURS_BY_NAME["orange"],
         lw=1.4,
     )
     share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
-    share_axes.yaxis.label.set_color(COLOURS["orange"])
+    share_axes.yaxis.label.set_color(COLOURS_BY_NAME["orange"])
     return picture.finish()

@@ -441,7 +441,7 @@ class WheelStructure(Structure):
         families : int
             Number of modes for each nodal diameter.
         """
-        begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
+        begin(f"modes of {len(wheel.sector.nodal_diameters)} nodal diameters")
         basis, sector_structure, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin("matrices of the wheel")
         mass, stiffness = basis.tuned_mass_and_stiffness

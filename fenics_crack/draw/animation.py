@@ -29,18 +29,18 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import readable
 from fenics_crack.draw import vtk
-from fenics_crack.draw.figure import COLOURS, copy_canvas_image, label_axis
+from fenics_crack.draw.figure import COLOURS_BY_NAME, copy_canvas_image, label_axis
 from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.scene.tables import Material
 
-CONTACT_BACKGROUND = "#f5d6c1"
+CONTACT_BACKGROUND_COLOUR = "#f5d6c1"
 """Background of the motion while the crack faces touch: light orange."""
 FLAT_MESH_OPTIONS: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
 """Options of pyvista's ``add_mesh``: no shading, no camera change, nothing drawn yet."""
 PART_COLOURS_BY_NAME = {
     "lips": "#000000",
-    "contact": COLOURS["orange"],
-    "load": COLOURS["pink"],
+    "contact": COLOURS_BY_NAME["orange"],
+    "load": COLOURS_BY_NAME["pink"],
     "rest": "#8a8a8a",
 }
 """Colours of the drawn parts: crack faces (and moving edges), contact dots, load, rest position."""
@@ -114,14 +114,14 @@ class _ColourScale:
 
     def __init__(self, fields: PeriodFields) -> None:
         field_name, unit = fields.colour_name_and_unit
-        scale_end, largest_value = fields.colour_scale_end, fields.colour_values.max()
+        scale_end, largest_colour_value = fields.colour_scale_end, fields.colour_values.max()
         self.unit_factor, unit = readable(scale_end, unit)
         self.label = f"{field_name} [{unit}]"
         self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
             0.0, self.unit_factor * scale_end
         )
         self.n_steps = len(self.levels) - 1
-        self.has_values_beyond = bool(self.unit_factor * largest_value > self.levels[-1])
+        self.has_values_beyond = bool(self.unit_factor * largest_colour_value > self.levels[-1])
         self.colour_map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.n_steps)))
 
 
@@ -286,7 +286,11 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
     """Make a palette image of the drawn colours, their blends with black and white, and greys."""
     drawn_colours = [
         to_rgb(colour)
-        for colour in (*PART_COLOURS_BY_NAME.values(), COLOURS["blue"], CONTACT_BACKGROUND)
+        for colour in (
+            *PART_COLOURS_BY_NAME.values(),
+            COLOURS_BY_NAME["blue"],
+            CONTACT_BACKGROUND_COLOUR,
+        )
     ]
     drawn_colours += [tuple(map_colour[:3]) for map_colour in colour_scale.colour_map.colors]
     colour_array = np.array(drawn_colours)
@@ -380,7 +384,7 @@ class _AnimationPage:
         )
         _draw_colour_bar(self.figure, colour_scale)
         self._draw_legend(fields)
-        self._draw_wave(solution, fields)
+        self._draw_displacement_curve(solution, fields)
         self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(self.figure.bbox)
 
@@ -427,7 +431,7 @@ class _AnimationPage:
             handles=legend_lines, ncol=5, fontsize=11, **placement_options, **spacing_options
         )
 
-    def _draw_wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
+    def _draw_displacement_curve(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
         """Draw the opening or the largest displacement over a period, with dot and time line."""
         axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)
@@ -448,10 +452,10 @@ class _AnimationPage:
             curve_values = np.interp(
                 load_periods, self.frame_load_periods, self.frame_values, period=load_periods[-1]
             )
-        axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
-        axes.plot(load_periods, curve_values, color=COLOURS["blue"], lw=2)
+        axes.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8)
+        axes.plot(load_periods, curve_values, color=COLOURS_BY_NAME["blue"], lw=2)
         animated_option = {"animated": True}
-        self.time_line = axes.axvline(0.0, color=COLOURS["grey"], lw=1, **animated_option)
+        self.time_line = axes.axvline(0.0, color=COLOURS_BY_NAME["grey"], lw=1, **animated_option)
         dot_options = {"color": "black", "ms": 8, "clip_on": False, **animated_option}
         (self.wave_dot,) = axes.plot([0.0], [0.0], "o", **dot_options)
         axes.margins(y=0.12)
@@ -469,6 +473,6 @@ class _AnimationPage:
             1.0,
             where=is_closed,
             transform=axes_transform,
-            color=CONTACT_BACKGROUND,
+            color=CONTACT_BACKGROUND_COLOUR,
             lw=0,
         )

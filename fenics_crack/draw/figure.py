@@ -32,10 +32,10 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.suggestions import check_options, fitting_argument
 from fenics_crack.basics.tables import NO_PREFIX, readable, with_unit
 
-COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
-COLOURS["grey"] = "#5C5C5C"
+COLOURS_BY_NAME = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
+COLOURS_BY_NAME["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can distinguish, and a grey, by name."""
-STYLE = rc_params_from_file(
+FIGURE_STYLE = rc_params_from_file(
     Path(__file__).with_name("fenics_crack.mplstyle"), use_default_template=False
 )
 """Settings of Matplotlib for new figures, legends and files."""
@@ -114,7 +114,7 @@ class Picture:
         self._path, self._title, self._comm = path, picture_options.get("title"), comm
         self.has_legend = picture_options.get("legend", True)
         if axes is None:
-            with rc_context(STYLE):
+            with rc_context(FIGURE_STYLE):
                 figure = NotebookFigure(figsize=size)
             FigureCanvasAgg(figure)
             n_rows = -(-n_panels // n_columns)
@@ -140,8 +140,8 @@ class Picture:
     def finish(self) -> Figure:
         """Draw grids and legends, set the title, save and return the figure (collective)."""
         for panel in self:
-            with rc_context(STYLE):
-                panel.grid(alpha=STYLE["grid.alpha"])
+            with rc_context(FIGURE_STYLE):
+                panel.grid(alpha=FIGURE_STYLE["grid.alpha"])
                 if self.has_legend:
                     _draw_legend(panel)
         return self.save_with_title()
@@ -161,7 +161,7 @@ class Picture:
                     picture_bytes = render_png(self.figure)
                 else:
                     picture_stream = BytesIO()
-                    with rc_context(STYLE):
+                    with rc_context(FIGURE_STYLE):
                         self.figure.savefig(
                             picture_stream, format=picture_path.suffix.removeprefix(".") or None
                         )
@@ -205,9 +205,9 @@ def read_axes_option(picture_options: PictureOptions) -> Any:
 
 
 def distinct_colours(n_colours: int) -> list[str]:
-    """Return colours of some lines: from :data:`COLOURS`, or from dark to light if more."""
-    if n_colours <= len(COLOURS):
-        return list(COLOURS.values())[:n_colours]
+    """Return colours of some lines: from :data:`COLOURS_BY_NAME`, or from dark to light if more."""
+    if n_colours <= len(COLOURS_BY_NAME):
+        return list(COLOURS_BY_NAME.values())[:n_colours]
     return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, n_colours))]
 
 

@@ -23,8 +23,8 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import quantity, readable
 from fenics_crack.draw.figure import (
-    COLOURS,
-    STYLE,
+    COLOURS_BY_NAME,
+    FIGURE_STYLE,
     Picture,
     PictureOptions,
     distinct_colours,
@@ -117,13 +117,13 @@ def draw_waves(
     [panel] = picture = Picture(**picture_options)
     for wave in waves:
         time = wave.time / period if period else wave.time
-        colour = COLOURS.get(wave.colour, wave.colour)
+        colour = COLOURS_BY_NAME.get(wave.colour, wave.colour)
         panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=wave.width)
         if wave.spread is not None:
             lower_edge, upper_edge = wave.values - wave.spread, wave.values + wave.spread
             panel.fill_between(time, lower_edge, upper_edge, color=colour, alpha=0.2, lw=0)
     if zero is not None:
-        panel.axhline(0.0, color=COLOURS["grey"], lw=0.8, label=zero)
+        panel.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8, label=zero)
     if period:
         panel.set_xlabel("time / load period")
     else:
@@ -200,9 +200,9 @@ def draw_contact_map(
     >>> figure = fc.draw_contact_map(solution, path="contact.png")
     """
     structure, law = solution.structure, solution.contact
-    points = structure.pair_points
-    if points is None or len(points) < 2:
-        n_pairs = None if points is None else len(points)
+    pair_points = structure.pair_points
+    if pair_points is None or len(pair_points) < 2:
+        n_pairs = None if pair_points is None else len(pair_points)
         raise InputError("pairs", n_pairs, "two or more, with a mesh")
     time = np.linspace(0.0, solution.period, instants + 1)
     contact_values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
@@ -211,16 +211,16 @@ def draw_contact_map(
         contact_values = contact_values / structure.pair_areas
         label, unit = "contact pressure", "Pa"
     unit_factor, unit = readable(float(contact_values.max()), unit)
-    if points.shape[1] == 3:
+    if pair_points.shape[1] == 3:
         values_by_label = {f"largest {label} [{unit}]": unit_factor * contact_values.max(axis=0)}
         values_by_label["share of the period closed"] = (contact_values[:-1] > 0.0).mean(axis=0)
         return _draw_crack_surfaces(structure, values_by_label, picture_options)
-    pair_distances, crack_borders = _stack_cracks(structure.pairs)
+    pair_distances, crack_borders = _stack_crack_distances(structure.pairs)
     load_periods = time * solution.omega / (2.0 * np.pi)
     [panel] = picture = Picture(**picture_options)
-    masked_values = np.ma.masked_less_equal(unit_factor * contact_values.T, 0.0)
+    contact_cells = np.ma.masked_less_equal(unit_factor * contact_values.T, 0.0)
     label = f"{label} [{unit}] (grey: open)"
-    _draw_coloured_cells(panel, load_periods, pair_distances, masked_values, label, OPEN_COLOUR)
+    _draw_coloured_cells(panel, load_periods, pair_distances, contact_cells, label, OPEN_COLOUR)
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("time / load period")
     for crack_border in crack_borders:
@@ -251,16 +251,22 @@ def _draw_crack_surfaces(
     facets = mesh.crack_faces
     triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     pair_tree = cKDTree(pairs.points)
-    pair_cracks = np.zeros(len(pair_tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
-    triangle_cracks = pair_cracks[pair_tree.query(mesh.points[triangles].mean(axis=1))[1]]
-    crack_indices = np.unique(pair_cracks)
+    pair_crack_indices = (
+        np.zeros(len(pair_tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
+    )
+    triangle_crack_indices = pair_crack_indices[
+        pair_tree.query(mesh.points[triangles].mean(axis=1))[1]
+    ]
+    crack_indices = np.unique(pair_crack_indices)
     picture = Picture(
         2 * len(crack_indices), n_columns=2, size=(9.0, 3.4 * len(crack_indices)), **picture_options
     )
     for panel, (crack_index, label) in zip(
         picture, product(crack_indices, values_by_label), strict=True
     ):
-        nodes, corners = np.unique(triangles[triangle_cracks == crack_index], return_inverse=True)
+        nodes, corners = np.unique(
+            triangles[triangle_crack_indices == crack_index], return_inverse=True
+        )
         nodal_values = mesh.patch_functions[1][nodes] @ values_by_label[label]
         _draw_crack_surface(panel, mesh.points[nodes], corners.reshape(-1, 3), nodal_values, label)
         if len(crack_indices) > 1:
@@ -301,7 +307,7 @@ def _draw_crack_surface(
     axes.figure.colorbar(colour_mesh, ax=axes, orientation="horizontal", pad=0.25).set_label(label)
 
 
-def _stack_cracks(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
+def _stack_crack_distances(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
     """Return the pairs' distances along the cracks, laid one after the other.
 
     Returns
@@ -381,7 +387,7 @@ def draw_response(
         panel.set_yscale("log")
     n_present_lines = sum(line.get_linestyle() != "None" for line in panel.lines)
     line_styles = islice(
-        cycle(product((".-", ".--", ".:"), COLOURS.values())), n_present_lines, None
+        cycle(product((".-", ".--", ".:"), COLOURS_BY_NAME.values())), n_present_lines, None
     )
     dot_size = 4.0 if len(values) <= 60 else 0.0  # more dots would touch
     for (label, curve_values), (style, colour) in zip(curves.items(), line_styles, strict=False):
@@ -396,7 +402,13 @@ def draw_response(
     if any(len(x) for x, _ in doubtful_points):
         x, y = np.concatenate(doubtful_points, axis=1)
         panel.plot(
-            x, y, "o", color=COLOURS["grey"], mfc="none", ms=dot_size + 4.0, label=DOUBTFUL_LABEL
+            x,
+            y,
+            "o",
+            color=COLOURS_BY_NAME["grey"],
+            mfc="none",
+            ms=dot_size + 4.0,
+            label=DOUBTFUL_LABEL,
         )
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
@@ -451,25 +463,25 @@ def draw_map(
     for name, coordinates in (("x", x), ("y", y)):
         if coordinates.ndim != 1 or len(coordinates) < 2 or not np.all(np.diff(coordinates) > 0.0):
             raise InputError(name, coordinates, "two or more rising numbers")
-    masked_values = np.ma.masked_invalid(np.asarray(values, dtype=float))
-    if masked_values.shape != (len(y), len(x)):
+    cell_values = np.ma.masked_invalid(np.asarray(values, dtype=float))
+    if cell_values.shape != (len(y), len(x)):
         raise InputError(
-            "values", masked_values.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}"
+            "values", cell_values.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}"
         )
-    if not masked_values.count():
+    if not cell_values.count():
         raise InputError("values", "nan", "finite somewhere")
-    minimum, maximum = float(masked_values.min()), float(masked_values.max())
+    minimum, maximum = float(cell_values.min()), float(cell_values.max())
     norm = (LogNorm if 0.0 < 30.0 * minimum <= maximum else Normalize)(minimum, maximum)
     is_doubtful = (
-        np.zeros(masked_values.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
+        np.zeros(cell_values.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
     )
-    if is_doubtful.shape != masked_values.shape:
+    if is_doubtful.shape != cell_values.shape:
         raise InputError(
-            "doubtful", is_doubtful.shape, f"of the shape of values, {masked_values.shape}"
+            "doubtful", is_doubtful.shape, f"of the shape of values, {cell_values.shape}"
         )
     [panel] = picture = Picture(**picture_options)
-    _draw_coloured_cells(panel, x, y, masked_values, value_label, MISSING_COLOUR, norm=norm)
-    is_missing = np.ma.getmaskarray(masked_values)
+    _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=norm)
+    is_missing = np.ma.getmaskarray(cell_values)
     panel.plot(
         *(coordinate_grid.ravel()[is_missing.ravel()] for coordinate_grid in np.meshgrid(x, y)),
         "x",
@@ -481,7 +493,7 @@ def draw_map(
     )
     if np.any(is_doubtful & ~is_missing):
         hatch_options = {"edgecolor": HATCH_COLOUR, "hatch": "/////", "linewidth": 0.0}
-        doubtful_values = np.ma.masked_where(~is_doubtful, masked_values)
+        doubtful_values = np.ma.masked_where(~is_doubtful, cell_values)
         panel.pcolor(x, y, doubtful_values, shading="nearest").set(
             facecolor="none", **hatch_options
         )
@@ -493,7 +505,7 @@ def draw_map(
             "bbox_to_anchor": (0.5, 0.0),
             "borderaxespad": 4.2,
         }
-        with rc_context(STYLE):
+        with rc_context(FIGURE_STYLE):
             panel.legend(
                 handles=legend_patches, ncol=2, handlelength=3.0, frameon=False, **placement_options
             )
@@ -684,9 +696,9 @@ def draw_orbits(
         )
     if dof is not None:
         displacement_function = partial(solution.displacement, dofs=[dof])
-        label, any_closed = solution.structure.dof_name(dof), np.any(is_closed, axis=1)
+        label, is_any_pair_closed = solution.structure.dof_name(dof), np.any(is_closed, axis=1)
         orbit_contents.append(
-            (displacement_function, any_closed, label, "crack faces touch somewhere")
+            (displacement_function, is_any_pair_closed, label, "crack faces touch somewhere")
         )
     if not orbit_contents:
         raise InputError("dof", None, "given where there is no contact pair")
@@ -729,10 +741,13 @@ def _draw_orbit(
         )
 
     orbit = evaluate_orbit(np.linspace(0.0, solution.period, len(is_closed)))
-    axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
+    axes.plot(*orbit, color=COLOURS_BY_NAME["blue"], lw=1.4, label="orbit")
     if is_closed.any():
         axes.plot(
-            *np.where(is_closed, orbit, np.nan), color=COLOURS["orange"], lw=3.2, label=closed_label
+            *np.where(is_closed, orbit, np.nan),
+            color=COLOURS_BY_NAME["orange"],
+            lw=3.2,
+            label=closed_label,
         )
     period_starts = evaluate_orbit(2.0 * np.pi / solution.omega * np.arange(solution.subharmonic))
     axes.plot(*period_starts, "o", color="black", ms=5.5, label="a load period begins")
@@ -875,9 +890,17 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
         panel.plot(time, mode_one, color=colour, lw=1.8, label=f"K_I, {tip}")
         panel.plot(time, mode_two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
         # Closed to drawing accuracy.
-        closed_values = np.where(mode_one <= 0.01 * max(mode_one.max(), 0.0), mode_one, np.nan)
-        if not np.all(np.isnan(closed_values)):
-            panel.plot(time, closed_values, color=COLOURS["grey"], lw=4.0, label=closed_label)
+        mode_one_while_closed = np.where(
+            mode_one <= 0.01 * max(mode_one.max(), 0.0), mode_one, np.nan
+        )
+        if not np.all(np.isnan(mode_one_while_closed)):
+            panel.plot(
+                time,
+                mode_one_while_closed,
+                color=COLOURS_BY_NAME["grey"],
+                lw=4.0,
+                label=closed_label,
+            )
             closed_label = "_" + closed_label.lstrip("_")  # once in the legend
 
 

@@ -16,7 +16,7 @@ from fenics_crack.basics.tables import frequency_axis, percent, quantity, with_u
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import damping_by_width
 from fenics_crack.draw.figure import (
-    COLOURS,
+    COLOURS_BY_NAME,
     FIRST_IN_LEGEND_GID,
     Picture,
     PictureOptions,
@@ -27,18 +27,18 @@ from fenics_crack.numerics.fourier import to_complex
 
 BACKGROUND_COLOURS = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Colours of other curves that are drawn behind a curve."""
-BIFURCATION_MARKERS = {
+MARKERS_BY_BIFURCATION_KIND = {
     "fold": "v",
     "branch_point": "s",
     "period_doubling": "D",
     "neimark_sacker": "^",
 }
 """Markers of matplotlib by kind of bifurcation."""
-VERDICT_LINE_STYLES = {"stable": "-", "unstable": "--", "irregular": "-.", "undecided": ":"}
+LINE_STYLES_BY_VERDICT = {"stable": "-", "unstable": "--", "irregular": "-.", "undecided": ":"}
 """Line styles of matplotlib by verdict on stability."""
-UNASSESSED_LABEL = "stability not examined"
+STABILITY_NOT_EXAMINED_LABEL = "stability not examined"
 """Legend entry of a curve without multipliers."""
-INEXACT_LABEL = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
+LARGE_ERROR_LABEL = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 """Legend entry of faint parts."""
 
 
@@ -102,14 +102,19 @@ def draw_curve(
             lw=0.9,
             label=curve_label,
         )
-    line_colour = COLOURS.get(colour, colour)
+    line_colour = COLOURS_BY_NAME.get(colour, colour)
     _draw_curve_parts(panel, curve, unit_factor * curve.values, amplitudes, line_colour, label)
     _mark_peak(panel, curve, dof, in_hertz, line_colour if label else "")
     _mark_bifurcations(panel, curve, dof, unit_factor, line_colour if label else "")
     for (curve_label, (parameter_values, other_amplitudes)), marker in zip(
         (points or {}).items(), cycle("^v"), strict=False
     ):
-        marker_options = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": curve_label}
+        marker_options = {
+            "color": COLOURS_BY_NAME["green"],
+            "ms": 4.5,
+            "mfc": "none",
+            "label": curve_label,
+        }
         panel.plot(unit_factor * parameter_values, other_amplitudes, marker, **marker_options)
     if curve.parameter == "omega":
         _mark_superharmonics(panel, curve, dof, amplitudes, unit_factor)
@@ -135,9 +140,9 @@ def _draw_curve_parts(
     verdicts = curve.verdicts if is_assessed else np.full(len(x), "stable")
     is_inexact, faint_options = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
-        legend_label = label if is_assessed else f"{label} ({UNASSESSED_LABEL})"
+        legend_label = label if is_assessed else f"{label} ({STABILITY_NOT_EXAMINED_LABEL})"
         axes.plot([], [], color=line_colour, lw=1.8, label=legend_label, gid=FIRST_IN_LEGEND_GID)
-    for verdict, style in VERDICT_LINE_STYLES.items():
+    for verdict, style in LINE_STYLES_BY_VERDICT.items():
         if not np.any(verdicts == verdict):
             continue
         for has_error, alpha_options in ((False, {}), (True, faint_options)):
@@ -145,12 +150,14 @@ def _draw_curve_parts(
             # A segment between two points has the verdict and error of the first.
             part_values = np.where(is_in_part | np.append(False, is_in_part[:-1]), y, np.nan)
             axes.plot(x, part_values, style, color=line_colour, lw=1.4, **alpha_options)
-        style_colour = COLOURS["grey"] if label else line_colour
+        style_colour = COLOURS_BY_NAME["grey"] if label else line_colour
         if is_assessed or not label:
-            legend_label = verdict if is_assessed else f"with contact, {UNASSESSED_LABEL}"
+            legend_label = (
+                verdict if is_assessed else f"with contact, {STABILITY_NOT_EXAMINED_LABEL}"
+            )
             axes.plot([], [], style, color=style_colour, lw=1.4, label=legend_label)
     if is_inexact.any():
-        axes.plot([], [], color=line_colour, lw=1.4, label=INEXACT_LABEL, **faint_options)
+        axes.plot([], [], color=line_colour, lw=1.4, label=LARGE_ERROR_LABEL, **faint_options)
 
 
 def _mark_peak(
@@ -170,10 +177,17 @@ def _mark_peak(
     label = f"largest: {quantity(peak_amplitude, 'm')} at {peak_position:.5g} {unit}"
     label = label.removesuffix(" -")
     if curve.parameter == "omega":
-        coefficients = curve.coefficients_at(dof)
-        damping = damping_by_width(curve.values, coefficients, curve.subharmonic, peak.index)
+        displacement_coefficients = curve.coefficients_at(dof)
+        damping = damping_by_width(
+            curve.values, displacement_coefficients, curve.subharmonic, peak.index
+        )
         label += f",\nhalf-power damping {percent(damping)}" if np.isfinite(damping) else ""
-    ring_options = {"color": curve_colour or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
+    ring_options = {
+        "color": curve_colour or COLOURS_BY_NAME["blue"],
+        "mfc": "none",
+        "ms": 7.0,
+        "mew": 1.1,
+    }
     axes.plot(
         peak_position, peak_amplitude, "o", label="" if curve_colour else label, **ring_options
     )
@@ -197,9 +211,9 @@ def _mark_bifurcations(
     y = curve.at_bifurcations.amplitude(dof)[1:-1]
     kinds = np.array([bifurcation.kind for bifurcation in curve.bifurcations])
     is_marked = _choose_spread_marks(axes, x, y, kinds)
-    for kind, marker in BIFURCATION_MARKERS.items():
-        is_kind, legend_label = kinds == kind, kind_in_words(kind)
-        if not is_kind.any():
+    for kind, marker in MARKERS_BY_BIFURCATION_KIND.items():
+        is_of_kind, legend_label = kinds == kind, kind_in_words(kind)
+        if not is_of_kind.any():
             continue
         marker_options: dict[str, Any] = {
             "ls": "none",
@@ -209,20 +223,20 @@ def _mark_bifurcations(
             "zorder": 3,
         }
         axes.plot(
-            x[is_marked & is_kind],
-            y[is_marked & is_kind],
-            color=curve_colour or COLOURS["orange"],
+            x[is_marked & is_of_kind],
+            y[is_marked & is_of_kind],
+            color=curve_colour or COLOURS_BY_NAME["orange"],
             **marker_options,
         )
         if not curve_colour:
-            n_found, n_marked = int(is_kind.sum()), int((is_marked & is_kind).sum())
+            n_found, n_marked = int(is_of_kind.sum()), int((is_marked & is_of_kind).sum())
             legend_label += (
                 f" ({n_found})" if n_marked == n_found else f" ({n_found}, {n_marked} marked)"
             )
         axes.plot(
             [],
             [],
-            color=COLOURS["grey"] if curve_colour else COLOURS["orange"],
+            color=COLOURS_BY_NAME["grey"] if curve_colour else COLOURS_BY_NAME["orange"],
             label=legend_label,
             **marker_options,
         )
@@ -258,7 +272,7 @@ def _mark_superharmonics(
         return
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
 
-    text_options = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
+    text_options = {"ha": "center", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
     peak_indices, _ = find_peaks(np.log10(np.maximum(amplitudes, 1e-300)), prominence=0.05)
     for peak_index in peak_indices[is_superharmonic[peak_indices]]:
         peak_position = unit_factor * curve.omega[peak_index], amplitudes[peak_index]
@@ -400,8 +414,8 @@ def draw_multipliers(
         "+1": multipliers.real > 0.0,
     }
     multiplier_kinds = np.select([*is_kind_by_name.values()], [*is_kind_by_name], "-1")
-    panel.axhline(1.0, color=COLOURS["grey"], lw=0.9, label="limit of stability")
-    panel.plot(parameter_values, moduli, color=COLOURS["grey"], lw=0.4, alpha=0.6)
+    panel.axhline(1.0, color=COLOURS_BY_NAME["grey"], lw=0.9, label="limit of stability")
+    panel.plot(parameter_values, moduli, color=COLOURS_BY_NAME["grey"], lw=0.4, alpha=0.6)
     for kind, label, colour in (
         ("+1", "real, positive", "blue"),
         ("-1", "real, negative", "orange"),
@@ -415,7 +429,7 @@ def draw_multipliers(
                 moduli[is_drawn],
                 ".",
                 ms=4.0,
-                color=COLOURS[colour],
+                color=COLOURS_BY_NAME[colour],
                 label=label,
             )
     if is_undecided.any():
@@ -427,7 +441,7 @@ def draw_multipliers(
             undecided_moduli,
             "x",
             ms=4.0,
-            color=COLOURS["pink"],
+            color=COLOURS_BY_NAME["pink"],
             label=label,
         )
     if n_above := int(np.sum(moduli > 2.0)):  # else all others would be a line

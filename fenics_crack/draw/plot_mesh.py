@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.draw.figure import (
-    COLOURS,
+    COLOURS_BY_NAME,
     Picture,
     PictureOptions,
     label_axis,
@@ -75,15 +75,15 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
         (mesh.boundary, "black", 1.2, ""),
-        (clamped_edges, COLOURS["green"], 5.0, "clamped"),
-        (mesh.crack_faces, COLOURS["orange"], 2.2, "crack faces"),
+        (clamped_edges, COLOURS_BY_NAME["green"], 5.0, "clamped"),
+        (mesh.crack_faces, COLOURS_BY_NAME["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
             style_options = {"colors": colour, "linewidths": line_width, "label": label}
             panel.add_collection(LineCollection(mesh.points[edges], **style_options))
     pair_points = mesh.structure.pair_points
     if pair_points is not None and len(pair_points):
-        style_options = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}
+        style_options = {"color": COLOURS_BY_NAME["blue"], "ms": 3.0, "zorder": 3}
         panel.plot(
             *pair_points.T, "o", label=f"contact pairs ({len(pair_points)})", **style_options
         )
@@ -97,7 +97,7 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     for part_index in acting_parts:
         has_several_parts = len(acting_parts) > 1
         legend_label = f"load, {LOAD_PART_NAMES[part_index]}" if has_several_parts else "load"
-        colour = LOAD_PART_COLOURS[part_index] if has_several_parts else COLOURS["pink"]
+        colour = LOAD_PART_COLOURS[part_index] if has_several_parts else COLOURS_BY_NAME["pink"]
         _draw_load_arrows(panel, mesh, load_parts[part_index], legend_label, colour)
     panel.autoscale_view()
     panel.margins(0.06)
@@ -110,7 +110,12 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
 
 LOAD_PART_NAMES = ("mean", "cosine part", "sine part", "largest further harmonic")
 """Legend entries of the load's parts."""
-LOAD_PART_COLOURS = (COLOURS["grey"], COLOURS["blue"], COLOURS["pink"], "black")
+LOAD_PART_COLOURS = (
+    COLOURS_BY_NAME["grey"],
+    COLOURS_BY_NAME["blue"],
+    COLOURS_BY_NAME["pink"],
+    "black",
+)
 """Colours of their arrows, if there are several parts."""
 
 
@@ -229,7 +234,7 @@ def draw_displaced_mesh(
         )
         edge_layers = [(mesh.boundary, displaced_points, "black", 0.7 if is_wheel else 1.2)]
         if not is_wheel:
-            edge_layers.insert(0, (mesh.boundary, mesh.points, COLOURS["grey"], 0.6))
+            edge_layers.insert(0, (mesh.boundary, mesh.points, COLOURS_BY_NAME["grey"], 0.6))
             edge_layers.insert(0, (mesh.edges, displaced_points, "#777777", 0.3))
         for edge_nodes, layer_points, colour, line_width in edge_layers:
             axes.add_collection(
@@ -284,7 +289,7 @@ def draw_numbered_faces(
     ):  # fmt: skip
         plotter, turned_corners = vtk.off_screen_plotter(), axis_signs * triangles.reshape(-1, 3)
         corner_rows = np.arange(len(turned_corners)).reshape(-1, 3)
-        for face_tag, colour in zip(face_tags, cycle(COLOURS.values()), strict=False):
+        for face_tag, colour in zip(face_tags, cycle(COLOURS_BY_NAME.values()), strict=False):
             plotter.add_mesh(
                 vtk.make_surface(turned_corners, corner_rows[triangle_faces == face_tag]),
                 color=to_rgb(colour),
@@ -329,8 +334,8 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
     ):
         if len(part_facets):
             part_surface = vtk.make_surface(points, part_facets)
-            plotter.add_mesh(part_surface, color=to_rgb(COLOURS[colour]), lighting=False)
-            legend_patches.append(Patch(color=COLOURS[colour], label=label))
+            plotter.add_mesh(part_surface, color=to_rgb(COLOURS_BY_NAME[colour]), lighting=False)
+            legend_patches.append(Patch(color=COLOURS_BY_NAME[colour], label=label))
     for nodal_forces in load_parts:
         total_force, force_sizes = nodal_forces.sum(axis=0), np.abs(nodal_forces).sum(axis=1)
         if np.linalg.norm(total_force) > 0.0:
@@ -340,9 +345,9 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
             arrow = vtk.import_pyvista().Arrow(
                 start=arrow_start, direction=total_force, scale=arrow_length, **radii
             )
-            plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
+            plotter.add_mesh(arrow, color=to_rgb(COLOURS_BY_NAME["pink"]), lighting=False)
     if np.any(load_parts):
-        legend_patches.append(Patch(color=COLOURS["pink"], label="load"))
+        legend_patches.append(Patch(color=COLOURS_BY_NAME["pink"], label="load"))
     [axes] = picture
     axes.imshow(vtk.render_cropped_image(plotter, points), interpolation="antialiased")
     axes.axis("off")

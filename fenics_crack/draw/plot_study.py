@@ -27,7 +27,7 @@ from fenics_crack.basics.tables import (
     with_unit,
 )
 from fenics_crack.draw.figure import (
-    COLOURS,
+    COLOURS_BY_NAME,
     MAX_LETTERS_PER_LINE,
     Picture,
     PictureOptions,
@@ -51,9 +51,9 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
 
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
 """Probabilities within the contours of a posterior."""
-MARKERS = "osD^v<>ph*"
+MARKER_LETTERS = "osD^v<>ph*"
 """Markers of matplotlib for the quantities of a verification."""
-CAUSE_LABELS = {"shift": "mesh, shift of the resonance"}
+LABELS_BY_CAUSE = {"shift": "mesh, shift of the resonance"}
 """Legend entries of causes that have another name."""
 StylesByQuantity = dict[str, dict[str, Any]]
 """Options of a quantity's line (marker, colour, size) by the quantity's name."""
@@ -247,12 +247,12 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
     size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
-    order_panel, contribution_panel = picture = Picture(
+    convergence_panel, contribution_panel = picture = Picture(
         2, n_columns=2, size=size, **picture_options
     )
     first_cause = next(iter(found.causes), "")
     styles_by_quantity = _choose_line_styles(found, first_cause) if first_cause else {}
-    _draw_convergence_lines(order_panel, found, first_cause, styles_by_quantity)
+    _draw_convergence_lines(convergence_panel, found, first_cause, styles_by_quantity)
     _draw_contributions(contribution_panel, found, styles_by_quantity)
     return picture.finish()
 
@@ -301,7 +301,7 @@ def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuant
         and verification.values[name]
         and convergence.extrapolated not in convergence.values
     ]
-    marked_names = zip(drawn_names, product(MARKERS, COLOURS.values()), strict=False)
+    marked_names = zip(drawn_names, product(MARKER_LETTERS, COLOURS_BY_NAME.values()), strict=False)
     return {
         name: {"marker": marker, "color": colour, "ms": 5}
         for name, (marker, colour) in marked_names
@@ -317,7 +317,7 @@ def _draw_contributions(
     right.
     """
     names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
-    colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
+    colours = dict(zip(CAUSES, COLOURS_BY_NAME.values(), strict=False))
     for row_height, name in enumerate(names):
         total_percent = 100.0 * verification.relative(name, verification.total(name))
         if total_percent > 100.0 * LEAST_ERROR:
@@ -352,7 +352,7 @@ def _draw_contributions(
                 1.02, row_height, order_text, transform=axis_transform, va="center", fontsize=9
             )
     for cause in verification.causes:
-        panel.plot([], [], "o", ms=7, color=colours[cause], label=CAUSE_LABELS.get(cause, cause))
+        panel.plot([], [], "o", ms=7, color=colours[cause], label=LABELS_BY_CAUSE.get(cause, cause))
     panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
     panel.plot([], [], color="black", lw=1.6, label="all together")
     if verification.causes:
@@ -439,14 +439,19 @@ def draw_growth(
     if found.depth is not None:
         lines_by_label["depth"] = length_panel, found.depth, "orange", "-"
     for label, (panel, curve_values, colour, style) in lines_by_label.items():
-        line_options = {"color": COLOURS.get(colour, colour), "ls": style}
+        line_options = {"color": COLOURS_BY_NAME.get(colour, colour), "ls": style}
         panel.plot(found.cycles, curve_values, label=label, **line_options)
     if len(solved_lengths):
         length_panel.plot(
-            solved_cycles, solved_lengths, "o", color=COLOURS["blue"], ms=4.0, label="solved"
+            solved_cycles,
+            solved_lengths,
+            "o",
+            color=COLOURS_BY_NAME["blue"],
+            ms=4.0,
+            label="solved",
         )
     solved_ranges = np.interp(solved_lengths, found.length, found.effective)
-    intensity_panel.plot(solved_cycles, solved_ranges, "o", color=COLOURS["blue"], ms=4.0)
+    intensity_panel.plot(solved_cycles, solved_ranges, "o", color=COLOURS_BY_NAME["blue"], ms=4.0)
     if found.effective.max() > 0.0:
         intensity_panel.set_yscale("log")
     label_axis(length_panel.yaxis, "crack", "m")
@@ -513,7 +518,7 @@ def draw_campbell(
     frequencies = frequencies[
         :, : max(1, int(np.sum(frequencies.min(axis=0) <= largest_order_frequency)))
     ]
-    colours = list(COLOURS.values())[:-1]
+    colours = list(COLOURS_BY_NAME.values())[:-1]
     for mode_index in range(frequencies.shape[1]):
         line_speeds, line_frequencies, line_states = zip(
             *diagram.real_line(mode_index + 1), strict=True
@@ -540,10 +545,17 @@ def draw_campbell(
         _draw_engine_order(panel, order, slope, (speeds[0], speeds[-1]), upper_limit)
         crossing_speeds = diagram.crossings(order, "real")[:, 1] * speed_factor
         panel.plot(
-            crossing_speeds, slope * crossing_speeds, "o", color=COLOURS["grey"], mfc="none", ms=6
+            crossing_speeds,
+            slope * crossing_speeds,
+            "o",
+            color=COLOURS_BY_NAME["grey"],
+            mfc="none",
+            ms=6,
         )
     if diagram.cracked:
-        panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to bonded")
+        panel.fill_between(
+            [], [], [], color=COLOURS_BY_NAME["grey"], alpha=0.25, label="open to bonded"
+        )
     panel.set(
         xlabel=with_unit(*speed_name_and_unit), ylabel=f"natural frequency [{frequency_unit}]"
     )
@@ -570,7 +582,7 @@ def _draw_engine_order(
     panel.plot(
         end_speeds,
         frequency_per_speed * end_speeds,
-        color=COLOURS["grey"],
+        color=COLOURS_BY_NAME["grey"],
         lw=0.8,
         ls="--",
         alpha=0.7,
@@ -600,7 +612,7 @@ def _write_engine_order(
     point_offset : (int, int) [points]
         Distance of the text from it.
     """
-    text_options |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS["grey"]}
+    text_options |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
     panel.annotate(
         f"{engine_order:g}", position, xytext=point_offset, annotation_clip=False, **text_options
     )
@@ -702,14 +714,19 @@ def draw_tip_fit(
     arrival_periods = (
         fit.order * fit.phases(arrivals)[has_arrived] / (2.0 * np.pi)
     ) % n_load_periods
-    marker_options: dict[str, Any] = {"color": COLOURS["blue"], "ms": 3.5, "mew": 0, "alpha": 0.4}
+    marker_options: dict[str, Any] = {
+        "color": COLOURS_BY_NAME["blue"],
+        "ms": 3.5,
+        "mew": 0,
+        "alpha": 0.4,
+    }
     time_panel.plot(
         arrival_periods, arrivals.displacement[has_arrived], "o", **marker_options, label="arrivals"
     )
     time_panel.plot(
         load_periods,
         fitted_displacement,
-        color=COLOURS["orange"],
+        color=COLOURS_BY_NAME["orange"],
         lw=1.6,
         label=f"fit, order {fit.order:.6g}",
     )
@@ -718,7 +735,7 @@ def draw_tip_fit(
     if len(fit.candidates.orders) > 1:
         _draw_candidates(order_panel, fit.candidates, fit.order)
     else:
-        _draw_harmonics(order_panel, fit)
+        _draw_fitted_harmonics(order_panel, fit)
     return picture.finish()
 
 
@@ -732,19 +749,30 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
     else:
         axis_bottom = 0.0
     is_best = candidates.orders == best_order
-    styles_by_label = {
+    categories_by_label = {
         "other orders": (~is_best & ~candidates.equivalent & ~candidates.hidden, "o", "grey"),
         "cannot be measured": (candidates.hidden & ~is_best, "X", "pink"),
         "fit as well": (~is_best & candidates.equivalent & ~candidates.hidden, "s", "blue"),
         "best": (is_best, "o", "orange"),
     }
-    for label, (is_kind, marker, colour) in styles_by_label.items():
-        if np.any(is_kind):
-            kind_orders = candidates.orders[is_kind]
-            kind_residuals = np.maximum(candidates.residuals[is_kind], axis_bottom)
-            axes.vlines(kind_orders, axis_bottom, kind_residuals, color=COLOURS[colour], lw=1.0)
+    for label, (is_in_category, marker, colour) in categories_by_label.items():
+        if np.any(is_in_category):
+            category_orders = candidates.orders[is_in_category]
+            category_residuals = np.maximum(candidates.residuals[is_in_category], axis_bottom)
+            axes.vlines(
+                category_orders,
+                axis_bottom,
+                category_residuals,
+                color=COLOURS_BY_NAME[colour],
+                lw=1.0,
+            )
             axes.plot(
-                kind_orders, kind_residuals, marker, color=COLOURS[colour], ms=5.0, label=label
+                category_orders,
+                category_residuals,
+                marker,
+                color=COLOURS_BY_NAME[colour],
+                ms=5.0,
+                label=label,
             )
     axes.set_ylim(bottom=axis_bottom)
     axes.set_xlabel("engine order: load periods in a revolution")
@@ -753,7 +781,7 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
     label_axis(axes.yaxis, "rms residual of the fit", "m")
 
 
-def _draw_harmonics(axes: Axes, fit: TipFit) -> None:
+def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
     """Draw the amplitudes of a fit's harmonics with their standard errors."""
     multiples, amplitudes, standard_errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
     amplitudes_and_errors = np.append(amplitudes, standard_errors)
@@ -766,7 +794,7 @@ def _draw_harmonics(axes: Axes, fit: TipFit) -> None:
             axis_bottom,
             2.0 * amplitudes_and_errors.max(where=amplitudes_and_errors > 0.0, initial=axis_bottom),
         )
-    bar_options: dict[str, Any] = {"color": COLOURS["orange"], "ms": 5.0, "capsize": 4.0}
+    bar_options: dict[str, Any] = {"color": COLOURS_BY_NAME["orange"], "ms": 5.0, "capsize": 4.0}
     axes.errorbar(
         multiples,
         amplitudes,
@@ -808,7 +836,7 @@ def draw_tip_track(
     frequencies = frequency_factor * track.omega
     series = zip(track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True)
     for (multiple, amplitudes, standard_errors), colour in zip(
-        series, cycle(COLOURS.values()), strict=False
+        series, cycle(COLOURS_BY_NAME.values()), strict=False
     ):
         label = f"{multiple:g}x the load's frequency"
         panel.plot(frequencies, amplitudes, ".-", color=colour, lw=0.8, ms=3.0, label=label)
@@ -859,7 +887,7 @@ def draw_passages(
     coordinate_systems = "data", "axes fraction"
     for passage_index, passage in enumerate(passages):
         label = "_" * bool(passage_index) + "resonance, with its engine order"
-        line_options: dict[str, Any] = {"color": COLOURS["grey"], "lw": 0.7, "ls": "--"}
+        line_options: dict[str, Any] = {"color": COLOURS_BY_NAME["grey"], "lw": 0.7, "ls": "--"}
         record_panel.axvline(passage.speed / RPM, **line_options, zorder=0, label=label)
         text_position, text_offset = (passage.speed / RPM, 1.0), (0, 2 + 9 * (passage_index % 2))
         text_options = {"ha": "center", "xycoords": coordinate_systems}
@@ -873,22 +901,33 @@ def draw_passages(
 
 def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -> None:
     """Draw each passage as measured by the probe with the largest fitted motion, and the fit."""
-    compared_runs = passage.compared(arrivals)
-    probe_index = int(np.argmax(sum(np.sum(fitted**2, axis=0) for _, _, fitted in compared_runs)))
-    for (speeds, measured, fitted), colour in zip(
-        compared_runs, cycle(COLOURS.values()), strict=False
+    measured_and_fitted_runs = passage.compared(arrivals)
+    probe_index = int(
+        np.argmax(
+            sum(
+                np.sum(fitted_displacements**2, axis=0)
+                for _, _, fitted_displacements in measured_and_fitted_runs
+            )
+        )
+    )
+    for (speeds, measured_displacements, fitted_displacements), colour in zip(
+        measured_and_fitted_runs, cycle(COLOURS_BY_NAME.values()), strict=False
     ):
         direction = "up" if speeds[-1] > speeds[0] else "down"
         marker_options: dict[str, Any] = {"color": colour, "ms": 3.0, "mew": 0, "alpha": 0.6}
         axes.plot(
             speeds / RPM,
-            measured[:, probe_index],
+            measured_displacements[:, probe_index],
             "o",
             **marker_options,
             label=f"arrivals, {direction}",
         )
         axes.plot(
-            speeds / RPM, fitted[:, probe_index], color=colour, lw=1.2, label=f"fit, {direction}"
+            speeds / RPM,
+            fitted_displacements[:, probe_index],
+            color=colour,
+            lw=1.2,
+            label=f"fit, {direction}",
         )
     axes.set_xlabel("rotor speed [rpm]")
     label_axis(axes.yaxis, "blade tip displacement", "m")

@@ -477,9 +477,11 @@ class PeriodFields:
         The largest stresses of one node in 50 lie beyond it, since stresses are unbounded at the
         tip and under the load.
         """
-        largest_values = self.colour_values.max(axis=0)
+        largest_nodal_values = self.colour_values.max(axis=0)
         scale_end = (
-            largest_values.max() if self.material is None else np.quantile(largest_values, 0.98)
+            largest_nodal_values.max()
+            if self.material is None
+            else np.quantile(largest_nodal_values, 0.98)
         )
         return float(scale_end) if scale_end > 0.0 else 1.0
 

@@ -317,7 +317,7 @@ def wheel_memory(wheel: Wheel, families: int) -> float:
     size, dofs = 2 * len(sector.dof_numbering.own_members), sector.structure.n_dofs
     solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
     of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_size(families)
-    modes = 16.0 * len(sector.diameters) * dofs * families
+    modes = 16.0 * len(sector.nodal_diameters) * dofs * families
     # Answers to the opening of the crack by sectors, their products with a matrix, and as much
     # again while either is made; bonds have up to 40 patterns of forces beyond those of the pairs.
     columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))
