@@ -75,13 +75,13 @@ class Blades(Tabular):
     fundamental : (N,) complex [m]
         Coefficients of e^(i w t): a - i b for a cos(w t) + b sin(w t).
     second : (N,)
-        Amplitude of the second harmonic over the first.
+        Second harmonic's amplitude over the first's.
     omega : (N,) [rad/s]
         The load's frequency.
     mistuning : (N,)
         Relative deviation of each sector's stiffness.
     cracked : tuple of int
-        Numbers of cracked blades, from 1.
+        Cracked blades' numbers, from 1.
     """
 
     amplitude: np.ndarray
@@ -180,7 +180,7 @@ class NodalDiameters(Saved):
     Attributes
     ----------
     scene : Scene
-        Scene of the disk.
+        The disk's scene.
     omega : (n_diameters, families) [rad/s]
         Frequencies for n = 0 .. N/2. At n = 0 and N/2 each belongs to one mode, otherwise to two.
     """
@@ -230,8 +230,10 @@ class NodalDiameters(Saved):
     def said(self) -> Said:
         """Return the parts of the printed last sentence: frequencies at the excited diameter."""
         frequencies_text = ", ".join(f"{omega / TURN:.6g}" for omega in self.omega[self.excited])
-        answer = f"engine order {self.order} excites nodal diameter {self.excited}: "
-        answer += f"{frequencies_text} Hz"
+        answer = (
+            f"engine order {self.order} excites nodal diameter {self.excited}: "
+            f"{frequencies_text} Hz"
+        )
         remarks = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
         return Said(f"{counted(len(self.omega), 'nodal diameter')} found", answer, others=remarks)
 
@@ -285,19 +287,19 @@ class Amplification(Saved):
     Attributes
     ----------
     scene : Scene
-        Scene of the disk.
+        The disk's scene.
     factor : (n,)
         Largest amplitude of any blade at any frequency, relative to the tuned wheel without a
         crack.
     omega : (n,) [rad/s]
-        Frequency of the largest amplitude.
+        Load frequency at the largest amplitude.
     blade : (n,) int
         Number of the blade with the largest amplitude, from 1.
     tuned, tuned_omega : float [m], [rad/s]
-        Largest amplitude of the tuned wheel, and its frequency.
+        The tuned wheel's largest amplitude, and its frequency.
     deviation, seed : float, int
-        Standard deviation of the sectors' stiffness, and seed of the first pattern; the following
-        patterns have the following seeds.
+        Standard deviation of the sectors' stiffness, and the first pattern's seed; the next
+        patterns have the next seeds.
     """
 
     scene: Scene
@@ -422,8 +424,10 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
     """Report the amplification factors that shares of the patterns do not exceed."""
     percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     table_rows = [[percent, amplification_result.percentile(percent)] for percent in percents]
-    tuned_peak_text = f"{quantity(amplification_result.tuned, 'm')} at "
-    tuned_peak_text += f"{amplification_result.tuned_omega / TURN:.6g} Hz"
+    tuned_peak_text = (
+        f"{quantity(amplification_result.tuned, 'm')} at "
+        f"{amplification_result.tuned_omega / TURN:.6g} Hz"
+    )
     percentile_table = Table(["share of patterns [%]", "amplification factor"], table_rows)
     notes = [f"the tuned wheel without a crack: {tuned_peak_text}"]
     return Report(

@@ -434,15 +434,15 @@ class NodalDiameter:
 
 @dataclass(frozen=True, eq=False)
 class CyclicModes:
-    """Natural modes of a wheel of equal sectors with bonded cracks.
+    """Natural modes of a wheel with equal sectors and bonded cracks.
 
-    In a mode of nodal diameter n, sector j, from 0, moves as the real and the imaginary part of
+    In a mode with nodal diameter n, sector j, from 0, moves as the real and imaginary parts of
     v e^(i 2 pi n j / N). These are two modes with one frequency; n = 0 and N/2 have one mode.
 
     Attributes
     ----------
     omega : tuple of (families,) [rad/s]
-        Natural frequencies of n = 0 .. N/2.
+        Natural frequencies for n = 0 .. N/2.
     shapes : tuple of (n_dofs, families)
         v for each nodal diameter over a sector's dofs, real or complex, with v^H M v = 1.
     sector : Sector

@@ -86,13 +86,13 @@ class Wheel(Structure):
     mistuning : (N,)
         Relative deviation of each sector's stiffness at rest.
     order : int
-        Engine order of the load.
+        The load's engine order.
     families : int
         Number of kept modes for each nodal diameter, and for each blade.
     numbers : (N, n_sector) int
         The wheel's dof for each dof of each sector.
     places : (n,) int
-        Position of each dof's owner among all ``numbers``.
+        Each dof's position among all ``numbers``: that of its owner.
     """
 
     body: WheelBody

@@ -70,7 +70,7 @@ class NotebookFigure(Figure):
 class Picture:
     """Panels of a picture, and the figure that holds them.
 
-    The panels are the given axes, or those of a new figure.
+    The panels are the given axes, or a new figure's.
 
     Parameters
     ----------
@@ -81,17 +81,17 @@ class Picture:
     size : (float, float) [in]
         Width and height of a new figure; default: the style sheet's.
     sharex : bool
-        Whether the panels of a new figure share their horizontal axis.
+        Whether panels in a new figure share their horizontal axis.
     comm : MPI.Comm
-        Rank 0 of this communicator saves the figure.
+        Communicator whose rank 0 saves the figure.
     picture_options
-        Keywords of :class:`PictureOptions`.
+        Keywords in :class:`PictureOptions`.
 
     Raises
     ------
     InputError
-        The number of axes differs from ``n_panels``, there are both axes and a path, the path's
-        suffix is unknown, or a keyword is none of :class:`PictureOptions`.
+        There are more or fewer axes than ``n_panels``, there are both axes and a path, the path's
+        suffix is unknown, or a keyword is not in :class:`PictureOptions`.
     """
 
     def __init__(

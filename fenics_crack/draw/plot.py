@@ -596,16 +596,16 @@ def _draw_stems(
     quantity: str,
     unit: str,
 ) -> None:
-    """Draw amplitudes of Fourier series over their orders, as stems side by side.
+    """Draw Fourier amplitudes over their orders, as stems side by side.
 
-    Amplitudes of more than 150 harmonics are points.
+    More than 150 harmonics are points.
 
     Parameters
     ----------
     n_load_periods : int
-        Load periods in a period of the series.
+        Load periods in a series' period.
     coefficients_by_label : mapping of str to (2H+1,)
-        Mean, cosine and sine coefficients of each series.
+        Mean, cosine and sine coefficients for each series.
     """
     amplitudes_by_label = {
         label: np.abs(to_complex(column)) for label, column in coefficients_by_label.items()

@@ -173,9 +173,8 @@ def _mark_peak(
     peak, (unit_factor, _, unit) = curve.top(dof), parameter_axis(curve.parameter, in_hertz)
     if peak.at_end:
         return
-    peak_position, peak_amplitude = unit_factor * peak.value, peak.amplitude
-    label = f"largest: {quantity(peak_amplitude, 'm')} at {peak_position:.5g} {unit}"
-    label = label.removesuffix(" -")
+    peak_parameter, amplitude = unit_factor * peak.value, peak.amplitude
+    label = f"largest: {quantity(amplitude, 'm')} at {peak_parameter:.5g} {unit}".removesuffix(" -")
     if curve.parameter == "omega":
         displacement_coefficients = curve.coefficients_at(dof)
         damping = damping_by_width(
@@ -188,9 +187,7 @@ def _mark_peak(
         "ms": 7.0,
         "mew": 1.1,
     }
-    axes.plot(
-        peak_position, peak_amplitude, "o", label="" if curve_colour else label, **ring_options
-    )
+    axes.plot(peak_parameter, amplitude, "o", label="" if curve_colour else label, **ring_options)
 
 
 def _mark_bifurcations(
@@ -288,14 +285,15 @@ def _mark_superharmonics(
 def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
     """Label the axis of a curve's parameter after all lines are drawn.
 
-    A curve over the speed also has the frequency of its engine order above.
+    A curve over the speed also has its engine order's frequency above.
     """
     unit_factor, parameter_name, unit = parameter_axis(curve.parameter, in_hertz)
     if curve.parameter == "speed":
         engine_order = float(curve.omega[0] / curve.values[0])
         frequency_factor, frequency_name, frequency_unit = frequency_axis(in_hertz)
-        frequency_name += f", engine order {engine_order:g}"
-        frequency_label = with_unit(frequency_name, frequency_unit)
+        frequency_label = with_unit(
+            f"{frequency_name}, engine order {engine_order:g}", frequency_unit
+        )
         for top_axis in axes.child_axes:  # of an earlier curve
             top_axis.set_visible(
                 top_axis.get_visible() and top_axis.get_xlabel() == frequency_label
@@ -312,7 +310,7 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
 
 
 def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:
-    """Return the amplitudes of the harmonics 1 to H at every point of a curve: (n, H) [m]."""
+    """Return the amplitudes of harmonics 1 to H at a curve's points: (n, H) [m]."""
     return np.abs(to_complex(curve.coefficients_at(dof).T)[1:].T)
 
 
@@ -324,14 +322,14 @@ def draw_content(
     in_hertz: bool = False,
     **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw the amplitudes of the lowest harmonics of a dof's displacement over the parameter.
+    """Draw the lowest harmonics' amplitudes at a dof over the parameter.
 
     Parameters
     ----------
     curve, dof, in_hertz
         See :func:`draw_curve`.
     highest : int
-        Highest drawn harmonic of the load.
+        Highest drawn harmonic, in multiples of the load's frequency.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 

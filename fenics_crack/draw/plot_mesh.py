@@ -265,18 +265,18 @@ def draw_numbered_faces(
     triangles: np.ndarray, triangle_faces: np.ndarray, face_tags: Sequence[int],
     number_positions: np.ndarray, **picture_options: Unpack[PictureOptions],
 ) -> Figure:  # fmt: skip
-    """Draw faces of a part from two sides, with their numbers from 1.
+    """Draw a part's faces from two sides, with their numbers from 1.
 
     Parameters
     ----------
     triangles : (m, 3, 3) [m]
-        Corners of the triangles of all faces.
+        Corners of each triangle on the faces.
     triangle_faces : (m,) int
         Tag of each triangle's face.
     face_tags : sequence of int
-        Tags of the drawn faces, in the order of their numbers.
+        Tags of the drawn faces, in their numbers' order.
     number_positions : (n, 3) [m]
-        Position of each number; n is at least the number of drawn faces.
+        Position of each number, for at least all drawn faces.
     """
     from fenics_crack.draw import vtk
 

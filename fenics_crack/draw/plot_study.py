@@ -98,8 +98,7 @@ def draw_posterior(
     x, *other_keys = [key for key in (x, y) if key is not None] or found.unknown[:2]
     for name, key in zip("xy", (x, *other_keys), strict=False):
         if key not in found.unknown or other_keys == [x]:
-            requirement = f"one or two different ones of {', '.join(found.unknown)}"
-            raise InputError(name, key, requirement)
+            raise InputError(name, key, f"one or two different ones of {', '.join(found.unknown)}")
     [panel] = picture = Picture(size=(6.0, 4.6), **picture_options)
     if not other_keys:
         _draw_density(panel, found, x)
@@ -225,9 +224,9 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
 
     The first panel shows the difference from the extrapolated value over the element size, or over
     the first other varied cause. Quantities outside the asymptotic range have no line. The second
-    panel has a row for each quantity with the contribution of each cause, the quantity's marker
-    from the first panel, and the observed order, the slope of its line. Hollow marks stand for a
-    factor of safety of 3, black bars for the root of the sum of squares.
+    panel has a row for each quantity with each cause's contribution, the quantity's marker from the
+    first panel, and the observed order, its line's slope. Hollow marks stand for a safety factor of
+    3, black bars for the root of the sum of squares.
 
     Parameters
     ----------

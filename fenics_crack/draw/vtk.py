@@ -197,12 +197,12 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
 
 
 def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
-    """Make the matrices of d/dx, d/dy (and d/dz) at the nodes of a nodal field.
+    """Make matrices that differentiate a nodal field at the nodes: d/dx, d/dy (and d/dz).
 
     A derivative at a node is the mean over the cells at the node. VTK differentiates the shape
-    functions N at the nodes of its unit cell, X. A cell x(X) of the mesh then has dN/dx = dN/dX
-    (dx/dX)^-1. (In the cells of the mesh VTK would search for the nodes, which fails in slim
-    tetrahedra of ten nodes.)
+    functions N at the nodes of its unit cell, X. A cell x(X) in the mesh then has dN/dx = dN/dX
+    (dx/dX)^-1. (In the mesh's cells VTK would search for the nodes, which fails in slim tetrahedra
+    of ten nodes.)
 
     Returns
     -------
@@ -396,14 +396,14 @@ class PeriodFields:
     displacement, nodal_loads : (n, n_nodes, d) [m], [N]
         Displacements, not magnified, and loads at the nodes.
     contact_forces, pair_areas : (n, n_pairs) [N], (n_pairs,) [m^2]
-        Normal forces of the contact pairs, and their areas on one crack face.
+        Normal forces on the contact pairs, and the pairs' areas on one crack face.
     nodal_pair_forces : (n_nodes, n_pairs)
-        Size of the force at each node by a unit force on each pair: 1 at the two nodes of a pair,
-        or at the two nodes in the middle of a solid's patch.
+        Force at each node by a unit force on each pair: 1 at the pair's two nodes, or at the two
+        nodes in the middle of a solid's patch.
     pressure_weights : (n_nodes, n_pairs)
-        Weight of each pair's pressure in the pressure at each node.
+        Weight of each pair's pressure in each node's pressure.
     magnification : float
-        Factor of the displacement in pictures.
+        Factor by which pictures magnify the displacement.
     material : Material or None
         Material for stresses.
     has_one_load : bool
@@ -579,10 +579,9 @@ def write_period(
     collection_path = Path(path)
 
     def write_files() -> None:
-        frames_folder = collection_path.stem
-        check_inner(collection_path.with_name(frames_folder))
+        check_inner(collection_path.with_name(collection_path.stem))
         frame_names = [
-            f"{frames_folder}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))
+            f"{collection_path.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))
         ]
         collection_lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
         for instant, frame_name in zip(fields.time, frame_names, strict=True):
@@ -591,7 +590,7 @@ def write_period(
             )
         collection_text = "\n".join([*collection_lines, "  </Collection>", "</VTKFile>", ""])
         colour_name, colour_unit = fields.colour_name_and_unit
-        script_path = collection_path.with_name(f"{frames_folder}_paraview.py")
+        script_path = collection_path.with_name(f"{collection_path.stem}_paraview.py")
         path_texts = {
             "script": script_path.name,
             "folder": str(collection_path.parent.resolve()),
