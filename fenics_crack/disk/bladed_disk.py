@@ -154,7 +154,9 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     structure = result.structure
     wheel = wheel_of(structure)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    get_solution = cache(lambda index: result if is_solution else result.solution(index))
+    get_solution = cache(
+        lambda point_index: result if is_solution else result.solution(point_index)
+    )
     blade_rows: list[tuple[float, complex, float, float]] = []
     for indicators, blade_dof in zip(result.measure(dofs), dofs, strict=True):
         solution = get_solution(int(np.argmax(indicators.amplitude)))
@@ -166,7 +168,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
             (solution.amplitude(blade_dof), harmonics[1], second_ratio, solution.omega)
         )
     amplitude, fundamental, second_ratios, omega = map(np.array, zip(*blade_rows, strict=True))
-    cracked_blades = tuple(index + 1 for index in wheel.cracked)
+    cracked_blades = tuple(sector_index + 1 for sector_index in wheel.cracked)
     return Blades(amplitude, fundamental, second_ratios, omega, wheel.mistuning, cracked_blades)
 
 
@@ -448,10 +450,10 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
 
     The function searches in the excited family next to the load's frequency ``load_omega`` [rad/s].
     """
-    structure = WheelStructure(wheel, count_basis_families(wheel.families))
+    wheel_structure = WheelStructure(wheel, count_basis_families(wheel.families))
     n_sectors = wheel.sector.n_sectors
-    (mass, tuned_stiffness), damping = structure.basis.tuned_mass_and_stiffness, wheel.damping
-    complex_load = structure.force[1] - 1j * structure.force[2]
+    (mass, tuned_stiffness), damping = wheel_structure.basis.tuned_mass_and_stiffness, wheel.damping
+    complex_load = wheel_structure.force[1] - 1j * wheel_structure.force[2]
     if not np.any(complex_load):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
     if not isinstance(damping, DampingRule):
@@ -465,8 +467,8 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     mode_range = slice(
         max(n_slower_modes - n_sectors, 0), max(n_slower_modes - n_sectors, 0) + 2 * n_sectors
     )
-    blade_matrix = structure.values_at(
-        np.eye(structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
+    blade_matrix = wheel_structure.values_at(
+        np.eye(wheel_structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
     ).T
     bandwidth_steps = np.arange(
         -SEARCH_BANDWIDTHS_PER_SIDE,
@@ -475,12 +477,12 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     )
 
     def find_peak(deviations: np.ndarray) -> tuple[float, float, int]:
-        stiffness = tuned_stiffness + np.tensordot(
-            deviations, structure.basis.sector_stiffnesses, 1
+        mistuned_stiffness = tuned_stiffness + np.tensordot(
+            deviations, wheel_structure.basis.sector_stiffnesses, 1
         )
-        squared_omegas, shapes = scipy.linalg.eigh(stiffness, mass)
+        squared_omegas, mode_shapes = scipy.linalg.eigh(mistuned_stiffness, mass)
         natural_omegas, damping_rates = np.sqrt(squared_omegas), damping.rate(squared_omegas)
-        modal_forces, blade_shapes = shapes.T @ complex_load, blade_matrix @ shapes
+        modal_forces, blade_shapes = mode_shapes.T @ complex_load, blade_matrix @ mode_shapes
         search_omegas = np.sort(
             (
                 natural_omegas[mode_range, None] + damping_rates[mode_range, None] * bandwidth_steps

@@ -112,8 +112,8 @@ class SectorNumbering:
             Position of each number's owner among all N n members.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
-        owners = (np.arange(n_sectors)[:, None] + self.is_next_sector) % n_sectors
-        wheel_numbers = self.member_positions + owners * len(self.own_members)
+        owner_sectors = (np.arange(n_sectors)[:, None] + self.is_next_sector) % n_sectors
+        wheel_numbers = self.member_positions + owner_sectors * len(self.own_members)
         open_entries = np.ix_(cracked_places, self.upper_members)
         bonded_members = all_members[:, self.own_members].ravel()
         open_members = all_members[open_entries]
@@ -227,22 +227,26 @@ class Sector:
         tie_parts = make_selection_matrix(
             dof_numbering.member_positions + n_own * dof_numbering.is_next_sector, 2 * n_own
         )
-        stiffness = sparse.csr_matrix(tie_parts.T @ self.stiffness @ tie_parts)
+        tied_stiffness = sparse.csr_matrix(tie_parts.T @ self.stiffness @ tie_parts)
         side_rows = np.unique(dof_numbering.member_positions[dof_numbering.is_next_sector])
         inside_rows, right_rows = np.setdiff1d(np.arange(n_own), side_rows), n_own + side_rows
         left_coupling, right_coupling = (
-            stiffness[inside_rows][:, columns] for columns in (side_rows, right_rows)
+            tied_stiffness[inside_rows][:, columns] for columns in (side_rows, right_rows)
         )
-        inside_stiffness = distribute_rows(stiffness[inside_rows][:, inside_rows], MPI.COMM_SELF)
+        inside_stiffness = distribute_rows(
+            tied_stiffness[inside_rows][:, inside_rows], MPI.COMM_SELF
+        )
         with Factor(inside_stiffness, definite=True) as inside_factor:
             left_response, right_response = (
                 inside_factor.solve(coupling.T).T for coupling in (left_coupling, right_coupling)
             )
             side_stiffness = (
-                stiffness[side_rows][:, side_rows] + stiffness[right_rows][:, right_rows]
+                tied_stiffness[side_rows][:, side_rows] + tied_stiffness[right_rows][:, right_rows]
                 - left_coupling.T @ left_response - right_coupling.T @ right_response
             )  # fmt: skip
-            cross_stiffness = stiffness[side_rows][:, right_rows] - left_coupling.T @ right_response
+            cross_stiffness = (
+                tied_stiffness[side_rows][:, right_rows] - left_coupling.T @ right_response
+            )
             yield NodalDiameter(
                 self, inside_factor, tie_parts, inside_rows, side_rows,
                 (left_coupling, right_coupling), side_stiffness, cross_stiffness, 1.0,
@@ -506,29 +510,37 @@ class CyclicBasis:
         """
         sector, motion_blocks = self.cyclic_modes.sector, []
         for diameter, shapes in enumerate(self.cyclic_modes.shapes):
-            angle = np.asarray(2.0 * np.pi * diameter / sector.n_sectors * sector_index)[..., None]
-            wave = np.exp(1j * angle) * np.sqrt(sector.diameter_shares[diameter]) * shapes[rows]
+            wave_angle = np.asarray(2.0 * np.pi * diameter / sector.n_sectors * sector_index)[
+                ..., None
+            ]
+            complex_motion = (
+                np.exp(1j * wave_angle) * np.sqrt(sector.diameter_shares[diameter]) * shapes[rows]
+            )
             motion_blocks += (
-                [wave.real] if sector.has_single_wave(diameter) else [wave.real, wave.imag]
+                [complex_motion.real]
+                if sector.has_single_wave(diameter)
+                else [complex_motion.real, complex_motion.imag]
             )
         for cracked_index in self.cracked_places:
             own_opening = (
                 np.asarray(sector_index == cracked_index)[..., None] * self.opening_shapes[rows]
             )
-            distance = (sector_index - cracked_index) % sector.n_sectors
-            motion_blocks.append(self.opening_responses[distance, rows] + own_opening)
+            sector_distance = (sector_index - cracked_index) % sector.n_sectors
+            motion_blocks.append(self.opening_responses[sector_distance, rows] + own_opening)
         return np.hstack(motion_blocks)
 
     def _sector_products(
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
         """Yield U_j^T A U_j, or some of its columns, for each sector j."""
-        modes = replace(
+        mapped_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
         )
-        opening_responses = np.array([matrix @ response for response in self.opening_responses])
-        openings = matrix @ self.opening_shapes
-        mapped_basis = CyclicBasis(modes, opening_responses, openings, self.cracked_places)
+        mapped_responses = np.array([matrix @ response for response in self.opening_responses])
+        mapped_openings = matrix @ self.opening_shapes
+        mapped_basis = CyclicBasis(
+            mapped_modes, mapped_responses, mapped_openings, self.cracked_places
+        )
         for sector_index in range(self.cyclic_modes.sector.n_sectors):
             yield (
                 self.sector_motions(sector_index).T
@@ -577,8 +589,10 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicM
     with sector.factor_stiffness() as zero_diameter:
         for diameter in sector.nodal_diameters[comm.rank :: comm.size]:
             modes_by_diameter[diameter] = zero_diameter.at_diameter(diameter).solve_modes(families)
-    omegas, shapes = zip(*_gather_by_diameter(modes_by_diameter, comm).values(), strict=True)
-    return CyclicModes(omegas, shapes, sector)
+    omegas_by_diameter, shapes_by_diameter = zip(
+        *_gather_by_diameter(modes_by_diameter, comm).values(), strict=True
+    )
+    return CyclicModes(omegas_by_diameter, shapes_by_diameter, sector)
 
 
 def make_cyclic_basis(
@@ -645,7 +659,9 @@ def make_cyclic_basis(
             side_wave = nodal_diameter.side_stiffness_inverse @ side_forces
             results_by_diameter[diameter] = *basis_parts, side_wave
         diameter_results = _gather_by_diameter(results_by_diameter, comm).values()
-        omegas, all_shapes, bond_forces, side_motion_waves = zip(*diameter_results, strict=True)
+        omegas_by_diameter, shapes_by_diameter, bond_forces, side_motion_waves = zip(
+            *diameter_results, strict=True
+        )
         side_motions = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
         relieved_stiffness += left_forces.T @ side_motions[0] + right_forces.T @ side_motions[1]
         face_shapes = relieved_stiffness[:, :0]
@@ -660,9 +676,11 @@ def make_cyclic_basis(
                 side_motions[sector_index], right_motions, own_inside_motions
             )
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
-    modes = CyclicModes(omegas, all_shapes, sector)
-    openings = make_selection_matrix(sector.dof_numbering.upper_members, n_dofs).T @ face_shapes
-    return CyclicBasis(modes, opening_responses, openings, cracked_places)
+    cyclic_modes = CyclicModes(omegas_by_diameter, shapes_by_diameter, sector)
+    opening_shapes = (
+        make_selection_matrix(sector.dof_numbering.upper_members, n_dofs).T @ face_shapes
+    )
+    return CyclicBasis(cyclic_modes, opening_responses, opening_shapes, cracked_places)
 
 
 def _make_diameter_basis(
@@ -777,11 +795,13 @@ def _find_opening_shapes(
         scipy.linalg.solve_triangular(lower_factor, forces, lower=True)
         for forces in (sparse.hstack(gap_matrices).tocsr()[upper_members].toarray(), bond_forces)
     )
-    basis = scipy.linalg.orth(contact_patterns)
-    patterns, sizes, _ = np.linalg.svd(
-        bond_forces - basis @ (basis.T @ bond_forces), full_matrices=False
+    contact_basis = scipy.linalg.orth(contact_patterns)
+    patterns, pattern_sizes, _ = np.linalg.svd(
+        bond_forces - contact_basis @ (contact_basis.T @ bond_forces), full_matrices=False
     )
-    kept_patterns = np.hstack([basis, patterns[:, sizes > MIN_OPENING_PATTERN_SIZE]])
+    kept_patterns = np.hstack(
+        [contact_basis, patterns[:, pattern_sizes > MIN_OPENING_PATTERN_SIZE]]
+    )
     return scipy.linalg.solve_triangular(lower_factor.T, kept_patterns)
 
 
@@ -818,8 +838,8 @@ def _find_side_force_patterns(
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_right]
         scaled_force = force / np.maximum(omega, 1e-300) ** 2
         force_parts += [scaled_force.real, scaled_force.imag]
-    patterns, sizes, _ = np.linalg.svd(np.hstack(force_parts), full_matrices=False)
-    kept_patterns = patterns[:, sizes > MIN_SIDE_PATTERN_SIZE * sizes[0]]
+    patterns, pattern_sizes, _ = np.linalg.svd(np.hstack(force_parts), full_matrices=False)
+    kept_patterns = patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
     side_force_patterns = np.zeros((sector.structure.n_dofs, kept_patterns.shape[1]))
     side_force_patterns[is_right] = kept_patterns
     return side_force_patterns

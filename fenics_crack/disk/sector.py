@@ -39,8 +39,8 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     disk = scene.given("disk")
     sector, rotation = _make_sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.factor_stiffness() as solver:  # the load is the same on all sectors
-            rotation = rotation_of(scene, dofs, structure, solver.static_response)
+        with sector.factor_stiffness() as nodal_diameter:  # the load is the same on all sectors
+            rotation = rotation_of(scene, dofs, structure, nodal_diameter.static_response)
         static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
@@ -48,11 +48,14 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         stiffened_sector = replace(
             sector, structure=structure._with_changes(stiffness=static_stiffness)
         )
-        with stiffened_sector.factor_stiffness() as solver:
-            displacement = solver.static_response(centrifugal_load[:, None])
+        with stiffened_sector.factor_stiffness() as nodal_diameter:
+            static_displacement = nodal_diameter.static_response(centrifugal_load[:, None])
         force[0] += (
             centrifugal_load
-            + (multiply(stiffness, displacement) - multiply(static_stiffness, displacement))[:, 0]
+            + (
+                multiply(stiffness, static_displacement)
+                - multiply(static_stiffness, static_displacement)
+            )[:, 0]
         )
         rotating_structure = structure._with_changes(stiffness=stiffness, force=force)
         sector = replace(sector, structure=rotating_structure)
@@ -165,7 +168,13 @@ def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, in
     """
     from scipy.spatial import cKDTree
 
-    distances, partners = cKDTree(candidates).query(points)
+    distances, partner_indices = cKDTree(candidates).query(points)
     worst_index = int(np.argmax(distances))
-    is_ambiguous = len(candidates) != len(points) or len(np.unique(partners)) != len(partners)
-    return (math.inf if is_ambiguous else float(distances[worst_index])), worst_index, partners
+    is_ambiguous = len(candidates) != len(points) or len(np.unique(partner_indices)) != len(
+        partner_indices
+    )
+    return (
+        (math.inf if is_ambiguous else float(distances[worst_index])),
+        worst_index,
+        partner_indices,
+    )

@@ -558,8 +558,10 @@ class WheelStructure(Structure):
 
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Solve for the frequencies [rad/s] and shapes of all modes with open cracks."""
-    matrices = (local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass))
-    squared_omegas, shapes = scipy.linalg.eigh(*matrices)
+    stiffness_and_mass = (
+        local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
+    )
+    squared_omegas, shapes = scipy.linalg.eigh(*stiffness_and_mass)
     return np.sqrt(np.maximum(squared_omegas, 0.0)), shapes
 
 

@@ -320,14 +320,14 @@ def _fit_camera_to_period(plotter: Any, fields: PeriodFields) -> float:
     arrow_heads = np.add(*_find_load_arrows(fields)) if fields.has_one_load else np.empty((0, 2))
     drawn_points = np.concatenate([fields.mesh.points, *fields.magnified_points, arrow_heads])
     lower_corner, upper_corner = drawn_points.min(axis=0), drawn_points.max(axis=0)
-    size, camera = fields.mesh.size, vtk.set_parallel_camera(plotter.renderer)
-    center = 0.5 * (lower_corner + upper_corner)
+    mesh_size, camera = fields.mesh.size, vtk.set_parallel_camera(plotter.renderer)
+    view_center = 0.5 * (lower_corner + upper_corner)
     plate_width, plate_height = upper_corner - lower_corner
     view_height = 1.03 * max(plate_height, plate_width * height / width)
-    camera.SetFocalPoint(*center, 0.0)
-    camera.SetPosition(*center, 10.0 * size)
+    camera.SetFocalPoint(*view_center, 0.0)
+    camera.SetPosition(*view_center, 10.0 * mesh_size)
     camera.SetParallelScale(0.5 * view_height)
-    camera.SetClippingRange(size, 20.0 * size)
+    camera.SetClippingRange(mesh_size, 20.0 * mesh_size)
     return float(plate_width / view_height)
 
 

@@ -225,36 +225,38 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     All lines are drawn before, since the data choose the prefix. A logarithmic axis over more than
     five decades has powers of ten as labels, a shorter one plain numbers.
     """
-    factor, prefixed_unit = 1.0, unit
+    unit_factor, prefixed_unit = 1.0, unit
     if unit not in NO_PREFIX:
-        factor, prefixed_unit = readable(float(np.abs(axis.get_data_interval()).max()), unit)
+        unit_factor, prefixed_unit = readable(float(np.abs(axis.get_data_interval()).max()), unit)
     label = with_unit(quantity, prefixed_unit).replace("m^0.5", "√m")
     axis.set_label_text(wrap_upright_label(label) if axis.axis_name == "y" else label)
     view_minimum, view_maximum = axis.get_view_interval()
     if axis.get_scale() != "log":
         axis.set_major_formatter(
-            FuncFormatter(lambda value, _: _format_number(round(factor * value, 12)))
+            FuncFormatter(lambda value, _: _format_number(round(unit_factor * value, 12)))
         )
     elif (n_decades := np.log10(view_maximum / view_minimum)) > 5.0:
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(
-            FuncFormatter(lambda value, _: _format_power_of_ten(factor * value))
+            FuncFormatter(lambda value, _: _format_power_of_ten(unit_factor * value))
         )
     else:  # few decades have labels within them; every small tick takes time
         if n_decades > 2.0:
             axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-        axis.set_major_formatter(_ScaledLogFormatter(factor))
-        axis.set_minor_formatter(_ScaledLogFormatter(factor, minor_thresholds=(2.0, 0.8)))
+        axis.set_major_formatter(_ScaledLogFormatter(unit_factor))
+        axis.set_minor_formatter(_ScaledLogFormatter(unit_factor, minor_thresholds=(2.0, 0.8)))
 
 
 def label_count_axis(axis: Axis, plural_noun: str) -> None:
     """Label a linear axis of counts after all lines are drawn: "10⁶ load cycles"."""
-    factor, _ = readable(float(axis.get_data_interval()[1]), "")
+    power_factor, _ = readable(float(axis.get_data_interval()[1]), "")
     axis.set_label_text(
-        plural_noun if factor == 1.0 else f"{_format_power_of_ten(1.0 / factor)} {plural_noun}"
+        plural_noun
+        if power_factor == 1.0
+        else f"{_format_power_of_ten(1.0 / power_factor)} {plural_noun}"
     )
     axis.set_major_formatter(
-        FuncFormatter(lambda value, _: _format_number(round(factor * value, 12)))
+        FuncFormatter(lambda value, _: _format_number(round(power_factor * value, 12)))
     )
 
 

@@ -460,9 +460,9 @@ def draw_map(
     ...     x, y, np.outer(1.0 + y, x), x_label="x [m]", y_label="y [m]", value_label="z [m]")
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    for name, coordinates in (("x", x), ("y", y)):
+    for axis_name, coordinates in (("x", x), ("y", y)):
         if coordinates.ndim != 1 or len(coordinates) < 2 or not np.all(np.diff(coordinates) > 0.0):
-            raise InputError(name, coordinates, "two or more rising numbers")
+            raise InputError(axis_name, coordinates, "two or more rising numbers")
     cell_values = np.ma.masked_invalid(np.asarray(values, dtype=float))
     if cell_values.shape != (len(y), len(x)):
         raise InputError(
@@ -471,7 +471,7 @@ def draw_map(
     if not cell_values.count():
         raise InputError("values", "nan", "finite somewhere")
     minimum, maximum = float(cell_values.min()), float(cell_values.max())
-    norm = (LogNorm if 0.0 < 30.0 * minimum <= maximum else Normalize)(minimum, maximum)
+    colour_norm = (LogNorm if 0.0 < 30.0 * minimum <= maximum else Normalize)(minimum, maximum)
     is_doubtful = (
         np.zeros(cell_values.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
     )
@@ -480,7 +480,7 @@ def draw_map(
             "doubtful", is_doubtful.shape, f"of the shape of values, {cell_values.shape}"
         )
     [panel] = picture = Picture(**picture_options)
-    _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=norm)
+    _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=colour_norm)
     is_missing = np.ma.getmaskarray(cell_values)
     panel.plot(
         *(coordinate_grid.ravel()[is_missing.ravel()] for coordinate_grid in np.meshgrid(x, y)),
@@ -791,14 +791,14 @@ def draw_friction_loops(
     >>> rubbing = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=20)
     >>> figure = fc.draw_friction_loops(rubbing, path="loops.png")
     """
-    coefficient = coefficient_of(solution.contact)
-    if coefficient is None:
+    friction_coefficient = coefficient_of(solution.contact)
+    if friction_coefficient is None:
         raise InputError("solution", "no friction", "one with CoulombFriction")
     time = np.append(solution.instants(), solution.period)
     (_, tangential_gaps), (normal_forces, friction_forces) = (
         np.hsplit(gaps_or_forces, 2) for gaps_or_forces in solution.gaps_and_forces(time)
     )
-    slip_mask = is_slipping(coefficient, normal_forces, friction_forces)
+    slip_mask = is_slipping(friction_coefficient, normal_forces, friction_forces)
     losses = friction_losses(tangential_gaps, friction_forces)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **picture_options)
     drawn_pairs = np.argsort(-losses, kind="stable")[: min(MAX_DRAWN_LOOPS, len(losses))]
@@ -868,11 +868,11 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
     """Draw K_I and K_II of each tip, or all K at the leading front station, over time."""
     time = intensity.time - intensity.time[0]
     if intensity.three is not None:
-        components = zip(
+        component_curves = zip(
             ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
         )
         for (component_name, component_values), colour in zip(
-            components, distinct_colours(3), strict=True
+            component_curves, distinct_colours(3), strict=True
         ):
             panel.plot(
                 time,
@@ -907,11 +907,11 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
 def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> None:
     """Draw the largest sizes of K_I, K_II and K_III over the distance along each front."""
     assert intensity.three is not None
-    components = zip(
+    component_curves = zip(
         ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
     )
     for (component_name, component_values), colour in zip(
-        components, distinct_colours(3), strict=True
+        component_curves, distinct_colours(3), strict=True
     ):
         largest_sizes = np.abs(component_values).max(axis=0)
         for station_indices in intensity.fronts.values():

@@ -251,10 +251,10 @@ def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.nda
     """
     axes.autoscale_view()  # to the lines drawn so far
     panel_positions = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
-    cells = np.column_stack(
+    cells_and_kinds = np.column_stack(
         [np.floor(panel_positions / 0.03), np.unique(kinds, return_inverse=True)[1]]
     )
-    _, first_in_cell = np.unique(cells, axis=0, return_index=True)
+    _, first_in_cell = np.unique(cells_and_kinds, axis=0, return_index=True)
     return np.isin(np.arange(len(x)), first_in_cell)
 
 
@@ -299,9 +299,12 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
                 top_axis.get_visible() and top_axis.get_xlabel() == frequency_label
             )
         if not axes.child_axes:
-            ratio = engine_order * frequency_factor / unit_factor
-            conversions = lambda speed: ratio * speed, lambda frequency: frequency / ratio
-            top_axis = axes.secondary_xaxis("top", functions=conversions)
+            frequency_per_speed = engine_order * frequency_factor / unit_factor
+            axis_conversions = (
+                lambda speed: frequency_per_speed * speed,
+                lambda frequency: frequency / frequency_per_speed,
+            )
+            top_axis = axes.secondary_xaxis("top", functions=axis_conversions)
             top_axis.set_xlabel(frequency_label)
     if unit == "m":
         label_axis(axes.xaxis, parameter_name, unit)

@@ -340,10 +340,10 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
         total_force, force_sizes = nodal_forces.sum(axis=0), np.abs(nodal_forces).sum(axis=1)
         if np.linalg.norm(total_force) > 0.0:
             arrow_head = force_sizes @ points / force_sizes.sum()
-            arrow_length, radii = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
+            arrow_length, arrow_radii = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
             arrow_start = arrow_head - arrow_length * total_force / np.linalg.norm(total_force)
             arrow = vtk.import_pyvista().Arrow(
-                start=arrow_start, direction=total_force, scale=arrow_length, **radii
+                start=arrow_start, direction=total_force, scale=arrow_length, **arrow_radii
             )
             plotter.add_mesh(arrow, color=to_rgb(COLOURS_BY_NAME["pink"]), lighting=False)
     if np.any(load_parts):

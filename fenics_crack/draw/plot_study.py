@@ -152,19 +152,27 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
         density = posterior.mass[branch_name].sum(axis=other_axes) / branch.weight.sum(
             axis=other_axes
         )
-        values = np.unique([*branch.axes[key_index], interval_start, interval_end])
-        lines_by_branch[branch_name] = values, np.interp(values, branch.axes[key_index], density)
+        unknown_values = np.unique([*branch.axes[key_index], interval_start, interval_end])
+        lines_by_branch[branch_name] = (
+            unknown_values,
+            np.interp(unknown_values, branch.axes[key_index], density),
+        )
     largest_density = max(density.max() for _, density in lines_by_branch.values())
     colours = distinct_colours(len(lines_by_branch))
-    for (branch_name, (values, density)), colour in zip(
+    for (branch_name, (unknown_values, density)), colour in zip(
         lines_by_branch.items(), colours, strict=True
     ):
         panel.plot(
-            values, density / largest_density, color=colour, label=branch_name or "probability"
+            unknown_values,
+            density / largest_density,
+            color=colour,
+            label=branch_name or "probability",
         )
-        is_inside = (values >= interval_start) & (values <= interval_end)
+        is_inside = (unknown_values >= interval_start) & (unknown_values <= interval_end)
         band_options = {"color": colour, "alpha": 0.2, "lw": 0.0, "label": "95 %"}
-        panel.fill_between(values[is_inside], density[is_inside] / largest_density, **band_options)
+        panel.fill_between(
+            unknown_values[is_inside], density[is_inside] / largest_density, **band_options
+        )
     panel.axvline(identification.estimate[key], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
     label_axis(panel.xaxis, key_in_words(key), unit_of(key))
@@ -179,10 +187,12 @@ def _contour_log_levels(branch_grids: list[tuple[np.ndarray, ...]]) -> list[floa
     branch_grids : list of (x, y, mass, density)
         Grid axes, probability of each grid point, and density, of each branch.
     """
-    masses = np.concatenate([grid[2].ravel() for grid in branch_grids])
-    log_densities = _log_density(np.concatenate([grid[3].ravel() for grid in branch_grids]))
+    probability_masses = np.concatenate([branch_grid[2].ravel() for branch_grid in branch_grids])
+    log_densities = _log_density(
+        np.concatenate([branch_grid[3].ravel() for branch_grid in branch_grids])
+    )
     descending_order = np.argsort(-log_densities)
-    cumulative_mass = np.cumsum(masses[descending_order])
+    cumulative_mass = np.cumsum(probability_masses[descending_order])
     level_positions = np.minimum(
         np.searchsorted(cumulative_mass, CONTOUR_PROBABILITIES), len(descending_order) - 1
     )[::-1]
@@ -265,11 +275,11 @@ def _draw_convergence_lines(
     inverse number, such as that of harmonics, for h_i.
     """
     relative_sizes, largest_difference = np.ones(1), 100.0 * LEAST_ERROR
-    for name, line_options in styles_by_quantity.items():
-        convergence = verification.parts[cause][name]
+    for quantity_name, line_options in styles_by_quantity.items():
+        convergence = verification.parts[cause][quantity_name]
         distances = np.abs(np.array(convergence.values) - convergence.extrapolated)
         percent_differences = np.array(
-            [100.0 * verification.relative(name, distance) for distance in distances]
+            [100.0 * verification.relative(quantity_name, distance) for distance in distances]
         )
         relative_sizes = np.array(convergence.sizes) / convergence.sizes[-1]
         largest_difference = max(largest_difference, percent_differences.max())
@@ -293,17 +303,19 @@ def _draw_convergence_lines(
 
 def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuantity:
     """Return line styles by name for the quantities with a line in the convergence panel."""
-    drawn_names = [
-        name
-        for name, convergence in verification.parts[cause].items()
+    drawn_quantities = [
+        quantity_name
+        for quantity_name, convergence in verification.parts[cause].items()
         if convergence.is_asymptotic
-        and verification.values[name]
+        and verification.values[quantity_name]
         and convergence.extrapolated not in convergence.values
     ]
-    marked_names = zip(drawn_names, product(MARKER_LETTERS, COLOURS_BY_NAME.values()), strict=False)
+    quantity_markers = zip(
+        drawn_quantities, product(MARKER_LETTERS, COLOURS_BY_NAME.values()), strict=False
+    )
     return {
-        name: {"marker": marker, "color": colour, "ms": 5}
-        for name, (marker, colour) in marked_names
+        quantity_name: {"marker": marker, "color": colour, "ms": 5}
+        for quantity_name, (marker, colour) in quantity_markers
     }
 
 
@@ -315,33 +327,35 @@ def _draw_contributions(
     Each quantity has its marker of the convergence panel on the left, and its observed order on the
     right.
     """
-    names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
+    quantity_names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
     colours = dict(zip(CAUSES, COLOURS_BY_NAME.values(), strict=False))
-    for row_height, name in enumerate(names):
-        total_percent = 100.0 * verification.relative(name, verification.total(name))
+    for row_height, quantity_name in enumerate(quantity_names):
+        total_percent = 100.0 * verification.relative(
+            quantity_name, verification.total(quantity_name)
+        )
         if total_percent > 100.0 * LEAST_ERROR:
             panel.plot(
                 2 * [total_percent], [row_height - 0.32, row_height + 0.32], color="black", lw=1.6
             )
-        for cause, uncertainty in verification.contributions(name).items():
-            has_small_factor = verification.parts[cause][name].factor <= SAFE
-            error_percent = 100.0 * verification.relative(name, uncertainty)
+        for cause, uncertainty in verification.contributions(quantity_name).items():
+            has_small_factor = verification.parts[cause][quantity_name].factor <= SAFE
+            error_percent = 100.0 * verification.relative(quantity_name, uncertainty)
             if error_percent > 100.0 * LEAST_ERROR:
                 fill_colour = colours[cause] if has_small_factor else "none"
                 panel.plot(
                     error_percent, row_height, "o", ms=7, color=colours[cause], mfc=fill_colour
                 )
-        if name in styles_by_quantity:
+        if quantity_name in styles_by_quantity:
             placement_options = {"transform": axis_transform, "clip_on": False}
             panel.plot(
                 [-0.06, -0.035, -0.01],
                 3 * [row_height],
                 markevery=[1],
                 **placement_options,
-                **styles_by_quantity[name],
+                **styles_by_quantity[quantity_name],
             )
         if verification.causes:
-            convergence = verification.parts[verification.causes[0]][name]
+            convergence = verification.parts[verification.causes[0]][quantity_name]
             order_text = (
                 f"{convergence.order:.2g}"
                 if np.isfinite(convergence.order)
@@ -355,10 +369,14 @@ def _draw_contributions(
     panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
     panel.plot([], [], color="black", lw=1.6, label="all together")
     if verification.causes:
-        panel.text(1.02, len(names) - 0.3, "observed order", transform=axis_transform, fontsize=9)
-    panel.set(xscale="log", ylim=(-0.6, len(names) - 0.4))
+        panel.text(
+            1.02, len(quantity_names) - 0.3, "observed order", transform=axis_transform, fontsize=9
+        )
+    panel.set(xscale="log", ylim=(-0.6, len(quantity_names) - 0.4))
     panel.set_yticks(
-        range(len(names)), [_describe_quantity(verification, name) for name in names], fontsize=9
+        range(len(quantity_names)),
+        [_describe_quantity(verification, quantity_name) for quantity_name in quantity_names],
+        fontsize=9,
     )
     panel.tick_params("y", pad=28, length=0)
     label_axis(panel.xaxis, "uncertainty of the scene's own value", "%")
