@@ -103,7 +103,7 @@ def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
     """Sizes and times of a wheel, and of a curve through its first family."""
     wheel, assembled = timed(lambda: wheel_of(scene))
     reduced, first = timed(lambda: fc.reduce_wheel(wheel))
-    other = wheel.mistuned(np.random.default_rng(1).normal(0.0, 0.01, wheel.sector.count))
+    other = wheel.mistuned(np.random.default_rng(1).normal(0.0, 0.01, wheel.sector.n_sectors))
     _, again = timed(lambda: fc.reduce_wheel(other))
     with_errors(reduced, hertz[0])
     _, solution = timed(lambda: with_errors(reduced, 1.01 * hertz[0]))
@@ -112,8 +112,8 @@ def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
     _, judged = timed(lambda: fc.judge_curve(curve))
     orbits, exact = timed(lambda: fc.continue_frequency(reduced, *ends, LAW, tolerance=0.01))
     return [
-        wheel.sector.count, wheel.sector.structure.n_dofs, reduced.n_modes, assembled, first, again,
-        solution, len(curve.omega), followed, judged, len(orbits.omega), exact,
+        wheel.sector.n_sectors, wheel.sector.structure.n_dofs, reduced.n_modes, assembled, first,
+        again, solution, len(curve.omega), followed, judged, len(orbits.omega), exact,
     ]  # fmt: skip
 
 
@@ -152,7 +152,7 @@ def difference(
 def families(arguments: common.Arguments) -> None:
     """Families against the whole wheel."""
     wheel = wheel_of(RING.replace({"excitation.order": 3, "mesh.size": 0.012}))
-    tips, count = wheel.dofs_of_blades(wheel.watched_dof), wheel.sector.count
+    tips, count = wheel.dofs_of_blades(wheel.watched_dof), wheel.sector.n_sectors
     made: list[list[object]] = []
     many = reduce_structure(wheel, modes=MANY * count, method="massless", reference=False)
     for kept in (3,) if arguments.quick else (1, 2, 3, 4):
@@ -201,7 +201,7 @@ def breathing(arguments: common.Arguments) -> None:
         own = RING.replace({"disk.seed": seeds[place]})
         pattern = wheel.mistuned(own.given("disk").deviations)
         many = reduce_structure(
-            pattern, modes=MANY * pattern.sector.count, method="massless", reference=False
+            pattern, modes=MANY * pattern.sector.n_sectors, method="massless", reference=False
         )
         solution = found.solution(int(place))
         exact = fc.solve_harmonic_balance(many, solution.omega, LAW, harmonics=60)

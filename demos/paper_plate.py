@@ -33,7 +33,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
-from fenics_crack.draw.vtk import off_screen_plotter, pyvista
+from fenics_crack.draw.vtk import import_pyvista, off_screen_plotter
 
 SCENE = Path(__file__).with_suffix(".toml")
 OMEGA = 2000.0  # rad/s, of the load
@@ -446,7 +446,7 @@ def draw_crack(solution: fc.PeriodicSolution, folder: Path, magnification: float
     """Draw the frame for ParaView in which the crack is widest by pyvista, magnified."""
     frames = sorted((folder / "breathing_crack").glob("*.vtu"))
     time = np.arange(len(frames)) * solution.period / len(frames)
-    grid = pyvista().read(frames[int(solution.gap(time)[:, 0].argmin())])
+    grid = import_pyvista().read(frames[int(solution.gap(time)[:, 0].argmin())])
     stress = grid["von Mises stress"] / 1e3  # kPa
     plotter = off_screen_plotter((700, 700))
     plotter.add_mesh(grid, style="wireframe", color="#b0b0b0")

@@ -194,7 +194,7 @@ def not_laid_out() -> Iterator[None]:
     look at pictures: room for labels is found in half of a picture's time, dots are written in a
     fifth."""
     with pytest.MonkeyPatch.context() as patch:
-        style = importlib.import_module("fenics_crack.draw.figure").STYLE
+        style = importlib.import_module("fenics_crack.draw.figure").FIGURE_STYLE
         patch.setitem(style, "figure.dpi", 75)
         patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
         yield

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.draw.plot_mesh import draw_faces
+from fenics_crack.draw.plot_mesh import draw_numbered_faces
 from fenics_crack.fem.solid import ray_length, read_part_triangles_and_owners
 from fenics_crack.version import packaged
 
@@ -158,7 +158,7 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
     crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
     listed_faces = part_surface.sorted_face_numbers[:MAX_LISTED_FACES]
     picture_path = scene_path.with_name(f"{scene_path.stem}_faces.png")
-    draw_faces(
+    draw_numbered_faces(
         part_surface.triangles,
         part_surface.face_numbers,
         listed_faces,

@@ -211,7 +211,7 @@ def _draw_curves(
             "in_hertz": curve_run.scene.in_hertz,
         }
         plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
-    picture.saved()
+    picture.save_with_title()
     return picture_folder / f"overlay_curve.{picture_format}"
 
 

@@ -1,18 +1,18 @@
-"""Blades of a bladed disk, frequencies over the nodal diameter, amplification by mistuning.
+"""Blade vibrations, frequencies over the nodal diameter, amplification by mistuning.
 
-An engine order E excites, of the modes of a tuned wheel of N sectors, those of one nodal diameter:
+In a tuned wheel with N sectors, an engine order E excites the modes with one nodal diameter,
 
     n = min(E mod N, N - E mod N).
 
-In a mistuned wheel it excites all of them, and one blade may vibrate by more than any does in the
-tuned one. Whitehead's bound of that amplification, for blades alike but for their frequencies, is
-(1 + sqrt(N)) / 2 (Journal of Mechanical Engineering Science 8, 1966, 15).
+In a mistuned wheel it excites all modes, and a blade may vibrate more than any blade of the tuned
+wheel. If blades differ in frequency only, Whitehead's bound for this amplification is (1 + sqrt(N))
+/ 2 (Journal of Mechanical Engineering Science 8, 1966, 15).
 
-The response of a pattern without contact is a sum over the wheel's modes,
+The response of a mistuning pattern without contact is a sum over the wheel's modes,
 
-    u(w) = sum_m phi_m (phi_m . f) / (w_m^2 - w^2 + 2 i xi_m w_m w),
+    u(w) = sum_m phi_m (phi_m . f) / (w_m^2 - w^2 + 2 i xi_m w_m w).
 
-looked for next to the natural frequencies of the family that is excited.
+Its peak is sought next to the natural frequencies of the excited family.
 """
 
 from __future__ import annotations
@@ -49,11 +49,14 @@ from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
 
-FREQUENCIES_PER_WIDTH = 8
-"""Frequencies per half-power bandwidth at which a response is computed. The largest amplitude is
-within 2e-3 of the peak of one mode, and a parabola through three within 1e-5."""
-SEARCH_WIDTHS = 1.5
-"""Half-power bandwidths to either side of a natural frequency in which a peak is looked for."""
+FREQUENCIES_PER_BANDWIDTH = 8
+"""Frequencies per half-power bandwidth 2 xi w in the first search for a peak.
+
+The largest amplitude at these is within 8e-3 of the peak of one mode. A second search in 40 steps,
+over an interval to either side, is within 2e-5.
+"""
+SEARCH_BANDWIDTHS_PER_SIDE = 1.5
+"""Half-power bandwidths to either side of a natural frequency in which a peak is sought."""
 
 
 def wheel_of(structure: Structure) -> Wheel:
@@ -62,7 +65,7 @@ def wheel_of(structure: Structure) -> Wheel:
     Raises
     ------
     InputError
-        It is none of a scene with [disk].
+        The structure is not that of a scene with [disk].
     """
     if not isinstance(structure, Structure) or not isinstance(structure.whole, Wheel):
         raise InputError("structure", repr(structure), "that of a scene with [disk]")
@@ -71,22 +74,22 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """Vibration of each blade of a disk, at the same dof of all.
+    """Vibration of each blade of a disk at the same dof.
 
     Attributes
     ----------
     amplitude : (N,) [m]
-        Half of the peak-to-peak displacement; of a curve at the blade's largest response.
+        Half the peak-to-peak displacement; on a curve at the blade's largest response.
     fundamental : (N,) complex [m]
-        Coefficients of e^(i w t): a - i b of a cos(w t) + b sin(w t).
+        Coefficients of e^(i w t): a - i b for a cos(w t) + b sin(w t).
     second : (N,)
-        Amplitude of the second harmonic over that of the first.
+        Second harmonic's amplitude over the first's.
     omega : (N,) [rad/s]
         The load's frequency.
     mistuning : (N,)
-        Relative deviation of the sector's stiffness.
+        Relative deviation of each sector's stiffness.
     cracked : tuple of int
-        Numbers of the blades with a crack, from 1.
+        Cracked blades' numbers, from 1.
     """
 
     amplitude: np.ndarray
@@ -105,16 +108,18 @@ class Blades(Tabular):
         return np.angle(self.fundamental)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every blade."""
-        numbers = range(1, len(self.amplitude) + 1)
+        """Return columns with a row for each blade."""
+        blade_numbers = range(1, len(self.amplitude) + 1)
         return {
-            "blade": list(numbers),
+            "blade": list(blade_numbers),
             "amplitude": self.amplitude.tolist(),
             "phase": np.degrees(self.phase).tolist(),
             "ratio_2_1": self.second.tolist(),
             "frequency": (self.omega / (2.0 * np.pi)).tolist(),
             "mistuning": self.mistuning.tolist(),
-            "crack": ["yes" if number in self.cracked else "no" for number in numbers],
+            "crack": [
+                "yes" if blade_number in self.cracked else "no" for blade_number in blade_numbers
+            ],
         }
 
     def _units(self) -> dict[str, str]:
@@ -122,8 +127,10 @@ class Blades(Tabular):
 
     def _title(self) -> str:
         blade_index = int(np.argmax(self.amplitude))
-        size = f"{self.amplitude[blade_index]:.4g} m of blade {blade_index + 1}"
-        return f"{format_count(len(self.amplitude), 'blade')}, the largest amplitude {size}"
+        amplitude_text = f"{self.amplitude[blade_index]:.4g} m of blade {blade_index + 1}"
+        return (
+            f"{format_count(len(self.amplitude), 'blade')}, the largest amplitude {amplitude_text}"
+        )
 
 
 def blades(found: Any, dof: int | None = None) -> Blades:
@@ -132,9 +139,9 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     Parameters
     ----------
     found : PeriodicSolution, ResponseCurve, or a Run of one
-        Solution; of a curve each blade is taken where it moves most.
+        Solution, or curve; on a curve each blade is taken at its largest response.
     dof : int, optional
-        Of one blade; default: the one that is watched.
+        Dof of any blade, whose place is taken on each; default: the watched dof.
 
     Returns
     -------
@@ -144,7 +151,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     Raises
     ------
     InputError
-        It is no result of a scene with [disk].
+        The result is none of a scene with [disk].
 
     Examples
     --------
@@ -157,18 +164,22 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     structure = result.structure
     wheel = wheel_of(structure)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    solution_at = cache(lambda place: result if is_solution else result.solution(place))
-    values: list[tuple[float, complex, float, float]] = []
+    get_solution = cache(
+        lambda point_index: result if is_solution else result.solution(point_index)
+    )
+    blade_rows: list[tuple[float, complex, float, float]] = []
     for indicators, blade_dof in zip(result.measure(dofs), dofs, strict=True):
-        solution = solution_at(int(np.argmax(indicators.amplitude)))
+        solution = get_solution(int(np.argmax(indicators.amplitude)))
         coefficients = structure.values_at(solution.displacement_coefficients, [blade_dof])
-        rows = to_complex(coefficients)[:, 0]
-        second_amplitude = abs(rows[2]) if len(rows) > 2 else 0.0
-        ratio = second_amplitude / abs(rows[1]) if rows[1] else 0.0
-        values.append((solution.amplitude(blade_dof), rows[1], ratio, solution.omega))
-    amplitude, fundamental, ratios, omega = map(np.array, zip(*values, strict=True))
-    cracked_numbers = tuple(place + 1 for place in wheel.cracked)
-    return Blades(amplitude, fundamental, ratios, omega, wheel.mistuning, cracked_numbers)
+        harmonics = to_complex(coefficients)[:, 0]
+        second_amplitude = abs(harmonics[2]) if len(harmonics) > 2 else 0.0
+        second_ratio = second_amplitude / abs(harmonics[1]) if harmonics[1] else 0.0
+        blade_rows.append(
+            (solution.amplitude(blade_dof), harmonics[1], second_ratio, solution.omega)
+        )
+    amplitude, fundamental, second_ratios, omega = map(np.array, zip(*blade_rows, strict=True))
+    cracked_blades = tuple(sector_index + 1 for sector_index in wheel.cracked)
+    return Blades(amplitude, fundamental, second_ratios, omega, wheel.mistuning, cracked_blades)
 
 
 # --- nodal diameters ------------------------------------------------------------------------------
@@ -181,9 +192,9 @@ class NodalDiameters(SavedResult):
     Attributes
     ----------
     scene : Scene
-        That of the disk.
+        The disk's scene.
     omega : (n_diameters, families) [rad/s]
-        Of n = 0 .. N/2; those of n = 0, and of N/2, are of one mode each, others of two.
+        Frequencies for n = 0 .. N/2. At n = 0 and N/2 each belongs to one mode, otherwise to two.
     """
 
     scene: Scene
@@ -194,7 +205,7 @@ class NodalDiameters(SavedResult):
 
     @property
     def excited(self) -> int:
-        """The nodal diameter that the engine order excites."""
+        """Nodal diameter that the engine order excites."""
         return excited_diameter(self.order, self.sectors)
 
     @property
@@ -204,28 +215,39 @@ class NodalDiameters(SavedResult):
 
     @property
     def sectors(self) -> int:
-        """N."""
+        """N, the number of sectors."""
         return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns of frequencies and engine orders over the nodal diameter."""
         columns: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
-        for family, omega in enumerate(self.omega.T, 1):
-            columns[f"frequency_{family}"] = (omega / (2.0 * np.pi)).tolist()
-        return columns | {"engine_orders": [self._orders(n) for n in range(len(self.omega))]}
+        for family_number, family_omega in enumerate(self.omega.T, 1):
+            columns[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
+        return columns | {
+            "engine_orders": [
+                self._describe_lowest_orders(diameter) for diameter in range(len(self.omega))
+            ]
+        }
 
-    def _orders(self, diameter: int) -> str:
-        """Return the lowest engine orders that excite a nodal diameter."""
+    def _describe_lowest_orders(self, diameter: int) -> str:
+        """List the lowest engine orders that excite a nodal diameter: "3 5 11"."""
         lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
         return " ".join(map(str, lowest_orders))
 
     def _units(self) -> dict[str, str]:
-        return {f"frequency_{family + 1}": "Hz" for family in range(self.omega.shape[1])}
+        return {
+            f"frequency_{family_index + 1}": "Hz" for family_index in range(self.omega.shape[1])
+        }
 
     def said(self) -> Conclusion:
-        """Return the parts of the last sentence on the frequencies."""
-        hertz = ", ".join(f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited])
-        answer = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
+        """Return the parts of the printed last sentence: frequencies at the excited diameter."""
+        frequencies_text = ", ".join(
+            f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited]
+        )
+        answer = (
+            f"engine order {self.order} excites nodal diameter {self.excited}: "
+            f"{frequencies_text} Hz"
+        )
         remarks = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
         return Conclusion(
             f"{format_count(len(self.omega), 'nodal diameter')} found",
@@ -245,19 +267,19 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     Parameters
     ----------
     scene : Scene
-        With [disk], whose families are found.
+        Scene with [disk], which says how many families are found.
     comm : MPI.Comm
         Ranks that share the work.
 
     Returns
     -------
     NodalDiameters
-        A row for every nodal diameter.
+        A row for each nodal diameter.
 
     Raises
     ------
     InputError
-        The scene has no [disk], or a value that cannot be used.
+        The scene has no [disk], or an unusable value.
 
     Examples
     --------
@@ -268,9 +290,9 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     return NodalDiameters(scene, np.array(wheel.cyclic_modes().omega))
 
 
-def report_of_diameters(diameters: NodalDiameters) -> Report:
-    """Report the frequencies, and those that the load excites."""
-    return Report(diameters.table(), diameters.said(), remarks=remarks_on_scene(diameters.scene))
+def report_of_diameters(disk_modes: NodalDiameters) -> Report:
+    """Report frequencies over the nodal diameter, and those that the load excites."""
+    return Report(disk_modes.table(), disk_modes.said(), remarks=remarks_on_scene(disk_modes.scene))
 
 
 # --- patterns of mistuning ------------------------------------------------------------------------
@@ -283,18 +305,19 @@ class Amplification(SavedResult):
     Attributes
     ----------
     scene : Scene
-        That of the disk.
+        The disk's scene.
     factor : (n,)
-        Largest amplitude of any blade over the frequency, relative to that of the tuned wheel
-        without a crack.
+        Largest amplitude of any blade at any frequency, relative to the tuned wheel without a
+        crack.
     omega : (n,) [rad/s]
-        Where it is.
+        Load frequency at the largest amplitude.
     blade : (n,) int
-        Of which blade, from 1.
+        Number of the blade with the largest amplitude, from 1.
     tuned, tuned_omega : float [m], [rad/s]
-        Largest amplitude of the tuned wheel, and where.
+        The tuned wheel's largest amplitude, and its frequency.
     deviation, seed : float, int
-        Of the patterns: each has a seed of its own, one after the other.
+        Standard deviation of the sectors' stiffness, and the first pattern's seed; the next
+        patterns have the next seeds.
     """
 
     scene: Scene
@@ -312,7 +335,7 @@ class Amplification(SavedResult):
 
     @property
     def bound(self) -> float:
-        """Whitehead's bound of the factor: (1 + sqrt(N)) / 2."""
+        """Whitehead's bound for the factor: (1 + sqrt(N)) / 2."""
         return 0.5 * (1.0 + math.sqrt(self.scene.given("disk").sectors))
 
     def percentile(self, percent: float) -> float:
@@ -321,7 +344,7 @@ class Amplification(SavedResult):
         return float(np.percentile(self.factor, min(percent, 100.0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every pattern."""
+        """Return columns with a row for each pattern."""
         seeds = range(self.seed, self.seed + len(self.factor))
         return {
             "seed": list(seeds),
@@ -334,15 +357,17 @@ class Amplification(SavedResult):
         return {"frequency": "Hz"}
 
     def said(self) -> Conclusion:
-        """Return the parts of the last sentence on the patterns."""
+        """Return the parts of the printed last sentence: factors and Whitehead's bound."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
         answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
 
     def _title(self) -> str:
-        size = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
-        patterns = f"{format_count(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"
-        return f"{patterns}, amplification {size}"
+        factor_text = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
+        patterns_text = (
+            f"{format_count(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"
+        )
+        return f"{patterns_text}, amplification {factor_text}"
 
 
 def amplification(
@@ -354,27 +379,27 @@ def amplification(
 ) -> Amplification:
     """Find amplification factors of random mistuning patterns of a disk without cracks.
 
-    The family of modes is the one whose frequency at the nodal diameter of the engine order is
-    nearest to the scene's load; what is watched is the scene's dof on every blade. Ranks share the
-    patterns (collective).
+    The peak is sought in one family of modes. Its frequency at the excited nodal diameter is the
+    nearest to the scene's load. Every blade is watched at the scene's dof. Ranks share the patterns
+    (collective).
 
     Parameters
     ----------
     scene : Scene
-        With [disk], whose own mistuning and cracks are left out.
+        Scene with [disk], whose own mistuning and cracks are left out.
     patterns : int
         Number of patterns.
     deviation : float
-        Standard deviation of the relative deviations of the sectors' stiffness.
+        Standard deviation of the sectors' relative stiffness deviations.
     seed : int
-        Of the first pattern, as of ``disk.seed``.
+        Seed of the first pattern, as ``disk.seed``.
     comm : MPI.Comm
         Ranks that share the work.
 
     Returns
     -------
     Amplification
-        A factor for every pattern.
+        A factor for each pattern.
 
     Raises
     ------
@@ -390,31 +415,47 @@ def amplification(
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")
-    pattern_keys = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
-    bonded_scene = scene.replace({"disk.cracked": [], **pattern_keys})
+    pattern_changes = {
+        "disk.mistuning": None,
+        "disk.deviation": float(deviation),
+        "disk.seed": seed,
+    }
+    bonded_scene = scene.replace({"disk.cracked": [], **pattern_changes})
     wheel = wheel_of(assemble_structure(bonded_scene, comm))
     find_peak = _make_peak_finder(wheel, scene.excitation.omega)
-    tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.count))
+    tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.n_sectors))
     rank_rows = []
-    for number in range(comm.rank, patterns, comm.size):
-        pattern_scene = bonded_scene.replace({"disk.seed": seed + number})
-        rank_rows.append((number, *find_peak(pattern_scene.given("disk").deviations)))
-    rows = sorted(row for part in comm.allgather(rank_rows) for row in part)
-    _, sizes, omegas, numbers = map(np.array, zip(*rows, strict=True))
-    columns = sizes / tuned_amplitude, omegas, numbers, tuned_amplitude, tuned_omega
-    return Amplification(scene, *columns, float(deviation), seed)
-
-
-def report_of_amplification(factors: Amplification) -> Report:
-    """Report amplification factors by shares of the patterns."""
-    shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
-    rows = [[share, factors.percentile(share)] for share in shares]
-    tuned_peak = (
-        f"{format_quantity(factors.tuned, 'm')} at {factors.tuned_omega / RAD_PER_TURN:.6g} Hz"
+    for pattern_index in range(comm.rank, patterns, comm.size):
+        pattern_scene = bonded_scene.replace({"disk.seed": seed + pattern_index})
+        rank_rows.append((pattern_index, *find_peak(pattern_scene.given("disk").deviations)))
+    pattern_rows = sorted(row for rank_part in comm.allgather(rank_rows) for row in rank_part)
+    _, peak_amplitudes, peak_omegas, blade_numbers = map(np.array, zip(*pattern_rows, strict=True))
+    result_columns = (
+        peak_amplitudes / tuned_amplitude,
+        peak_omegas,
+        blade_numbers,
+        tuned_amplitude,
+        tuned_omega,
     )
-    share_table = Table(["share of patterns [%]", "amplification factor"], rows)
-    notes = [f"the tuned wheel without a crack: {tuned_peak}"]
-    return Report(factors.table(), factors.said(), printed_table=share_table, notes=notes)
+    return Amplification(scene, *result_columns, float(deviation), seed)
+
+
+def report_of_amplification(amplification_result: Amplification) -> Report:
+    """Report the amplification factors that shares of the patterns do not exceed."""
+    percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
+    table_rows = [[percent, amplification_result.percentile(percent)] for percent in percents]
+    tuned_peak_text = (
+        f"{format_quantity(amplification_result.tuned, 'm')} at "
+        f"{amplification_result.tuned_omega / RAD_PER_TURN:.6g} Hz"
+    )
+    percentile_table = Table(["share of patterns [%]", "amplification factor"], table_rows)
+    notes = [f"the tuned wheel without a crack: {tuned_peak_text}"]
+    return Report(
+        amplification_result.table(),
+        amplification_result.said(),
+        printed_table=percentile_table,
+        notes=notes,
+    )
 
 
 PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]
@@ -425,48 +466,70 @@ largest amplitude of any blade [m], its frequency [rad/s] and the number of the 
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     """Return the function that finds the largest response of a mistuned wheel.
 
-    It looks in the family of modes that the engine order excites next to the load's frequency.
+    The function searches in the excited family next to the load's frequency ``load_omega`` [rad/s].
     """
-    structure = WheelStructure(wheel, count_basis_families(wheel.families))
-    count = wheel.sector.count
-    (mass, tuned_stiffness), damping = structure.basis.tuned_matrices, wheel.damping
-    force = structure.force[1] - 1j * structure.force[2]
-    if not np.any(force):
+    wheel_structure = WheelStructure(wheel, count_basis_families(wheel.families))
+    n_sectors = wheel.sector.n_sectors
+    (mass, tuned_stiffness), damping = wheel_structure.basis.tuned_mass_and_stiffness, wheel.damping
+    complex_load = wheel_structure.force[1] - 1j * wheel_structure.force[2]
+    if not np.any(complex_load):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
     if not isinstance(damping, DampingRule):
         raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
-    families = np.array(wheel.cyclic_modes().omega)
-    excited_omega = families[excited_diameter(wheel.order, count)]
-    family_omega = excited_omega[np.argmin(np.abs(excited_omega - load_omega))]
-    is_slower = families < family_omega * (1.0 - 1e-9)
-    n_slower = round(count * float(wheel.sector.shares @ is_slower.sum(axis=1)))
-    # Of the excited family all N modes are looked at, and as many around it.
-    mode_range = slice(max(n_slower - count, 0), max(n_slower - count, 0) + 2 * count)
-    rows = structure.values_at(np.eye(structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
-    steps = np.arange(
-        -SEARCH_WIDTHS, SEARCH_WIDTHS + 0.5 / FREQUENCIES_PER_WIDTH, 1.0 / FREQUENCIES_PER_WIDTH
+    omega_by_diameter = np.array(wheel.cyclic_modes().omega)
+    excited_omegas = omega_by_diameter[excited_diameter(wheel.order, n_sectors)]
+    family_omega = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]
+    is_slower = omega_by_diameter < family_omega * (1.0 - 1e-9)
+    n_slower_modes = round(n_sectors * float(wheel.sector.diameter_shares @ is_slower.sum(axis=1)))
+    # The range has all N modes of the excited family, and as many around them.
+    mode_range = slice(
+        max(n_slower_modes - n_sectors, 0), max(n_slower_modes - n_sectors, 0) + 2 * n_sectors
+    )
+    blade_matrix = wheel_structure.values_at(
+        np.eye(wheel_structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
+    ).T
+    bandwidth_steps = np.arange(
+        -SEARCH_BANDWIDTHS_PER_SIDE,
+        SEARCH_BANDWIDTHS_PER_SIDE + 0.5 / FREQUENCIES_PER_BANDWIDTH,
+        1.0 / FREQUENCIES_PER_BANDWIDTH,
     )
 
     def find_peak(deviations: np.ndarray) -> tuple[float, float, int]:
-        stiffness = tuned_stiffness + np.tensordot(
-            deviations, structure.basis.sector_stiffnesses, 1
+        mistuned_stiffness = tuned_stiffness + np.tensordot(
+            deviations, wheel_structure.basis.sector_stiffnesses, 1
         )
-        squares, shapes = scipy.linalg.eigh(stiffness, mass)
-        natural_omega, rate = np.sqrt(squares), damping.rate(squares)
-        modal_force, blade_shapes = shapes.T @ force, rows @ shapes
-        omega = np.sort((natural_omega[mode_range, None] + rate[mode_range, None] * steps).ravel())
+        squared_omegas, mode_shapes = scipy.linalg.eigh(mistuned_stiffness, mass)
+        natural_omegas, damping_rates = np.sqrt(squared_omegas), damping.rate(squared_omegas)
+        modal_forces, blade_shapes = mode_shapes.T @ complex_load, blade_matrix @ mode_shapes
+        search_omegas = np.sort(
+            (
+                natural_omegas[mode_range, None] + damping_rates[mode_range, None] * bandwidth_steps
+            ).ravel()
+        )
 
-        def amplitudes(frequencies: np.ndarray) -> np.ndarray:
-            change = squares - frequencies[:, None] ** 2 + 1j * rate * frequencies[:, None]
-            return np.abs((modal_force / change) @ blade_shapes.T)
+        def compute_amplitudes(load_omegas: np.ndarray) -> np.ndarray:
+            dynamic_stiffness = (
+                squared_omegas
+                - load_omegas[:, None] ** 2
+                + 1j * damping_rates * load_omegas[:, None]
+            )
+            return np.abs((modal_forces / dynamic_stiffness) @ blade_shapes.T)
 
-        sizes = amplitudes(omega)
-        place, blade = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        width = np.interp(omega[place], natural_omega[mode_range], rate[mode_range])
-        step = width / FREQUENCIES_PER_WIDTH
-        fine_omega = omega[place] + step * np.linspace(-1.0, 1.0, 41)
-        fine_sizes = amplitudes(fine_omega)[:, blade]
-        top = int(np.argmax(fine_sizes))
-        return float(fine_sizes[top]), float(fine_omega[top]), int(blade) + 1
+        search_amplitudes = compute_amplitudes(search_omegas)
+        peak_index, blade_index = np.unravel_index(
+            int(np.argmax(search_amplitudes)), search_amplitudes.shape
+        )
+        half_power_bandwidth = np.interp(
+            search_omegas[peak_index], natural_omegas[mode_range], damping_rates[mode_range]
+        )
+        frequency_step = half_power_bandwidth / FREQUENCIES_PER_BANDWIDTH
+        fine_omegas = search_omegas[peak_index] + frequency_step * np.linspace(-1.0, 1.0, 41)
+        fine_amplitudes = compute_amplitudes(fine_omegas)[:, blade_index]
+        fine_peak_index = int(np.argmax(fine_amplitudes))
+        return (
+            float(fine_amplitudes[fine_peak_index]),
+            float(fine_omegas[fine_peak_index]),
+            int(blade_index) + 1,
+        )
 
     return find_peak

@@ -1,4 +1,4 @@
-"""Pictures of a bladed disk: blades, nodal diameters, amplification by mistuning."""
+"""Draw bladed disks: vibrations, blade responses, nodal diameters, amplification by mistuning."""
 
 from __future__ import annotations
 
@@ -17,41 +17,47 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_of
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel
-from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
-from fenics_crack.draw.plot_mesh import draw_moved
+from fenics_crack.draw.figure import (
+    COLOURS_BY_NAME,
+    Picture,
+    PictureOptions,
+    label_axis,
+    magnification_to_tenth,
+)
+from fenics_crack.draw.plot_mesh import draw_displaced_mesh
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FRAMES = 48
-"""Instants of the period at which the largest displacement of each node is looked for."""
+INSTANTS_PER_PERIOD = 48
+"""Instants of a period at which each node's largest displacement is sought."""
 
 
-def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
-    """Draw a bladed disk coloured by the amplitude of its vibration (collective).
+def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]) -> Figure:
+    """Draw a bladed disk coloured by its vibration amplitude (collective).
 
-    The shape is that of the instant at which the wheel moves most, magnified; the colour is the
-    largest displacement over the period, without its mean. Blades of a plane disk have numbers;
-    those of cracked blades are orange.
+    The magnified shape is that at the instant with the largest displacement. Colours show the
+    largest displacement in the period. The mean displacement is left out. Blades of a plane disk
+    have numbers, orange on cracked blades.
 
     Parameters
     ----------
     solution : PeriodicSolution
-        Of a scene with [disk].
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Solution of a scene with [disk].
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
     InputError
-        It is no solution of a bladed disk.
+        The solution is none of a bladed disk.
 
     Examples
     --------
@@ -60,65 +66,81 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     wheel = wheel_of(solution.structure)
     mesh = NodalMesh(solution.structure)
     displacements = mesh.nodal_vectors(
-        solution.displacement_field(solution.period / FRAMES * np.arange(FRAMES))
+        solution.displacement_field(
+            solution.period / INSTANTS_PER_PERIOD * np.arange(INSTANTS_PER_PERIOD)
+        )
     )
     displacements = displacements - displacements.mean(axis=0)
-    sizes = np.linalg.norm(displacements, axis=2)
-    amplitude = sizes.max(axis=0)
-    largest_displacement = displacements[int(np.argmax(sizes.max(axis=1)))]
-    [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
-    factor, unit = choose_unit_prefix(float(amplitude.max()), "m")
-    shape_displacement = 0.5 * tenth(largest_displacement, mesh.size) * largest_displacement
-    coloured_mesh = draw_moved(panel, mesh, shape_displacement, factor * amplitude, of_wheel=True)
+    displacement_sizes = np.linalg.norm(displacements, axis=2)
+    amplitude = displacement_sizes.max(axis=0)
+    largest_displacement = displacements[int(np.argmax(displacement_sizes.max(axis=1)))]
+    [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **picture_options)
+    unit_factor, unit = choose_unit_prefix(float(amplitude.max()), "m")
+    shape_displacement = (
+        0.5 * magnification_to_tenth(largest_displacement, mesh.size) * largest_displacement
+    )
+    coloured_mesh = draw_displaced_mesh(
+        panel, mesh, shape_displacement, unit_factor * amplitude, is_wheel=True
+    )
     panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
         _number_blades(panel, wheel)
-    return picture.saved()
+    return picture.save_with_title()
 
 
 def _number_blades(panel: Axes, wheel: Wheel) -> None:
-    """Write the number of each blade outside the node farthest from the axis."""
+    """Write each blade's number outside the node farthest from the axis."""
     sector, nodes = wheel.sector, wheel.sector.structure.nodes
     assert nodes is not None
     sector_middle = nodes.points.mean(axis=0) - sector.center
-    reach = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
-    for place in range(sector.count):
-        position = sector.center + reach * sector.rotation_matrix(place) @ (
+    number_radius = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
+    for sector_index in range(sector.n_sectors):
+        position = sector.center + number_radius * sector.rotation_matrix(sector_index) @ (
             sector_middle / np.linalg.norm(sector_middle)
         )
-        colour, weight = ("orange", "bold") if place in wheel.cracked else ("grey", "normal")
-        look = {"color": COLOURS[colour], "weight": weight, "ha": "center", "va": "center"}
-        panel.text(*position, str(place + 1), **look)
+        colour, weight = ("orange", "bold") if sector_index in wheel.cracked else ("grey", "normal")
+        text_options = {
+            "color": COLOURS_BY_NAME[colour],
+            "weight": weight,
+            "ha": "center",
+            "va": "center",
+        }
+        panel.text(*position, str(sector_index + 1), **text_options)
         panel.update_datalim([position])
 
 
 def draw_blades(
-    curve: ResponseCurve, dof: int | None = None, *, in_hertz: bool = True, **where: Unpack[Where]
+    curve: ResponseCurve,
+    dof: int | None = None,
+    *,
+    in_hertz: bool = True,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw the response of every blade of a bladed disk along a curve.
+    """Draw the response of every blade along a curve.
 
-    Cracked blades are orange, the whole blade with the largest response blue.
+    Cracked blades are orange. Among blades without a crack, the one with the largest response is
+    blue and the others grey.
 
     Parameters
     ----------
     curve : ResponseCurve
-        Of a scene with [disk].
+        Curve of a scene with [disk].
     dof : int, optional
-        Of one blade, whose place is taken on each; default: the watched one.
+        Dof of any blade, whose place is taken on each; default: the watched dof.
     in_hertz : bool
-        Frequencies in Hz, else in rad/s.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Show frequencies in Hz, otherwise in rad/s.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
     InputError
-        It is no curve of a bladed disk.
+        The curve is none of a bladed disk.
 
     Examples
     --------
@@ -126,51 +148,66 @@ def draw_blades(
     """
     wheel = wheel_of(curve.problem_of(0).structure)
     dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
-    lines = np.array([curve.amplitude(blade_dof) for blade_dof in dofs])
-    factor, *name = parameter_axis(curve.parameter, in_hertz)
-    [panel] = picture = Picture(comm=wheel.comm, **where)
-    whole_blades = [place for place in range(len(dofs)) if place not in wheel.cracked]
-    peaks = lines.max(axis=1)
-    for place in whole_blades:
-        panel.plot(factor * curve.values, lines[place], color="#b4b4b4", lw=0.8)
-    highlighted_blades = (
-        [(max(whole_blades, key=lambda place: peaks[place]), "blue", "")] if whole_blades else []
+    blade_amplitudes = np.array([curve.amplitude(blade_dof) for blade_dof in dofs])
+    unit_factor, *name_and_unit = parameter_axis(curve.parameter, in_hertz)
+    [panel] = picture = Picture(comm=wheel.comm, **picture_options)
+    whole_blades = [
+        blade_index for blade_index in range(len(dofs)) if blade_index not in wheel.cracked
+    ]
+    largest_amplitudes = blade_amplitudes.max(axis=1)
+    for blade_index in whole_blades:
+        panel.plot(
+            unit_factor * curve.values, blade_amplitudes[blade_index], color="#b4b4b4", lw=0.8
+        )
+    highlighted_blade_styles = (
+        [(max(whole_blades, key=lambda blade_index: largest_amplitudes[blade_index]), "blue", "")]
+        if whole_blades
+        else []
     )
-    highlighted_blades += [(place, "orange", ", cracked") for place in wheel.cracked]
-    for place, colour, words in highlighted_blades:
-        label = f"blade {place + 1}{words}, up to {format_quantity(float(peaks[place]), 'm')}"
-        panel.plot(factor * curve.values, lines[place], color=COLOURS[colour], lw=1.5, label=label)
-    n_grey = len(whole_blades) - 1
-    if n_grey > 0:
-        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {n_grey} others")
+    highlighted_blade_styles += [
+        (blade_index, "orange", ", cracked") for blade_index in wheel.cracked
+    ]
+    for blade_index, colour, label_suffix in highlighted_blade_styles:
+        peak_text = format_quantity(float(largest_amplitudes[blade_index]), "m")
+        label = f"blade {blade_index + 1}{label_suffix}, up to {peak_text}"
+        panel.plot(
+            unit_factor * curve.values,
+            blade_amplitudes[blade_index],
+            color=COLOURS_BY_NAME[colour],
+            lw=1.5,
+            label=label,
+        )
+    n_grey_blades = len(whole_blades) - 1
+    if n_grey_blades > 0:
+        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {n_grey_blades} others")
     panel.set_yscale("log")
-    panel.set_xlabel(f"{name[0]} [{name[1]}]")
+    panel.set_xlabel(f"{name_and_unit[0]} [{name_and_unit[1]}]")
     label_axis(panel.yaxis, "amplitude", "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_nodal_diameters(
-    found: NodalDiameters, *, families: int | None = None, **where: Unpack[Where]
+    found: NodalDiameters, *, families: int | None = None, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw natural frequencies over the nodal diameter (SAFE diagram).
 
-    Families are dots (Singh and others 1988). The order of the load has a ring on each family. A
-    rotor has the frequency of each engine order at the nodal diameter that the order excites, which
-    goes up and down between 0 and N/2.
+    Families are dots with lines (Singh and others 1988). Rings mark the nodal diameter that the
+    load excites. For a rotor, crosses show each engine order's frequency at the nodal diameter that
+    the order excites, which goes up and down between 0 and N/2.
 
     Parameters
     ----------
     found : NodalDiameters
         Result to draw.
     families : int, optional
-        How many; default: all.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Number of drawn families; default: all.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -178,65 +215,95 @@ def draw_nodal_diameters(
     """
     from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
 
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     frequencies = found.omega[:, :families] / RAD_PER_TURN
     diameters = np.arange(len(frequencies))
-    for (family, row), colour in zip(
-        enumerate(frequencies.T, 1), [*COLOURS.values()] * 99, strict=False
+    for (family_number, family_frequencies), colour in zip(
+        enumerate(frequencies.T, 1), [*COLOURS_BY_NAME.values()] * 99, strict=False
     ):
-        panel.plot(diameters, row, ".-", color=colour, ms=7, lw=0.8, label=f"family {family}")
-    look = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
+        panel.plot(
+            diameters,
+            family_frequencies,
+            ".-",
+            color=colour,
+            ms=7,
+            lw=0.8,
+            label=f"family {family_number}",
+        )
+    ring_options = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
     excited_frequencies = frequencies[found.excited]
     panel.plot(
-        np.full(len(excited_frequencies), found.excited), excited_frequencies, "o", ms=10, **look
+        np.full(len(excited_frequencies), found.excited),
+        excited_frequencies,
+        "o",
+        ms=10,
+        **ring_options,
     )
-    top = 1.08 * float(frequencies.max())
+    upper_limit = 1.08 * float(frequencies.max())
     if (speed := found.scene.speed) > 0.0:
-        hertz = speed / RAD_PER_TURN
-        orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
-        places = [excited_diameter(order, found.sectors) for order in orders]
+        rotation_frequency = speed / RAD_PER_TURN
+        engine_orders = np.arange(0, int(np.ceil(upper_limit / rotation_frequency)) + 1)
+        excited_diameters = [
+            excited_diameter(engine_order, found.sectors) for engine_order in engine_orders
+        ]
         label = f"engine orders at {speed / RAD_PER_S_PER_RPM:.4g} rpm"
-        panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
-    panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))
+        panel.plot(
+            excited_diameters,
+            rotation_frequency * engine_orders,
+            "x--",
+            color="#8f8f8f",
+            ms=4,
+            lw=0.6,
+            label=label,
+        )
+    panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, upper_limit))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return picture.finished()
+    return picture.finish()
 
 
-def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
-    """Draw the distribution of the amplification factors of mistuning patterns.
+def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOptions]) -> Figure:
+    """Draw the distribution of amplification factors from mistuning patterns.
 
-    It has a histogram, the share of patterns below a factor, and Whitehead's bound.
+    The picture has a histogram, the share of patterns below each factor, the factor that 95 % do
+    not exceed, and Whitehead's bound.
 
     Parameters
     ----------
     found : Amplification
         Result to draw.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
     >>> figure = fc.draw_amplification(fc.amplification(disk, 200), path="amplification.png")
     """
-    [panel] = picture = Picture(**where)
-    count = len(found.factor)
-    look = {"weights": np.full(count, 100.0 / count), "color": COLOURS["blue"], "alpha": 0.6}
-    panel.hist(found.factor, max(8, int(np.sqrt(count))), **look)
-    panel.set(xlabel="amplification factor", ylabel=f"share of {count} patterns [%]")
-    panel.axvline(found.bound, color=COLOURS["pink"], ls="--", label="Whitehead's bound")
-    percentile = found.percentile(95.0)
-    label = f"95 % of patterns below {percentile:.3g}"
-    panel.axvline(percentile, color=COLOURS["grey"], ls=":", label=label)
+    [panel] = picture = Picture(**picture_options)
+    n_patterns = len(found.factor)
+    histogram_options = {
+        "weights": np.full(n_patterns, 100.0 / n_patterns),
+        "color": COLOURS_BY_NAME["blue"],
+        "alpha": 0.6,
+    }
+    panel.hist(found.factor, max(8, int(np.sqrt(n_patterns))), **histogram_options)
+    panel.set(xlabel="amplification factor", ylabel=f"share of {n_patterns} patterns [%]")
+    panel.axvline(found.bound, color=COLOURS_BY_NAME["pink"], ls="--", label="Whitehead's bound")
+    percentile_95 = found.percentile(95.0)
+    label = f"95 % of patterns below {percentile_95:.3g}"
+    panel.axvline(percentile_95, color=COLOURS_BY_NAME["grey"], ls=":", label=label)
     sorted_factors = np.sort(found.factor)
     share_axes = panel.twinx()
     share_axes.plot(
-        sorted_factors, 100.0 * np.arange(1, count + 1) / count, color=COLOURS["orange"], lw=1.4
+        sorted_factors,
+        100.0 * np.arange(1, n_patterns + 1) / n_patterns,
+        color=COLOURS_BY_NAME["orange"],
+        lw=1.4,
     )
     share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
-    share_axes.yaxis.label.set_color(COLOURS["orange"])
-    return picture.finished()
+    share_axes.yaxis.label.set_color(COLOURS_BY_NAME["orange"])
+    return picture.finish()

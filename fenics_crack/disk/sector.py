@@ -39,8 +39,8 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     disk = scene.given("disk")
     sector, rotation = _make_sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.factor_stiffness() as solver:  # the load is the same on all sectors
-            rotation = assemble_rotation(scene, dofs, structure, solver.static_response)
+        with sector.factor_stiffness() as nodal_diameter:  # the load is the same on all sectors
+            rotation = assemble_rotation(scene, dofs, structure, nodal_diameter.static_response)
         static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
@@ -48,11 +48,14 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         stiffened_sector = replace(
             sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)
         )
-        with stiffened_sector.factor_stiffness() as solver:
-            displacement = solver.static_response(centrifugal_load[:, None])
+        with stiffened_sector.factor_stiffness() as nodal_diameter:
+            static_displacement = nodal_diameter.static_response(centrifugal_load[:, None])
         force[0] += (
             centrifugal_load
-            + (multiply(stiffness, displacement) - multiply(static_stiffness, displacement))[:, 0]
+            + (
+                multiply(stiffness, static_displacement)
+                - multiply(static_stiffness, static_displacement)
+            )[:, 0]
         )
         rotating_structure = structure._plain_structure_with_changes(
             stiffness=stiffness, force=force
@@ -77,81 +80,89 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
     from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
     disk, (center, axis) = scene.given("disk"), scene.axis
-    points, size = dofs.points, float(np.ptp(dofs.points, axis=0).max())
-    names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
-    for name in names:
-        if name not in dofs.plate.groups:
+    points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
+    side_names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
+    for side_name in side_names:
+        if side_name not in dofs.plate.groups:
             requirement = "a mesh of one sector whose sides are named 'left' and 'right'"
-            raise InputError("mesh.file", f"without a side named {name!r}", requirement)
-    left_nodes, right_nodes = (dofs.nodes_on(name) for name in names)
+            raise InputError("mesh.file", f"without a side named {side_name!r}", requirement)
+    left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
     spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
-    rotations = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
+    rotation_matrices = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
     matches = [
-        _distance_and_partners(
-            (spatial_points[left_nodes] - center) @ rotation.T + center, spatial_points[right_nodes]
+        _match_points(
+            (spatial_points[left_nodes] - center) @ rotation_matrix.T + center,
+            spatial_points[right_nodes],
         )
-        for rotation in rotations
+        for rotation_matrix in rotation_matrices
     ]
     best_index = min((0, 1), key=lambda index: matches[index][0])
-    (distance, worst_node, partner), rotation = matches[best_index], rotations[best_index]
-    if distance > POSITION_TOLERANCE * size:
-        place_text = format_point(points[left_nodes[worst_node]])
-        problem = (
+    (largest_distance, worst_index, right_partners), rotation_matrix = (
+        matches[best_index],
+        rotation_matrices[best_index],
+    )
+    if largest_distance > POSITION_TOLERANCE * mesh_extent:
+        place_text = format_point(points[left_nodes[worst_index]])
+        side_counts_text = (
             f"{len(left_nodes)} nodes of the left side and {len(right_nodes)} of the right one"
         )
         requirement = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
         requirement += " degrees, is the right one node by node;"
-        requirement += f" that at {place_text} is {distance:.2g} m from the nearest"
-        raise InputError("mesh.file" if names[0] == "left" else "disk", problem, requirement)
+        requirement += f" that at {place_text} is {largest_distance:.2g} m from the nearest"
+        raise InputError(
+            "mesh.file" if side_names[0] == "left" else "disk", side_counts_text, requirement
+        )
     if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
         place_text = format_point(points[common_nodes[0]])
         requirement = f"a disk with a hole: both sides have the node at {place_text}"
         raise InputError("mesh.file", "a sector that reaches the axis", requirement)
-    d = points.shape[1]
-    dofs.set_sector_sides(np.array([left_nodes, right_nodes[partner]]), rotation[:d, :d])
+    dimension = points.shape[1]
+    dofs.set_sector_sides(
+        np.array([left_nodes, right_nodes[right_partners]]), rotation_matrix[:dimension, :dimension]
+    )
 
 
 def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
-    """Return the sector with the nodes of its sides and crack faces."""
+    """Make the sector with the nodes on its sides and crack faces."""
     points, sides, frames = dofs.points, dofs.side_node_pairs, dofs.node_to_global_rotations
     assert sides is not None and frames is not None
-    crack_nodes = np.zeros((2, 0), dtype=int)
+    crack_face_nodes = np.zeros((2, 0), dtype=int)
     if dofs.plate.has_cracks:  # tips belong to both faces and need no bond
         lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in CRACK_FACE_NAMES)
         lower_nodes, upper_nodes = (
             np.setdiff1d(lower_nodes, upper_nodes),
             np.setdiff1d(upper_nodes, lower_nodes),
         )
-        distance, worst_node, partner = _distance_and_partners(
+        largest_distance, worst_index, upper_partners = _match_points(
             points[lower_nodes], points[upper_nodes]
         )
-        if distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
-            place_text = format_point(points[lower_nodes[worst_node]])
+        if largest_distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
+            place_text = format_point(points[lower_nodes[worst_index]])
             requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
             raise InputError(
                 "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
             )
-        crack_nodes = np.array([lower_nodes, upper_nodes[partner]])
-    if len(common_nodes := np.intersect1d(crack_nodes, sides)):
+        crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
+    if len(common_nodes := np.intersect1d(crack_face_nodes, sides)):
         requirement = (
             f"away from the sides of its sector, not at {format_point(points[common_nodes[0]])}"
         )
         raise InputError("lips", "a crack", requirement)
     center, rotation = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
     n_sectors = scene.given("disk").sectors
-    return Sector(structure, n_sectors, center, rotation, sides, crack_nodes, structure.stiffness)
+    return Sector(
+        structure, n_sectors, center, rotation, sides, crack_face_nodes, structure.stiffness
+    )
 
 
-def _distance_and_partners(
-    points: np.ndarray, candidates: np.ndarray
-) -> tuple[float, int, np.ndarray]:
-    """Match two point sets one to one.
+def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, int, np.ndarray]:
+    """Match points (n, d) [m] with candidates (m, d) [m] one to one.
 
     Returns
     -------
     float
-        Largest distance of a point from its partner [m]; inf if the match is not one to one.
+        Largest distance from a point to its partner [m]; inf if the match is not one to one.
     int
         Index of the point with the largest distance.
     (n,) int
@@ -159,7 +170,13 @@ def _distance_and_partners(
     """
     from scipy.spatial import cKDTree
 
-    distances, partners = cKDTree(candidates).query(points)
-    worst_point = int(np.argmax(distances))
-    is_ambiguous = len(candidates) != len(points) or len(np.unique(partners)) != len(partners)
-    return (math.inf if is_ambiguous else float(distances[worst_point])), worst_point, partners
+    distances, partner_indices = cKDTree(candidates).query(points)
+    worst_index = int(np.argmax(distances))
+    is_ambiguous = len(candidates) != len(points) or len(np.unique(partner_indices)) != len(
+        partner_indices
+    )
+    return (
+        (math.inf if is_ambiguous else float(distances[worst_index])),
+        worst_index,
+        partner_indices,
+    )

@@ -1,7 +1,7 @@
 """A bladed disk of equal sectors: mistuned, some blades cracked, under an engine order.
 
-The whole wheel has each sector's own dofs, in the sector's frame, and the dofs on the upper face of
-each crack. Its matrices are copies of the sector's, and are made on request. The wheel is solved in
+The whole wheel has each sector's own dofs, in the sector's frame, and the dofs on each crack's
+upper face. Its matrices are copies of the sector's, and are made on request. The wheel is solved in
 few coordinates:
 
     u = U (q, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j
@@ -11,8 +11,8 @@ displace the upper crack faces relative to the lower ones, with the static respo
 Mistuning multiplies the stiffness at rest of sector j by 1 + delta_j.
 
 A load that stands still in space passes the blades one after the other. Sector j, from 0, is ahead
-by j / N of a revolution. With an engine order E, and the k-th harmonic of order k E, the load in
-the frame of the sector is
+by j / N revolutions. With an engine order E, harmonic k has the order k E, and the load in the
+sector's frame is
 
     f_j(t) = sum_k f_k cos(k w t + 2 pi k E j / N) + g_k sin(k w t + 2 pi k E j / N)
 
@@ -43,8 +43,8 @@ from fenics_crack.disk.cyclic import (
     CyclicModes,
     Sector,
     SectorNumbering,
-    cyclic_basis,
-    selection_matrix,
+    make_cyclic_basis,
+    make_selection_matrix,
     solve_cyclic_modes,
 )
 from fenics_crack.model.body import DEFAULT_SETTING, Body
@@ -80,19 +80,19 @@ class Wheel(Structure):
     Attributes
     ----------
     sector : Sector
-        One of its sectors, in the frame of the first blade.
+        A sector in the first blade's frame.
     cracked : tuple of int
-        Places of the sectors with a crack, from 0.
+        Places of sectors with a crack, from 0.
     mistuning : (N,)
         Relative deviation of each sector's stiffness at rest.
     order : int
-        Engine order of the load.
+        The load's engine order.
     families : int
         Number of kept modes for each nodal diameter, and for each blade.
     numbers : (N, n_sector) int
         The wheel's dof for each dof of each sector.
     places : (n,) int
-        Position of each dof's owner among all ``numbers``.
+        Each dof's position among all ``numbers``: that of its owner.
     """
 
     body: WheelBody
@@ -117,38 +117,40 @@ class Wheel(Structure):
     ) -> None:
         fit_argument("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
-        structure, n_sectors = sector.structure, sector.count
-        tangential = structure.tangential
-        cracked = tuple(cracked) if structure.n_pairs else ()
-        dofs, places = sector.dofs.in_wheel(n_sectors, cracked)
-        absent_matrix = AbsentMatrix(len(places), comm.rank)
+        sector_structure, n_sectors = sector.structure, sector.n_sectors
+        tangential = sector_structure.tangential
+        cracked = tuple(cracked) if sector_structure.n_pairs else ()
+        dof_numbers, owner_positions = sector.dof_numbering.number_wheel_members(n_sectors, cracked)
+        absent_matrix = AbsentMatrix(len(owner_positions), comm.rank)
         own_rows = slice(None if comm.rank == 0 else 0)
-        copies = selection_matrix(dofs.ravel(), len(places))
-        crack_selection = np.eye(n_sectors)[:, list(cracked)]
+        copy_matrix = make_selection_matrix(dof_numbers.ravel(), len(owner_positions))
+        cracked_columns = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
             """Assemble forces (m, N, n_sector) on all sectors to the wheel: (m, n_local)."""
-            return np.asarray(forces.reshape(len(forces), -1) @ copies)[:, own_rows]
+            return np.asarray(forces.reshape(len(forces), -1) @ copy_matrix)[:, own_rows]
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """Assemble B of all cracks from B of one: (n_local, n_pairs)."""
-            return sparse.csr_matrix(copies.T @ sparse.kron(crack_selection, gap))[own_rows]
+            return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_columns, gap))[own_rows]
 
-        watched_factors = structure.watched
+        watched_factors = sector_structure.watched
         if watched_factors is None:
-            watched_factors = np.eye(1, structure.n_dofs, structure.find_most_loaded_dof())[0]
-        watched_sector = np.eye(1, n_sectors, cracked[0] if cracked else 0)
-        watched_motion = assemble_forces(watched_sector[..., None] * watched_factors)[0]
-        force = assemble_forces(_sector_loads(sector, order))
+            watched_factors = np.eye(
+                1, sector_structure.n_dofs, sector_structure.find_most_loaded_dof()
+            )[0]
+        watched_row = np.eye(1, n_sectors, cracked[0] if cracked else 0)
+        watched_motion = assemble_forces(watched_row[..., None] * watched_factors)[0]
+        force = assemble_forces(_make_sector_loads(sector, order))
         body = WheelBody(
-            absent_matrix, absent_matrix, assemble_gap(structure.gap), force,
-            np.tile(structure.clearance, len(cracked)), damping=structure.damping,
+            absent_matrix, absent_matrix, assemble_gap(sector_structure.gap), force,
+            np.tile(sector_structure.clearance, len(cracked)), damping=sector_structure.damping,
             tangential=None if tangential is None else assemble_gap(tangential),
-            nodes=_wheel_nodes(sector, cracked, dofs, own_rows),
-            pairs=_wheel_pairs(sector, cracked), watched=watched_motion, rotation=rotation,
+            nodes=_make_wheel_nodes(sector, cracked, dof_numbers, own_rows),
+            pairs=_make_wheel_pairs(sector, cracked), watched=watched_motion, rotation=rotation,
             comm=comm,
             sector=sector, cracked_places=cracked, mistuning=_read_deviations(mistuning, n_sectors),
-            order=order, families=families, numbers=dofs, places=places,
+            order=order, families=families, numbers=dof_numbers, places=owner_positions,
         )  # fmt: skip
         super().__init__(body)
 
@@ -156,12 +158,12 @@ class Wheel(Structure):
 
     @property
     def n_sectors(self) -> int:
-        """N."""
-        return self.sector.count
+        """N, the number of sectors."""
+        return self.sector.n_sectors
 
     @property
     def sector_structure(self) -> Structure:
-        """Structure of the sector."""
+        """The sector's structure."""
         return self.sector.structure
 
     @property
@@ -187,7 +189,7 @@ class Wheel(Structure):
         InputError
             There is no such sector, or no such dof in a sector.
         """
-        n_sectors, n_sector_dofs = self.sector.count, self.sector.structure.n_dofs
+        n_sectors, n_sector_dofs = self.sector.n_sectors, self.sector.structure.n_dofs
         if not 1 <= blade <= n_sectors:
             raise InputError("blade", blade, f"a whole number from 1 to {n_sectors}")
         if not 0 <= dof < n_sector_dofs:
@@ -200,7 +202,7 @@ class Wheel(Structure):
         return sector_index + 1, sector_dof
 
     def dofs_of_blades(self, dof: int) -> list[int]:
-        """Return the dofs of all blades at the place of one dof."""
+        """Return the dofs of all blades at the place of one dof, from the first blade on."""
         return list(map(int, self.numbers[:, self.blade_of(dof)[1]]))
 
     def dof_name(self, dof: int) -> str:
@@ -220,47 +222,54 @@ class Wheel(Structure):
         return WheelStructure(self, count_basis_families(self.families))
 
     def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return load rows on the watched blade, as :meth:`Structure.watched_sector_load`."""
-        own_members = ~self.sector.dofs.is_next_sector
-        blade_dofs = np.unique(self.numbers[self.watched_sector, own_members])
-        dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
-        blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
-        return np.asarray(self.force[rows, dofs] @ blade.T)
+        """Return load rows on the watched blade; see :meth:`Structure.watched_sector_load`."""
+        is_own_dof = ~self.sector.dof_numbering.is_next_sector
+        blade_dofs = np.unique(self.numbers[self.watched_sector, is_own_dof])
+        loaded_dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
+        blade_motions = structure.values_at(np.eye(structure.n_dofs), loaded_dofs.tolist())
+        return np.asarray(self.force[rows, loaded_dofs] @ blade_motions.T)
 
     # --- its matrices -----------------------------------------------------------------------------
 
     @shared_property
     def mass(self) -> Any:
         """M: (n, n) [kg]; made at the first request (collective)."""
-        return self._assemble_wheel(sparse.kron(np.eye(self.sector.count), self.sector.mass))
+        return self._assemble_wheel_matrix(
+            sparse.kron(np.eye(self.sector.n_sectors), self.sector.mass)
+        )
 
     @shared_property
     def stiffness(self) -> Any:
         """K: (n, n) [N/m]; made at the first request (collective)."""
-        tuned_stiffness = sparse.kron(np.eye(self.sector.count), self.sector.stiffness)
+        tuned_stiffness = sparse.kron(np.eye(self.sector.n_sectors), self.sector.stiffness)
         stiffness_at_rest = local_rows(self.sector.stiffness_at_rest)
-        return self._assemble_wheel(
+        return self._assemble_wheel_matrix(
             tuned_stiffness + sparse.kron(np.diag(self.mistuning), stiffness_at_rest)
         )
 
-    def _assemble_wheel(self, matrix: sparse.spmatrix) -> Any:
-        """Assemble the wheel's matrix from the uncoupled sectors' (collective)."""
-        copies = selection_matrix(self.numbers.ravel(), self.n_dofs)
-        wheel_matrix = sparse.csr_matrix(copies.T @ matrix @ copies)
+    def _assemble_wheel_matrix(self, sector_matrices: sparse.spmatrix) -> Any:
+        """Assemble a matrix of the wheel from the block matrix of free sectors (collective)."""
+        copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
+        wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_matrices @ copy_matrix)
         return distribute_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
     def _size_description(self) -> str:
-        return f"{self.sector.count} sectors, {self.n_dofs} dofs"
+        return f"{self.sector.n_sectors} sectors, {self.n_dofs} dofs"
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the modes of the few coordinates, ``families`` for each sector."""
+        """Return frequencies [rad/s] and shapes of ``families`` modes for each sector.
+
+        They are solved in few coordinates and expanded to the wheel.
+        """
         wheel_structure = self.structure_in_few_coordinates()
-        count = min(
-            self.families * self.sector.count, wheel_structure.n_dofs - wheel_structure.n_pairs
+        n_modes = min(
+            self.families * self.sector.n_sectors, wheel_structure.n_dofs - wheel_structure.n_pairs
         )
         modes = solve_modes(
-            wheel_structure, count, lips="tied" if is_bonded and wheel_structure.n_pairs else "open"
+            wheel_structure,
+            n_modes,
+            lips="tied" if is_bonded and wheel_structure.n_pairs else "open",
         )
         return modes.omega, wheel_structure.expand(modes.shapes.T).T
 
@@ -270,31 +279,31 @@ class Wheel(Structure):
         Parameters
         ----------
         deviations : float or (N,)
-            One for all sectors, or one for each.
+            One relative deviation for all sectors, or one for each.
 
         Raises
         ------
         InputError
-            There are more or fewer, or one leaves no stiffness.
+            Their number is wrong, or a deviation leaves no stiffness.
         """
         return self._in_setting(
-            self.setting, mistuning=_read_deviations(deviations, self.sector.count)
+            self.setting, mistuning=_read_deviations(deviations, self.sector.n_sectors)
         )
 
     def basis(self, families: int) -> CyclicBasis:
         """Return the motions in which the wheel is solved (collective).
 
-        They are found once for all patterns of mistuning.
+        They are found once for all mistuning patterns.
 
         Parameters
         ----------
         families : int
-            Number of modes of each nodal diameter.
+            Number of modes for each nodal diameter.
         """
-        bases, key = self.sector.bases, (families, self.order, self.cracked)
-        if key not in bases:
-            bases[key] = cyclic_basis(self.sector, *key, self.comm)
-        return bases[key]
+        bases_by_key, basis_key = self.sector.bases_by_key, (families, self.order, self.cracked)
+        if basis_key not in bases_by_key:
+            bases_by_key[basis_key] = make_cyclic_basis(self.sector, *basis_key, self.comm)
+        return bases_by_key[basis_key]
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
         """Find the lowest modes of each nodal diameter (collective).
@@ -306,72 +315,83 @@ class Wheel(Structure):
         return solve_cyclic_modes(self.sector, n_families, self.comm)
 
 
-def _read_deviations(data: Any, n_sectors: int) -> np.ndarray:
-    """Return one deviation per sector (N,); InputError if a value cannot be used."""
-    deviations = numbers(data)
+def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
+    """Return one stiffness deviation for each sector (N,); InputError for unusable values."""
+    deviations = numbers(given_deviations)
     if (
         deviations.shape not in ((), (n_sectors,))
         or not np.all(deviations > -1.0)
         or not np.all(deviations < 1e3)
     ):
         requirement = f"one number above -1, or one for each of the {n_sectors} sectors"
-        raise InputError("mistuning", data, requirement)
+        raise InputError("mistuning", given_deviations, requirement)
     return np.broadcast_to(deviations, (n_sectors,)).copy()
 
 
-def _sector_loads(sector: Sector, order: int) -> np.ndarray:
-    """Return the load on the dofs of each sector: (2K+1, N, n_sector) [N]."""
-    waves = to_complex(sector.structure.force)
-    angles = np.multiply.outer(np.arange(len(waves)), np.arange(sector.count)) * order
-    turns = np.exp(2j * np.pi * angles / sector.count)
-    return from_complex(turns[..., None] * waves[:, None])
+def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
+    """Make the load on each sector's dofs: (2K+1, N, n_sector) [N]."""
+    complex_loads = to_complex(sector.structure.force)
+    turn_fractions = (
+        np.multiply.outer(np.arange(len(complex_loads)), np.arange(sector.n_sectors)) * engine_order
+    )
+    phase_factors = np.exp(2j * np.pi * turn_fractions / sector.n_sectors)
+    return from_complex(phase_factors[..., None] * complex_loads[:, None])
 
 
-def _wheel_nodes(
-    sector: Sector, cracked_places: tuple[int, ...], dofs: np.ndarray, own_rows: slice
+def _make_wheel_nodes(
+    sector: Sector, cracked_places: tuple[int, ...], dof_numbers: np.ndarray, own_rows: slice
 ) -> Nodes:
-    """Return the wheel's nodes on one rank.
+    """Make the wheel's nodes on one rank.
 
     Parameters
     ----------
-    dofs : (N, n_sector) int
-        The wheel's dof for each dof of each sector.
+    dof_numbers : (N, n_sector) int
+        The wheel's dof for each sector's dofs.
+    own_rows : slice
+        All nodes on rank 0, none on other ranks.
     """
     nodes = sector.structure.nodes
     assert nodes is not None
-    count = len(nodes.points)
-    node_numbers = SectorNumbering(np.arange(count)[:, None], sector.sides, sector.lips)
-    numbers, places = node_numbers.in_wheel(sector.count, cracked_places)
-    sector_index, node = divmod(places[own_rows], count)
-    rotations = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.count)])
+    n_sector_nodes = len(nodes.points)
+    node_numbering = SectorNumbering(
+        np.arange(n_sector_nodes)[:, None], sector.side_nodes, sector.crack_face_nodes
+    )
+    wheel_node_numbers, owner_positions = node_numbering.number_wheel_members(
+        sector.n_sectors, cracked_places
+    )
+    sector_index, sector_node = divmod(owner_positions[own_rows], n_sector_nodes)
+    rotations = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.n_sectors)])
     frames = rotations[sector_index]
-    points = np.einsum("nij,nj->ni", frames, nodes.points[node] - sector.center) + sector.center
-    node_dofs = nodes.dofs[node]
-    node_dofs = np.where(node_dofs >= 0, dofs[sector_index[:, None], node_dofs], -1)
-    cells = numbers[:, nodes.cells].reshape(-1, nodes.cells.shape[1])[own_rows]
+    points = (
+        np.einsum("nij,nj->ni", frames, nodes.points[sector_node] - sector.center) + sector.center
+    )
+    node_dofs = nodes.dofs[sector_node]
+    node_dofs = np.where(node_dofs >= 0, dof_numbers[sector_index[:, None], node_dofs], -1)
+    cells = wheel_node_numbers[:, nodes.cells].reshape(-1, nodes.cells.shape[1])[own_rows]
     return Nodes(points, node_dofs, cells, nodes.vtk_type, frames=frames)
 
 
-def _wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
-    """Return the wheel's contact pairs."""
+def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
+    """Make the contact pairs of all cracked sectors."""
     pairs, n_cracked = sector.structure.pairs, len(cracked_places)
     if not cracked_places or pairs.points is None or pairs.cracks is None:
         return Pairs()
     assert pairs.areas is not None and pairs.positions is not None
-    n_cracks, numbers = int(pairs.cracks.max(initial=-1)) + 1, np.arange(n_cracked)[:, None]
-    places = {
-        name + f" of blade {sector_index + 1}" * (n_cracked > 1): pair + number * len(pairs.points)
-        for number, sector_index in enumerate(cracked_places)
-        for name, pair in pairs.places.items()
+    n_cracks, cracked_indices = int(pairs.cracks.max(initial=-1)) + 1, np.arange(n_cracked)[:, None]
+    pair_by_place_name = {
+        place_name + f" of blade {sector_index + 1}" * (n_cracked > 1): pair
+        + cracked_index * len(pairs.points)
+        for cracked_index, sector_index in enumerate(cracked_places)
+        for place_name, pair in pairs.places.items()
     }
     points = np.concatenate(
         [sector.place_points(pairs.points, sector_index) for sector_index in cracked_places]
     )
-    cracks = (pairs.cracks + n_cracks * numbers).ravel()
+    cracks = (pairs.cracks + n_cracks * cracked_indices).ravel()
     areas, positions = (
-        np.tile(per_sector, n_cracked) for per_sector in (pairs.areas, pairs.positions)
+        np.tile(sector_values, n_cracked) for sector_values in (pairs.areas, pairs.positions)
     )
-    return Pairs(points, areas, cracks, positions, places)
+    return Pairs(points, areas, cracks, positions, pair_by_place_name)
 
 
 # --- in few coordinates ---------------------------------------------------------------------------
@@ -388,7 +408,11 @@ times the stated ones.
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelCoordinates(Body):
-    """Body of a wheel in few coordinates; ``ranked_modes`` are its modes in another order."""
+    """Body of a wheel in few coordinates.
+
+    ``ranked_modes`` are its frequencies [rad/s] and mode shapes in the order of
+    :meth:`WheelStructure.rank_modes`.
+    """
 
     wheel: Wheel
     basis: CyclicBasis
@@ -415,30 +439,32 @@ class WheelStructure(Structure):
         Parameters
         ----------
         families : int
-            Number of modes of each nodal diameter.
+            Number of modes for each nodal diameter.
         """
-        begin_stage(f"modes of {len(wheel.sector.diameters)} nodal diameters")
-        basis, sector, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
+        begin_stage(f"modes of {len(wheel.sector.nodal_diameters)} nodal diameters")
+        basis, sector_structure, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin_stage("matrices of the wheel")
-        mass, stiffness = basis.tuned_matrices
+        mass, stiffness = basis.tuned_mass_and_stiffness
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
-        loads = _sector_loads(wheel.sector, wheel.order)
+        sector_loads = _make_sector_loads(wheel.sector, wheel.order)
         force = sum(
-            loads[:, sector_index] @ basis.columns(sector_index)
-            for sector_index in range(wheel.sector.count)
+            sector_loads[:, sector_index] @ basis.sector_motions(sector_index)
+            for sector_index in range(wheel.sector.n_sectors)
         )
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """Assemble U^T B of all cracks from B of one: (n, p)."""
-            parts = [basis.columns(sector_index).T @ gap for sector_index in wheel.cracked]
-            return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *parts]))
+            crack_columns = [
+                basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked
+            ]
+            return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *crack_columns]))
 
-        tangents = sector.tangential if wheel.cracked else None
+        sector_tangential = sector_structure.tangential if wheel.cracked else None
         body = WheelCoordinates(
             distribute_rows(mass, comm), distribute_rows(stiffness, comm),
-            assemble_gap(sector.gap), force, wheel.clearance, damping=wheel.damping,
-            tangential=None if tangents is None else assemble_gap(tangents),
+            assemble_gap(sector_structure.gap), force, wheel.clearance, damping=wheel.damping,
+            tangential=None if sector_tangential is None else assemble_gap(sector_tangential),
             nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=basis,
         )  # fmt: skip
         super().__init__(body)
@@ -463,13 +489,13 @@ class WheelStructure(Structure):
             else self.body.ranked_modes
         )
 
-    def rank_modes(self, count: int, n_more: int) -> tuple[WheelStructure, float]:
-        """Return this wheel with its modes ordered for a reduction, and a share.
+    def rank_modes(self, n_first: int, n_more: int) -> tuple[WheelStructure, float]:
+        """Return this wheel with its modes ordered for a reduction, and the reference's share.
 
-        The first ``count`` modes come first, then the ``n_more`` modes that move the cracks most,
-        ascending. The next N_REFERENCE_MODES modes in this rank follow. Mode j has (psi_ij / w_j)^2
-        of the static compliance of pair i, psi = B^T phi. The mode's inertia changes that by (w /
-        w_j)^2.
+        The lowest ``n_first`` modes come first. The ``n_more`` others that move the cracks most
+        follow, ascending, then the next N_REFERENCE_MODES modes in this rank. In the static
+        compliance of pair i, mode j has the part (psi_ij / w_j)^2, psi = B^T phi. The mode's
+        inertia changes this part by (w / w_j)^2.
 
         Returns
         -------
@@ -481,18 +507,20 @@ class WheelStructure(Structure):
         compliance_shares = ((self.gap.T @ shapes) / omega) ** 2
         compliance_shares /= compliance_shares.sum(axis=1, keepdims=True)
         inertia_changes = compliance_shares.sum(axis=0) / omega**2
-        order = count + np.argsort(-inertia_changes[count:], kind="stable")
-        reference_indices = np.sort(order[n_more : n_more + N_REFERENCE_MODES])
-        first_indices, next_indices = np.arange(count), np.sort(order[:n_more])
+        mode_order = n_first + np.argsort(-inertia_changes[n_first:], kind="stable")
+        reference_indices = np.sort(mode_order[n_more : n_more + N_REFERENCE_MODES])
+        first_indices, next_indices = np.arange(n_first), np.sort(mode_order[:n_more])
         mode_indices = np.concatenate([first_indices, next_indices, reference_indices])
-        share = inertia_changes[reference_indices].sum() / inertia_changes[order[n_more:]].sum()
+        reference_share = (
+            inertia_changes[reference_indices].sum() / inertia_changes[mode_order[n_more:]].sum()
+        )
         ranked_modes = omega[mode_indices], shapes[:, mode_indices]
-        changes = {"result_cache": self.body.result_cache, "ranked_modes": ranked_modes}
-        return self._in_setting(self.setting, **changes), float(share)
+        body_changes = {"result_cache": self.body.result_cache, "ranked_modes": ranked_modes}
+        return self._in_setting(self.setting, **body_changes), float(reference_share)
 
     @property
     def n_sectors(self) -> int:
-        """N of the wheel."""
+        """N, the number of the wheel's sectors."""
         return self.body.wheel.n_sectors
 
     @property
@@ -501,9 +529,10 @@ class WheelStructure(Structure):
 
     def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the displacement (m, n_sector) of each sector, from coordinates (m, n_dofs)."""
-        sector_indices = range(self.whole.sector.count)
+        sector_indices = range(self.whole.sector.n_sectors)
         return (
-            displacement @ self.basis.columns(sector_index).T for sector_index in sector_indices
+            displacement @ self.basis.sector_motions(sector_index).T
+            for sector_index in sector_indices
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -511,43 +540,47 @@ class WheelStructure(Structure):
         wheel = self.whole
         wheel_displacement = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
-            for numbers, sector_displacement in zip(
+            for sector_dofs, sector_displacement in zip(
                 wheel.numbers, self.iterate_sector_displacements(displacement), strict=True
             ):
-                wheel_displacement[:, numbers] = sector_displacement
+                wheel_displacement[:, sector_dofs] = sector_displacement
         return wheel_displacement[:, : wheel.n_local]
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Return displacements at dofs of the wheel, from coordinates (m, n_dofs) (collective)."""
         wheel = self.whole
-        places = wheel.places[wheel.check_dofs(dofs)]
-        rows = self.basis.columns(*divmod(places, wheel.sector.structure.n_dofs))
-        return np.asarray(displacement @ rows.T)
+        owner_positions = wheel.places[wheel.check_dofs(dofs)]
+        dof_motions = self.basis.sector_motions(
+            *divmod(owner_positions, wheel.sector.structure.n_dofs)
+        )
+        return np.asarray(displacement @ dof_motions.T)
 
 
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for all modes with an open crack."""
-    matrices = (local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass))
-    squares, shapes = scipy.linalg.eigh(*matrices)
-    return np.sqrt(np.maximum(squares, 0.0)), shapes
+    """Solve for the frequencies [rad/s] and shapes of all modes with open cracks."""
+    stiffness_and_mass = (
+        local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
+    )
+    squared_omegas, shapes = scipy.linalg.eigh(*stiffness_and_mass)
+    return np.sqrt(np.maximum(squared_omegas, 0.0)), shapes
 
 
 def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for all modes with a bonded crack."""
+    """Solve for the frequencies [rad/s] and shapes of all modes with bonded cracks."""
     omega, shapes = structure.compute_once(_solve_all_modes)
     bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
-    squares, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
-    return np.sqrt(np.maximum(squares, 0.0)), shapes @ (bonded_space @ eigenvectors)
+    squared_omegas, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
+    return np.sqrt(np.maximum(squared_omegas, 0.0)), shapes @ (bonded_space @ eigenvectors)
 
 
 def count_basis_families(families: int, n_more: int = 0) -> int:
-    """Return the number of modes of each nodal diameter in the basis.
+    """Return the number of modes for each nodal diameter in the basis.
 
     There are four more than kept, or eleven if further modes are chosen among them. With two more,
-    the stated error of a gap is three quarters of the true one, with four 1.4 times: the next
+    the stated error of a gap is three quarters of the true error, with four 1.4 times: the next
     families need not open the crack. The highest modes of a small basis are no modes of the wheel,
-    but move the crack much. Chosen among four families, they left 6 of 347 points of a curve
-    undecided, among eight or more none.
+    but move the crack much. If they are chosen among four families, 6 of 347 points on a curve were
+    undecided; among eight or more, none.
     """
     return families + (11 if n_more else 4)
 
@@ -571,11 +604,11 @@ def reduce_wheel(
     Parameters
     ----------
     wheel : Wheel
-        The whole one.
+        The whole wheel.
     families : int, optional
         Number of modes for each nodal diameter, and for each blade; default: the wheel's.
     more : int
-        Number of other modes; without a crack the next ones.
+        Number of other modes; without a crack they are the next higher modes.
     reference : bool
         Keep the reference, too.
 
@@ -587,8 +620,8 @@ def reduce_wheel(
     Raises
     ------
     InputError
-        The wheel is none, ``families`` is no whole number from 1 to half of a sector's dofs, or
-        ``more`` none from 0 to four for each sector.
+        ``families`` is no whole number from 1 to half of a sector's dofs, or ``more`` none from 0
+        to four for each sector.
 
     Examples
     --------
@@ -598,24 +631,28 @@ def reduce_wheel(
     check_count("families", families, 1)
     check_count("more", more, 0)
     # With more families, static responses are made of modes but for rounding.
-    maximum = len(wheel.sector.dofs.own_members) // 2
-    if families > maximum:
-        raise InputError("families", families, f"at most {maximum}, half of a sector's dofs")
-    maximum = (count_basis_families(families) - families) * wheel.sector.count
-    if more > maximum:
-        raise InputError("more", more, f"at most {maximum}, those of four families")
-    structure = WheelStructure(
+    max_families = len(wheel.sector.dof_numbering.own_members) // 2
+    if families > max_families:
+        raise InputError("families", families, f"at most {max_families}, half of a sector's dofs")
+    max_more = (count_basis_families(families) - families) * wheel.sector.n_sectors
+    if more > max_more:
+        raise InputError("more", more, f"at most {max_more}, those of four families")
+    wheel_structure = WheelStructure(
         wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
     )
     begin_stage("reduction")
-    count = min(families * wheel.sector.count, structure.n_dofs - structure.n_pairs)
-    if not structure.n_pairs:
-        reduced_structure = reduce_structure(structure, modes=count + more, reference=reference)
-        return reduced_structure._in_setting(wheel.setting)
-    structure, share = structure.rank_modes(count, more)
-    count += more
-    n_reference = reference and min(count + N_REFERENCE_MODES, structure.n_dofs)
-    reduced_structure = reduce_structure(
-        structure, modes=count, method="massless", reference=n_reference
+    n_modes = min(
+        families * wheel.sector.n_sectors, wheel_structure.n_dofs - wheel_structure.n_pairs
     )
-    return reduced_structure._in_setting(wheel.setting, removed_error_share=share)
+    if not wheel_structure.n_pairs:
+        reduced_structure = reduce_structure(
+            wheel_structure, modes=n_modes + more, reference=reference
+        )
+        return reduced_structure._in_setting(wheel.setting)
+    wheel_structure, reference_share = wheel_structure.rank_modes(n_modes, more)
+    n_modes += more
+    n_reference_modes = reference and min(n_modes + N_REFERENCE_MODES, wheel_structure.n_dofs)
+    reduced_structure = reduce_structure(
+        wheel_structure, modes=n_modes, method="massless", reference=n_reference_modes
+    )
+    return reduced_structure._in_setting(wheel.setting, removed_error_share=reference_share)

@@ -1,8 +1,8 @@
-"""The breathing crack in motion: a GIF.
+"""Animate the breathing crack as a GIF.
 
-The plate is drawn magnified and coloured by von Mises stress or displacement, with the crack faces
-as thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
-gathered first; rank 0 draws.
+The plate is drawn magnified and coloured by von Mises stress or displacement. Crack faces are thick
+lines, pairs in contact have dots, and an arrow is the load. All fields are gathered first; rank 0
+draws.
 """
 
 from __future__ import annotations
@@ -29,14 +29,21 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import choose_unit_prefix
 from fenics_crack.draw import vtk
-from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
+from fenics_crack.draw.figure import COLOURS_BY_NAME, copy_canvas_image, label_axis
 from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.scene.tables import Material
 
-TINT = "#f5d6c1"
+CONTACT_BACKGROUND_COLOUR = "#f5d6c1"
 """Background of the motion while the crack faces touch: light orange."""
-FLAT: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
-INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
+FLAT_MESH_OPTIONS: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
+"""Options of pyvista's ``add_mesh``: no shading, no camera change, nothing drawn yet."""
+PART_COLOURS_BY_NAME = {
+    "lips": "#000000",
+    "contact": COLOURS_BY_NAME["orange"],
+    "load": COLOURS_BY_NAME["pink"],
+    "rest": "#8a8a8a",
+}
+"""Colours of the drawn parts: crack faces (and moving edges), contact dots, load, rest position."""
 
 
 def animate_period(
@@ -49,9 +56,9 @@ def animate_period(
 ) -> float:
     """Draw one period of a vibration as an animated picture (collective).
 
-    Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
-    moves most, tinted while that one's crack faces touch; without a crack the largest displacement.
-    The caption and the comment of the file state the magnification.
+    Below the plate is a crack's opening over time, tinted while the faces of this crack touch. The
+    opening is that at the watched pair that moves most, such as a mouth. Without a crack it is the
+    largest displacement. The caption and the comment of the file state the magnification.
 
     Parameters
     ----------
@@ -60,7 +67,7 @@ def animate_period(
     path : str or Path
         A .gif file.
     frames, magnification, material
-        As of :func:`fenics_crack.write_period`; without a material the colours show displacement.
+        See :func:`fenics_crack.write_period`; without a material the colours show displacement.
 
     Returns
     -------
@@ -80,256 +87,392 @@ def animate_period(
         raise InputError("path", str(path), "a .gif file")
     begin_stage(Path(path).name)
     fields = PeriodFields(solution, frames, magnification, material)
-    on_root(fields.mesh.structure.comm, lambda: _write(solution, fields, Path(path)))
+    on_root(fields.mesh.structure.comm, lambda: _write_gif(solution, fields, Path(path)))
     return fields.magnification
 
 
 # --- the plate ------------------------------------------------------------------------------------
 
 
-class _Colours:
-    """Colours in steps from 0 to the end of the scale, in a unit with a prefix."""
+class _ColourScale:
+    """Colours in steps from 0 to the end of the scale, in a unit with a prefix.
+
+    Attributes
+    ----------
+    unit_factor : float
+        Factor from SI to the unit with a prefix.
+    label : str
+        Name and unit of the field.
+    levels : (n_steps + 1,)
+        Borders of the steps in this unit.
+    n_steps : int
+    has_values_beyond : bool
+        True if some values exceed the last level.
+    colour_map : ListedColormap
+        One colour for each step.
+    """
 
     def __init__(self, fields: PeriodFields) -> None:
-        name, unit = fields.colour
-        end, highest = fields.colour_end, fields.colour_values.max()
-        self.factor, unit = choose_unit_prefix(end, unit)
-        self.label = f"{name} [{unit}]"
-        self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, self.factor * end)
-        self.steps = len(self.levels) - 1
-        self.beyond = bool(self.factor * highest > self.levels[-1])
-        self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
+        field_name, unit = fields.colour_name_and_unit
+        scale_end, largest_colour_value = fields.colour_scale_end, fields.colour_values.max()
+        self.unit_factor, unit = choose_unit_prefix(scale_end, unit)
+        self.label = f"{field_name} [{unit}]"
+        self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
+            0.0, self.unit_factor * scale_end
+        )
+        self.n_steps = len(self.levels) - 1
+        self.has_values_beyond = bool(self.unit_factor * largest_colour_value > self.levels[-1])
+        self.colour_map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.n_steps)))
 
 
-class _Plate:
-    """The plate in a picture: what moves from frame to frame are the points of its parts."""
+class _MovingMesh:
+    """A plate or a solid in a VTK picture, with parts that move from frame to frame.
 
-    def __init__(self, plotter: Any, fields: PeriodFields, colours: _Colours) -> None:
-        self.plotter, self.fields, self.colours, mesh = plotter, fields, colours, fields.mesh
-        self.height = 1e-3 * mesh.size  # of lines above the plate
-        solid = mesh.dimension == 3
-        boundary = vtk.outline(mesh) if solid else mesh.boundary
-        self._line(boundary, "rest", 2)
-        self.surface = vtk.surface(mesh.points, mesh.boundary if solid else mesh.triangles)
-        self.surface["shown"] = colours.factor * fields.colour_values[0]
+    Attributes
+    ----------
+    line_height : float [m]
+        Distance of lines above a plate.
+    surface, moving_lines, contact_dots, load_arrow
+        Moving parts, as pyvista's PolyData.
+    unit_arrow_points : (n, 3)
+        Points of an arrow of unit length along x.
+    dot_offset : (3,) [m]
+        Displacement of dots and arrow towards the viewer.
+    arrow_starts, arrow_vectors : (n_frames, d) [m]
+        Load arrow in each frame.
+    """
+
+    def __init__(self, plotter: Any, fields: PeriodFields, colour_scale: _ColourScale) -> None:
+        self.plotter, self.fields, self.colour_scale = plotter, fields, colour_scale
+        mesh = fields.mesh
+        self.line_height = 1e-3 * mesh.size
+        is_solid = mesh.dimension == 3
+        boundary_edges = vtk.find_sharp_edges(mesh) if is_solid else mesh.boundary
+        self._draw_edges(boundary_edges, "rest", 2)
+        self.surface = vtk.make_surface(mesh.points, mesh.boundary if is_solid else mesh.triangles)
+        self.surface["shown"] = colour_scale.unit_factor * fields.colour_values[0]
         plotter.add_mesh(
-            self.surface, scalars="shown", cmap=colours.map, clim=colours.levels[[0, -1]],
-            n_colors=colours.steps, interpolate_before_map=True, show_scalar_bar=False, **FLAT,
+            self.surface, scalars="shown", cmap=colour_scale.colour_map,
+            clim=colour_scale.levels[[0, -1]], n_colors=colour_scale.n_steps,
+            interpolate_before_map=True, show_scalar_bar=False, **FLAT_MESH_OPTIONS,
         )  # fmt: skip
-        self.lines = [self._line(boundary, "lips", 2)]
-        if not solid:  # whose outline has the mouth
-            self.lines.append(self._line(mesh.crack_face_sides, "lips", 5))
-        self._line(boundary[mesh.is_clamped[boundary].all(axis=1)], "rest", 9)
-        self.dots = vtk.pyvista().PolyData(np.zeros((len(fields.areas), 3)))
-        if len(fields.areas):
-            round_dots = {"point_size": 16, "render_points_as_spheres": True}
-            plotter.add_mesh(self.dots, color=INK["contact"], **round_dots, **FLAT)
-        self.arrow = vtk.pyvista().Arrow(tip_length=0.45, tip_radius=0.16, shaft_radius=0.055)
-        self.unit_arrow = self.arrow.points.copy()
-        self.room = np.array([0.0, 0.0, 0.0 if solid else 2.0 * self.height])
-        self.starts, self.arrows = _load_arrows(fields)
+        self.moving_lines = [self._draw_edges(boundary_edges, "lips", 2)]
+        if not is_solid:  # sharp edges of a solid include the mouth
+            self.moving_lines.append(self._draw_edges(mesh.crack_face_sides, "lips", 5))
+        self._draw_edges(boundary_edges[mesh.is_clamped[boundary_edges].all(axis=1)], "rest", 9)
+        self.contact_dots = vtk.import_pyvista().PolyData(np.zeros((len(fields.pair_areas), 3)))
+        if len(fields.pair_areas):
+            dot_options = {"point_size": 16, "render_points_as_spheres": True}
+            plotter.add_mesh(
+                self.contact_dots,
+                color=PART_COLOURS_BY_NAME["contact"],
+                **dot_options,
+                **FLAT_MESH_OPTIONS,
+            )
+        self.load_arrow = vtk.import_pyvista().Arrow(
+            tip_length=0.45, tip_radius=0.16, shaft_radius=0.055
+        )
+        self.unit_arrow_points = self.load_arrow.points.copy()
+        self.dot_offset = np.array([0.0, 0.0, 0.0 if is_solid else 2.0 * self.line_height])
+        self.arrow_starts, self.arrow_vectors = _find_load_arrows(fields)
         if fields.has_one_load:
-            plotter.add_mesh(self.arrow, color=INK["load"], **FLAT)
-        self._move(0)
+            plotter.add_mesh(
+                self.load_arrow, color=PART_COLOURS_BY_NAME["load"], **FLAT_MESH_OPTIONS
+            )
+        self._move_to_frame(0)
 
-    def _line(self, edges: np.ndarray, ink: str, width: float) -> Any:
-        """Draw edges, and return them."""
-        drawn = vtk.lines(self._above(self.fields.mesh.points), edges)
+    def _draw_edges(self, edges: np.ndarray, part_name: str, line_width: float) -> Any:
+        """Add edges at rest to the picture in a part's colour, and return their lines."""
+        edge_lines = vtk.make_lines(self._lift_above_plate(self.fields.mesh.points), edges)
         if len(edges):
-            self.plotter.add_mesh(drawn, color=INK[ink], line_width=width, **FLAT)
-        return drawn
+            self.plotter.add_mesh(
+                edge_lines,
+                color=PART_COLOURS_BY_NAME[part_name],
+                line_width=line_width,
+                **FLAT_MESH_OPTIONS,
+            )
+        return edge_lines
 
-    def _above(self, points: np.ndarray) -> np.ndarray:
-        """Lift points to where lines are drawn: above a plate."""
-        return vtk.in_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
+    def _lift_above_plate(self, points: np.ndarray) -> np.ndarray:
+        """Lift points (n, 2) by the height of lines above a plate; pad to (n, 3).
 
-    def image(self, frame: int) -> Image.Image:
-        """The picture of a frame."""
-        self._move(frame)
+        Points of a solid stay as they are.
+        """
+        return vtk.pad_to_space(points) + (points.shape[1] == 2) * np.array(
+            [0.0, 0.0, self.line_height]
+        )
+
+    def render_frame(self, frame_index: int) -> Image.Image:
+        """Render the image of a frame."""
+        self._move_to_frame(frame_index)
         self.plotter.render()
         return Image.fromarray(self.plotter.screenshot(None, return_img=True))
 
-    def _move(self, frame: int) -> None:
-        """Put all parts where they are in a frame."""
+    def _move_to_frame(self, frame_index: int) -> None:
+        """Move all parts to their positions in a frame."""
         fields = self.fields
-        moved = fields.moved[frame]
-        self.surface.points = vtk.in_space(moved)
-        for part in self.lines:
-            part.points = self._above(moved)
-        self.surface["shown"] = self.colours.factor * fields.colour_values[frame]
-        pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
-        self.dots.points = vtk.in_space(pairs @ moved) + self.room
-        self.dots.verts = np.insert(np.argwhere(fields.force[frame] > 0.0), 0, 1, axis=1).ravel()
-        start, arrow = (vtk.in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
-        _, size, axes = np.linalg.svd(arrow[None])
-        axes[0] *= np.sign(axes[0] @ arrow)
-        self.arrow.points = start + self.room + size * (self.unit_arrow @ axes)
+        magnified_points = fields.magnified_points[frame_index]
+        self.surface.points = vtk.pad_to_space(magnified_points)
+        for edge_lines in self.moving_lines:
+            edge_lines.points = self._lift_above_plate(magnified_points)
+        self.surface["shown"] = self.colour_scale.unit_factor * fields.colour_values[frame_index]
+        pair_averages = (fields.nodal_pair_forces / fields.nodal_pair_forces.sum(axis=0)).T
+        self.contact_dots.points = (
+            vtk.pad_to_space(pair_averages @ magnified_points) + self.dot_offset
+        )
+        self.contact_dots.verts = np.insert(
+            np.argwhere(fields.contact_forces[frame_index] > 0.0), 0, 1, axis=1
+        ).ravel()
+        arrow_start, arrow_vector = (
+            vtk.pad_to_space(frame_vectors[frame_index][None])[0]
+            for frame_vectors in (self.arrow_starts, self.arrow_vectors)
+        )
+        _, arrow_length, arrow_axes = np.linalg.svd(arrow_vector[None])
+        arrow_axes[0] *= np.sign(arrow_axes[0] @ arrow_vector)
+        self.load_arrow.points = (
+            arrow_start + self.dot_offset + arrow_length * (self.unit_arrow_points @ arrow_axes)
+        )
 
 
-def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of the magnified plate with a load and the arrows there, both (n, d) [m].
+def _find_load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """Return start and vector of the load arrow in each frame: (n_frames, d) [m] each.
 
-    The longest arrow is an eighth of the plate.
+    The arrow starts at the mean of the moving nodes, weighted by their loads over the period. The
+    longest arrow is an eighth of the plate.
     """
-    total = fields.load.sum(axis=1)
-    share = np.abs(fields.load).sum(axis=(0, 2))
-    largest = np.linalg.norm(total, axis=1).max()
-    if largest == 0.0:
-        return np.zeros_like(total), np.zeros_like(total)
-    return share @ fields.moved / share.sum(), fields.mesh.size / 8.0 * total / largest
+    total_loads = fields.nodal_loads.sum(axis=1)
+    node_shares = np.abs(fields.nodal_loads).sum(axis=(0, 2))
+    largest_load = np.linalg.norm(total_loads, axis=1).max()
+    if largest_load == 0.0:
+        return np.zeros_like(total_loads), np.zeros_like(total_loads)
+    return (
+        node_shares @ fields.magnified_points / node_shares.sum(),
+        fields.mesh.size / 8.0 * total_loads / largest_load,
+    )
 
 
 # --- the animation --------------------------------------------------------------------------------
 
 
-def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
+def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    colours = _Colours(fields)
-    page = _Page(solution, fields, colours)
-    width, height = page.size
-    plotter = vtk.off_screen_plotter((2 * width, 2 * height))  # smooth once it is reduced
-    plotter.render_window.SetMultiSamples(0)  # three times slower
-    plate = _Plate(plotter, fields, colours)
-    share = _look_at_all(plotter, fields) * height / width
-    plotter.window_size = min(2 * width, int(2 * (share * width + 20))), 2 * height
-    pictures = [page.draw(frame, plate.image(frame)) for frame in range(len(fields.time))]
+    colour_scale = _ColourScale(fields)
+    page = _AnimationPage(solution, fields, colour_scale)
+    width, height = page.plate_size
+    plotter = vtk.off_screen_plotter((2 * width, 2 * height))  # smooth after halving
+    plotter.render_window.SetMultiSamples(0)  # multisampling is three times slower
+    plate = _MovingMesh(plotter, fields, colour_scale)
+    width_fraction = _fit_camera_to_period(plotter, fields) * height / width
+    plotter.window_size = min(2 * width, int(2 * (width_fraction * width + 20))), 2 * height
+    frame_images = [
+        page.compose_frame(frame_index, plate.render_frame(frame_index))
+        for frame_index in range(len(fields.time))
+    ]
     plotter.close()
-    palette = _palette(colours)
-    shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    duration = max(20, 10 * round(300.0 / len(shown)))  # [ms], in steps of 10: 3 s in all
-    timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
-    animation, every = BytesIO(), {"save_all": True, "append_images": shown[1:]}
-    shown[0].save(animation, "GIF", optimize=False, **every, **timing)
-    write_file_whole(path, animation.getvalue())
+    palette = _make_palette(colour_scale)
+    palette_images = [
+        frame_image.quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame_image in frame_images
+    ]
+    # In steps of 10 ms, 3 s in all.
+    frame_duration = max(20, 10 * round(300.0 / len(palette_images)))
+    gif_options = {"duration": frame_duration, "loop": 0, "comment": page.caption.encode("latin-1")}
+    gif_stream, frame_options = BytesIO(), {"save_all": True, "append_images": palette_images[1:]}
+    palette_images[0].save(gif_stream, "GIF", optimize=False, **frame_options, **gif_options)
+    write_file_whole(path, gif_stream.getvalue())
 
 
-def _palette(colours: _Colours) -> Image.Image:
-    """The colours used, their blends with black and white, and greys."""
-    used = [to_rgb(colour) for colour in (*INK.values(), COLOURS["blue"], TINT)]
-    used += [tuple(row[:3]) for row in colours.map.colors]
-    ink = np.array(used)
-    shades = [w * ink + (1.0 - w) * other for w in (0.75, 0.5, 0.25) for other in (0.0, 1.0)]
+def _make_palette(colour_scale: _ColourScale) -> Image.Image:
+    """Make a palette image of the drawn colours, their blends with black and white, and greys."""
+    drawn_colours = [
+        to_rgb(colour)
+        for colour in (
+            *PART_COLOURS_BY_NAME.values(),
+            COLOURS_BY_NAME["blue"],
+            CONTACT_BACKGROUND_COLOUR,
+        )
+    ]
+    drawn_colours += [tuple(map_colour[:3]) for map_colour in colour_scale.colour_map.colors]
+    colour_array = np.array(drawn_colours)
+    shades = [
+        weight * colour_array + (1.0 - weight) * blend_level
+        for weight in (0.75, 0.5, 0.25)
+        for blend_level in (0.0, 1.0)
+    ]
     greys = np.repeat(np.linspace(0.0, 1.0, 17)[:, None], 3, axis=1)
-    entries = np.concatenate([greys, ink, *shades])[:256]
+    palette_colours = np.concatenate([greys, colour_array, *shades])[:256]
     palette = Image.new("P", (1, 1))
-    palette.putpalette(np.round(255.0 * entries).astype(np.uint8).tobytes())
+    palette.putpalette(np.round(255.0 * palette_colours).astype(np.uint8).tobytes())
     return palette
 
 
-def _look_at_all(plotter: Any, fields: PeriodFields) -> float:
-    """Set the camera so that the plate stays in the picture for the whole period; return the width
-    that it takes, relative to the height of the picture."""
+def _fit_camera_to_period(plotter: Any, fields: PeriodFields) -> float:
+    """Set the camera to see the plate for the whole period, and return the plate's width.
+
+    The width is that over the period, relative to the height of the picture. A solid is seen from a
+    corner, and has the picture's width.
+    """
     width, height = plotter.window_size
     plotter.camera_set = True
     if fields.mesh.dimension == 3:
         vtk.look_from_corner(plotter.renderer, fields.mesh.points)
         return float(width / height)
-    heads = np.add(*_load_arrows(fields)) if fields.has_one_load else np.empty((0, 2))
-    points = np.concatenate([fields.mesh.points, *fields.moved, heads])
-    low, high = points.min(axis=0), points.max(axis=0)
-    size, camera = fields.mesh.size, vtk.seen_parallel(plotter.renderer)
-    middle, (across, up) = 0.5 * (low + high), high - low
-    seen = 1.03 * max(up, across * height / width)
-    camera.SetFocalPoint(*middle, 0.0)
-    camera.SetPosition(*middle, 10.0 * size)
-    camera.SetParallelScale(0.5 * seen)
-    camera.SetClippingRange(size, 20.0 * size)
-    return float(across / seen)
+    arrow_heads = np.add(*_find_load_arrows(fields)) if fields.has_one_load else np.empty((0, 2))
+    drawn_points = np.concatenate([fields.mesh.points, *fields.magnified_points, arrow_heads])
+    lower_corner, upper_corner = drawn_points.min(axis=0), drawn_points.max(axis=0)
+    mesh_size, camera = fields.mesh.size, vtk.set_parallel_camera(plotter.renderer)
+    view_center = 0.5 * (lower_corner + upper_corner)
+    plate_width, plate_height = upper_corner - lower_corner
+    view_height = 1.03 * max(plate_height, plate_width * height / width)
+    camera.SetFocalPoint(*view_center, 0.0)
+    camera.SetPosition(*view_center, 10.0 * mesh_size)
+    camera.SetParallelScale(0.5 * view_height)
+    camera.SetClippingRange(mesh_size, 20.0 * mesh_size)
+    return float(plate_width / view_height)
 
 
-def _draw_bar(figure: Figure, colours: _Colours) -> None:
+def _draw_colour_bar(figure: Figure, colour_scale: _ColourScale) -> None:
     """Draw the colour bar beside the plate."""
-    mapped = ScalarMappable(BoundaryNorm(colours.levels, colours.steps), colours.map)
-    ends = {"extend": "max" if colours.beyond else "neither", "spacing": "proportional"}
-    place = figure.add_axes((0.845, 0.32, 0.03, 0.49))
-    bar = figure.colorbar(mapped, cax=place, ticks=colours.levels[::2], **ends)
-    bar.set_label(colours.label, fontsize=12)
-    bar.ax.tick_params(labelsize=11)
+    mappable = ScalarMappable(
+        BoundaryNorm(colour_scale.levels, colour_scale.n_steps), colour_scale.colour_map
+    )
+    bar_options = {
+        "extend": "max" if colour_scale.has_values_beyond else "neither",
+        "spacing": "proportional",
+    }
+    bar_axes = figure.add_axes((0.845, 0.32, 0.03, 0.49))
+    colour_bar = figure.colorbar(
+        mappable, cax=bar_axes, ticks=colour_scale.levels[::2], **bar_options
+    )
+    colour_bar.set_label(colour_scale.label, fontsize=12)
+    colour_bar.ax.tick_params(labelsize=11)
 
 
-class _Page:
-    """The page around the plate: caption, colours, and a wave with a moving dot."""
+class _AnimationPage:
+    """Page around the plate: caption, colour bar, legend, and a wave with a moving dot.
 
-    def __init__(self, solution: PeriodicSolution, fields: PeriodFields, colours: _Colours) -> None:
-        self.loads = fields.time * solution.omega / (2.0 * np.pi)
-        self.size, self.corner = (532, 444), (6, 92)  # of the plate, and its place [pixels]
+    Attributes
+    ----------
+    frame_load_periods, frame_values : (n_frames,)
+        Time in load periods, and opening or displacement [m], of the dot in each frame.
+    plate_size, plate_corner : (int, int)
+        Width and height of the plate's image, and the image's left and top edge [pixels].
+    caption : str
+        Frequency and magnification.
+    caption_text, time_line, wave_dot
+        Matplotlib's artists that change from frame to frame.
+    background
+        Pixels of all other artists.
+    """
+
+    def __init__(
+        self, solution: PeriodicSolution, fields: PeriodFields, colour_scale: _ColourScale
+    ) -> None:
+        self.frame_load_periods = fields.time * solution.omega / (2.0 * np.pi)
+        self.plate_size, self.plate_corner = (532, 444), (6, 92)
         self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
-        title = "Breathing crack" if fields.cracked else "Vibrating structure"
-        centred = {"ha": "center", "va": "center"}
-        self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
-        moves = "load" if fields.has_one_load else "motion"
-        load = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
-        factor = f"{float(f'{fields.magnification:.3g}'):.10g}"
-        self.caption = f"{moves} at {load}, displacement × {factor}"
-        self.text = self.figure.text(0.06, 0.932, "", va="center", fontsize=12, animated=True)
-        _draw_bar(self.figure, colours)
-        self._legend(fields)
-        self._wave(solution, fields)
+        title = "Breathing crack" if fields.has_cracks else "Vibrating structure"
+        title_options = {"ha": "center", "va": "center"}
+        self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **title_options)
+        motion_noun = "load" if fields.has_one_load else "motion"
+        frequency_text = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
+        magnification_text = f"{float(f'{fields.magnification:.3g}'):.10g}"
+        self.caption = f"{motion_noun} at {frequency_text}, displacement × {magnification_text}"
+        self.caption_text = self.figure.text(
+            0.06, 0.932, "", va="center", fontsize=12, animated=True
+        )
+        _draw_colour_bar(self.figure, colour_scale)
+        self._draw_legend(fields)
+        self._draw_displacement_curve(solution, fields)
         self.canvas.draw()
-        self.still = self.canvas.copy_from_bbox(self.figure.bbox)
+        self.background = self.canvas.copy_from_bbox(self.figure.bbox)
 
-    def draw(self, frame: int, plate: Image.Image) -> Image.Image:
-        """The page of a frame: what moves is drawn over the rest, which is drawn once."""
-        self.canvas.restore_region(self.still)
-        at = self.loads[frame]
-        self.dot.set_data([at], [self.values[frame]])
-        self.line.set_xdata([at, at])
-        self.text.set_text(f"{self.caption}, phase {360.0 * at:.0f}°")
-        for artist in (self.line, self.dot, self.text):
+    def compose_frame(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
+        """Draw the moving artists over the background, and add the plate's image."""
+        self.canvas.restore_region(self.background)
+        load_periods = self.frame_load_periods[frame_index]
+        self.wave_dot.set_data([load_periods], [self.frame_values[frame_index]])
+        self.time_line.set_xdata([load_periods, load_periods])
+        self.caption_text.set_text(f"{self.caption}, phase {360.0 * load_periods:.0f}°")
+        for artist in (self.time_line, self.wave_dot, self.caption_text):
             self.figure.draw_artist(artist)
-        page = drawn_on(self.canvas)
-        plate = plate.reduce(2)
-        left, top = self.corner
-        page.paste(plate, (left + (self.size[0] - plate.width) // 2, top))
-        return page
+        page_image = copy_canvas_image(self.canvas)
+        plate_image = plate_image.reduce(2)
+        left, top = self.plate_corner
+        page_image.paste(plate_image, (left + (self.plate_size[0] - plate_image.width) // 2, top))
+        return page_image
 
-    def _legend(self, fields: PeriodFields) -> None:
-        lines = (
+    def _draw_legend(self, fields: PeriodFields) -> None:
+        """Draw the legend of the parts that the plate has."""
+        legend_rows = (
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.is_clamped.any(), "rest", 6, None),
             ("load", fields.has_one_load, "load", 3, ">"),
-            ("crack faces", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
-            ("in contact", len(fields.areas), "contact", 0, "o"),
+            ("crack faces", fields.has_cracks and fields.mesh.dimension == 2, "lips", 3, None),
+            ("in contact", len(fields.pair_areas), "contact", 0, "o"),
         )
-        keys = [
-            Line2D([], [], label=label, color=INK[ink], lw=width, marker=marker, ms=8)
-            for label, shown, ink, width, marker in lines
-            if shown
+        legend_lines = [
+            Line2D(
+                [],
+                [],
+                label=label,
+                color=PART_COLOURS_BY_NAME[part_name],
+                lw=line_width,
+                marker=marker,
+                ms=8,
+            )
+            for label, is_shown, part_name, line_width, marker in legend_rows
+            if is_shown
         ]
-        spaces = {"handletextpad": 0.5, "columnspacing": 1.5, "frameon": False}
-        centre = {"loc": "center", "bbox_to_anchor": (0.5, 0.893)}
-        self.figure.legend(handles=keys, ncol=5, fontsize=11, **centre, **spaces)
+        spacing_options = {"handletextpad": 0.5, "columnspacing": 1.5, "frameon": False}
+        placement_options = {"loc": "center", "bbox_to_anchor": (0.5, 0.893)}
+        self.figure.legend(
+            handles=legend_lines, ncol=5, fontsize=11, **placement_options, **spacing_options
+        )
 
-    def _wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
+    def _draw_displacement_curve(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
+        """Draw the opening or the largest displacement over a period, with dot and time line."""
         axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)
-        loads, closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)
-        if len(fields.areas):
-            gaps, watched = solution.gap(time), solution.structure.watched_pairs.values()
-            pair = max(watched, key=lambda number: float(np.ptp(gaps[:, number])))
-            quantity, wave = f"opening {solution.structure.describe_pair(pair)}", -gaps[:, pair]
-            self.values = -solution.gap(fields.time)[:, pair]
+        load_periods, is_closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)
+        if len(fields.pair_areas):
+            gaps, watched_pairs = solution.gap(time), solution.structure.watched_pairs.values()
+            pair_index = max(watched_pairs, key=lambda pair: float(np.ptp(gaps[:, pair])))
+            quantity = f"opening {solution.structure.describe_pair(pair_index)}"
+            curve_values = -gaps[:, pair_index]
+            self.frame_values = -solution.gap(fields.time)[:, pair_index]
             cracks = solution.structure.pairs.cracks
-            assert cracks is not None  # of a mesh
-            own = cracks == cracks[pair]
-            closed = (solution.contact_force(time)[:, own] > 0.0).any(axis=1)
+            assert cracks is not None  # a mesh has them
+            is_same_crack = cracks == cracks[pair_index]
+            is_closed = (solution.contact_force(time)[:, is_same_crack] > 0.0).any(axis=1)
         else:
-            self.values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
+            self.frame_values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
             quantity = "largest displacement"
-            wave = np.interp(loads, self.loads, self.values, period=loads[-1])
-        axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
-        axes.plot(loads, wave, color=COLOURS["blue"], lw=2)
-        moves = {"animated": True}
-        self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1, **moves)
-        dot = {"color": "black", "ms": 8, "clip_on": False, **moves}
-        (self.dot,) = axes.plot([0.0], [0.0], "o", **dot)
+            curve_values = np.interp(
+                load_periods, self.frame_load_periods, self.frame_values, period=load_periods[-1]
+            )
+        axes.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8)
+        axes.plot(load_periods, curve_values, color=COLOURS_BY_NAME["blue"], lw=2)
+        animated_option = {"animated": True}
+        self.time_line = axes.axvline(0.0, color=COLOURS_BY_NAME["grey"], lw=1, **animated_option)
+        dot_options = {"color": "black", "ms": 8, "clip_on": False, **animated_option}
+        (self.wave_dot,) = axes.plot([0.0], [0.0], "o", **dot_options)
         axes.margins(y=0.12)
-        axes.set(xlim=(0.0, loads[-1]), ylim=axes.get_ylim())
+        axes.set(xlim=(0.0, load_periods[-1]), ylim=axes.get_ylim())
         axes.set_xlabel("time / load period", fontsize=12)
         label_axis(axes.yaxis, quantity, "m")
         axes.yaxis.label.set(size=11, text=fill(axes.yaxis.label.get_text(), 17))
         axes.yaxis.set_label_coords(-0.085, 0.5)
         axes.tick_params(labelsize=11)
-        whole = axes.get_xaxis_transform()  # which would count as data of the axis before
-        axes.fill_between(loads, 0.0, 1.0, where=closed, transform=whole, color=TINT, lw=0)
+        # Before label_axis, the bands would count as data of the axis.
+        axes_transform = axes.get_xaxis_transform()
+        axes.fill_between(
+            load_periods,
+            0.0,
+            1.0,
+            where=is_closed,
+            transform=axes_transform,
+            color=CONTACT_BACKGROUND_COLOUR,
+            lw=0,
+        )

@@ -1,8 +1,8 @@
-"""Common parts of all pictures: axes, labels with units, colours, and the end of every ``draw_*``.
+"""Make figures, label axes with units, draw legends and save files for every ``draw_*``.
 
-Every ``draw_*`` draws onto the ``axes`` it is given and saves nothing. Without them it makes a new
-figure, outside pyplot, and saves it if a ``path`` is given. It returns the figure. Lines are drawn
-in SI units, whatever prefix their axes show, so that more can be drawn onto the same axes.
+Every ``draw_*`` draws onto given ``axes`` and saves nothing. Without ``axes`` it makes a new figure
+outside pyplot, and saves the figure if a ``path`` is given. It returns the figure. Lines are drawn
+in SI units, whatever prefix their axes show. Further lines can follow on the same axes.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.suggestions import check_options, fit_argument
 from fenics_crack.basics.tables import UNITS_WITHOUT_PREFIX, choose_unit_prefix, heading_with_unit
 
-COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
-COLOURS["grey"] = "#5C5C5C"
-"""Okabe and Ito's palette, which colour-blind readers can distinguish, and a grey."""
-STYLE = rc_params_from_file(
+COLOURS_BY_NAME = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
+COLOURS_BY_NAME["grey"] = "#5C5C5C"
+"""Okabe and Ito's palette, which colour-blind readers can distinguish, and a grey, by name."""
+FIGURE_STYLE = rc_params_from_file(
     Path(__file__).with_name("fenics_crack.mplstyle"), use_default_template=False
 )
 """Settings of Matplotlib for new figures, legends and files."""
-LETTERS = 42
-"""Maximum letters in a line of a label along the height of a panel."""
-FIRST = "first in the legend"
-"""Marks (``gid``) lines that come first in a legend, before those that explain styles."""
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+MAX_LETTERS_PER_LINE = 42
+"""Maximum letters in a line of an axis label along a panel's height, and of a narrow legend."""
+FIRST_IN_LEGEND_GID = "first in the legend"
+"""Group id (``gid``) of lines that come first in a legend, before lines that explain styles."""
+SUPERSCRIPT_TRANSLATION = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-class Where(TypedDict, total=False):
-    """Target of a picture; every ``draw_*`` takes these keywords, ``ax`` for ``axes`` too."""
+class PictureOptions(TypedDict, total=False):
+    """Keywords of every ``draw_*``: target, title and legend; ``ax`` is short for ``axes``."""
 
     axes: Any
     ax: Any
@@ -56,223 +56,289 @@ class Where(TypedDict, total=False):
     legend: bool
 
 
-class ShownFigure(Figure):
-    """A figure that notebooks show where it is the value of a cell, whether or not they have loaded
-    pyplot, which knows nothing of it and shows no second copy."""
+class NotebookFigure(Figure):
+    """Figure that notebooks show as the value of a cell.
+
+    The notebook need not have loaded pyplot. Pyplot does not know the figure and shows no second
+    copy.
+    """
 
     def _repr_png_(self) -> bytes:
-        return png_of(self)
+        return render_png(self)
 
 
 class Picture:
-    """The panels of a picture, and its end.
+    """Panels of a picture, and the figure that holds them.
 
-    They are the axes that are given, or ``count`` panels of a new figure, ``columns`` side by side.
+    The panels are the given axes, or a new figure's.
 
     Parameters
     ----------
-    count, columns : int
-        Number of panels, and of those side by side in a new figure.
+    n_panels : int
+        Number of panels.
+    n_columns : int
+        Panels side by side in a new figure.
     size : (float, float) [in]
-        Of a new figure; default: that of the style sheet.
+        Width and height of a new figure; default: the style sheet's.
     sharex : bool
-        The panels of a new figure have one horizontal axis.
+        Whether panels in a new figure share their horizontal axis.
     comm : MPI.Comm
-        Its rank 0 saves the figure.
-    where
-        As of every picture (:class:`Where`).
+        Communicator whose rank 0 saves the figure.
+    picture_options
+        Keywords in :class:`PictureOptions`.
 
     Raises
     ------
     InputError
-        The number of axes is not that of the panels, there are both axes and a path, the path's
-        kind of picture is not known, or a keyword is none of these.
+        There are more or fewer axes than ``n_panels``, there are both axes and a path, the path's
+        suffix is unknown, or a keyword is not in :class:`PictureOptions`.
     """
 
     def __init__(
         self,
-        count: int = 1,
+        n_panels: int = 1,
         *,
-        columns: int = 1,
+        n_columns: int = 1,
         size: tuple[float, float] | None = None,
         sharex: bool = False,
         comm: MPI.Comm = MPI.COMM_SELF,
-        **where: Unpack[Where],
+        **picture_options: Unpack[PictureOptions],
     ) -> None:
-        check_options("pictures (labels and limits: of their axes)", where, Where.__annotations__)
-        path, axes = where.get("path"), given_axes(where)
+        check_options(
+            "pictures (labels and limits: of their axes)",
+            picture_options,
+            PictureOptions.__annotations__,
+        )
+        path, axes = picture_options.get("path"), read_axes_option(picture_options)
         fit_argument("path", path, "str | Path | None", ())
-        self._path, self._title, self._comm = path, where.get("title"), comm
-        self.legend = where.get("legend", True)
+        self._path, self._title, self._comm = path, picture_options.get("title"), comm
+        self.has_legend = picture_options.get("legend", True)
         if axes is None:
-            with rc_context(STYLE):
-                figure = ShownFigure(figsize=size)
+            with rc_context(FIGURE_STYLE):
+                figure = NotebookFigure(figsize=size)
             FigureCanvasAgg(figure)
-            rows = -(-count // columns)
-            axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex).ravel()
-            for unused in axes[count:]:
-                unused.remove()
-            axes = axes[:count]
+            n_rows = -(-n_panels // n_columns)
+            axes = figure.subplots(n_rows, n_columns, squeeze=False, sharex=sharex).ravel()
+            for unused_panel in axes[n_panels:]:
+                unused_panel.remove()
+            axes = axes[:n_panels]
         elif path is not None:
             raise InputError("path", str(path), "left out with axes: save their figure")
-        kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
-        if path is not None and Path(path).suffix[1:].lower() not in ["", *kinds]:
-            raise InputError("path", str(path), f"a file of one of the kinds .{', .'.join(kinds)}")
+        file_kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
+        if path is not None and Path(path).suffix[1:].lower() not in ["", *file_kinds]:
+            raise InputError(
+                "path", str(path), f"a file of one of the kinds .{', .'.join(file_kinds)}"
+            )
         self.panels: list[Axes] = list(np.atleast_1d(axes).ravel())
-        if len(self.panels) != count:
-            raise InputError("axes", f"{len(self.panels)} axes", f"{count}, one for each panel")
+        if len(self.panels) != n_panels:
+            raise InputError("axes", f"{len(self.panels)} axes", f"{n_panels}, one for each panel")
         self.figure: Figure = self.panels[0].figure
 
     def __iter__(self) -> Iterator[Axes]:
         return iter(self.panels)
 
-    def finished(self) -> Figure:
-        """The figure with grids and legends, saved as by :meth:`saved`."""
+    def finish(self) -> Figure:
+        """Draw grids and legends, set the title, save and return the figure (collective)."""
         for panel in self:
-            with rc_context(STYLE):
-                panel.grid(alpha=STYLE["grid.alpha"])
-                if self.legend:
+            with rc_context(FIGURE_STYLE):
+                panel.grid(alpha=FIGURE_STYLE["grid.alpha"])
+                if self.has_legend:
                     _draw_legend(panel)
-        return self.saved()
+        return self.save_with_title()
 
-    def saved(self) -> Figure:
-        """Set the title, save the figure on rank 0 if it has a path, return it (collective)."""
+    def save_with_title(self) -> Figure:
+        """Set the title, save the figure if there is a path, and return it (collective)."""
         if self._title is not None and len(self.panels) > 1:
             self.figure.suptitle(self._title, fontsize="large")
-        elif self._title is not None:  # which makes way for axes on the top
+        elif self._title is not None:  # makes way for axes on the top
             self.panels[0].set_title(self._title, y=None if self.panels[0].child_axes else 1.0)
         if self._path is not None:
-            file = Path(self._path)
-            begin_stage(file.name)
+            picture_path = Path(self._path)
+            begin_stage(picture_path.name)
 
-            def save() -> None:
-                if file.suffix == ".png":
-                    written = png_of(self.figure)
+            def write_file() -> None:
+                if picture_path.suffix == ".png":
+                    picture_bytes = render_png(self.figure)
                 else:
-                    picture = BytesIO()
-                    with rc_context(STYLE):
-                        self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
-                    written = picture.getvalue()
-                write_file_whole(file, written)
+                    picture_stream = BytesIO()
+                    with rc_context(FIGURE_STYLE):
+                        self.figure.savefig(
+                            picture_stream, format=picture_path.suffix.removeprefix(".") or None
+                        )
+                    picture_bytes = picture_stream.getvalue()
+                write_file_whole(picture_path, picture_bytes)
 
-            on_root(self._comm, save)
+            on_root(self._comm, write_file)
         return self.figure
 
 
-def png_of(figure: Figure) -> bytes:
-    """Return a figure as a PNG, without the draft that ``savefig`` draws before."""
-    canvas, picture = FigureCanvasAgg(figure), BytesIO()
+def render_png(figure: Figure) -> bytes:
+    """Render a figure once and return the bytes of a PNG; ``savefig`` would draw it twice."""
+    canvas, png_stream = FigureCanvasAgg(figure), BytesIO()
     canvas.draw()
-    drawn_on(canvas).save(picture, "PNG", compress_level=3, dpi=(figure.dpi, figure.dpi))
-    return picture.getvalue()
+    copy_canvas_image(canvas).save(
+        png_stream, "PNG", compress_level=3, dpi=(figure.dpi, figure.dpi)
+    )
+    return png_stream.getvalue()
 
 
-def drawn_on(canvas: FigureCanvasAgg) -> Image.Image:
-    """Return the image on a canvas, without its alpha channel."""
+def copy_canvas_image(canvas: FigureCanvasAgg) -> Image.Image:
+    """Copy the image on a canvas, without its alpha channel."""
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def tenth(vectors: np.ndarray, size: float) -> float:
-    """Factor that makes the longest of some vectors (..., d) a tenth of a size; 1 if all are 0."""
-    largest = np.linalg.norm(vectors, axis=-1).max()
-    return float(0.1 * size / largest) if largest > 0.0 else 1.0
+def magnification_to_tenth(vectors: np.ndarray, size: float) -> float:
+    """Return the factor that makes the longest vector (..., d) a tenth of a size.
+
+    The factor is 1 if all vectors are zero.
+    """
+    largest_norm = np.linalg.norm(vectors, axis=-1).max()
+    return float(0.1 * size / largest_norm) if largest_norm > 0.0 else 1.0
 
 
-def given_axes(where: Where) -> Any:
-    """The axes that are given by either name, or None."""
-    axes, ax = where.get("axes"), where.get("ax")
+def read_axes_option(picture_options: PictureOptions) -> Any:
+    """Return the option ``axes`` or ``ax``, or None; InputError if both are given."""
+    axes, ax = picture_options.get("axes"), picture_options.get("ax")
     if axes is not None and ax is not None:
         raise InputError("ax", "axes", "left out with axes: one of the two")
     return axes if ax is None else ax
 
 
-def distinct_colours(count: int) -> list[str]:
-    """Colours for some lines: those of :data:`COLOURS`, of more a sequence from dark to light."""
-    if count <= len(COLOURS):
-        return list(COLOURS.values())[:count]
-    return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, count))]
+def distinct_colours(n_colours: int) -> list[str]:
+    """Return colours of some lines: from :data:`COLOURS_BY_NAME`, or from dark to light if more."""
+    if n_colours <= len(COLOURS_BY_NAME):
+        return list(COLOURS_BY_NAME.values())[:n_colours]
+    return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, n_colours))]
 
 
-def upright(label: str) -> str:
-    """A long label that is read upwards, in lines that a panel has room for."""
-    return label if "\n" in label else fill(label, LETTERS)
+def wrap_upright_label(label: str) -> str:
+    """Break a label that is read upwards into lines that fit a panel's height.
+
+    A label with its own line breaks stays as it is.
+    """
+    return label if "\n" in label else fill(label, MAX_LETTERS_PER_LINE)
 
 
 def label_axis(axis: Axis, quantity: str, unit: str) -> None:
-    """Label an axis after all is drawn, and show its SI values in a unit with a prefix."""
-    factor, prefixed = 1.0, unit
+    """Label an axis, and show its SI values in a unit with a prefix.
+
+    All lines are drawn before, since the data choose the prefix. A logarithmic axis over more than
+    five decades has powers of ten as labels, a shorter one plain numbers.
+    """
+    unit_factor, prefixed_unit = 1.0, unit
     if unit not in UNITS_WITHOUT_PREFIX:
-        factor, prefixed = choose_unit_prefix(float(np.abs(axis.get_data_interval()).max()), unit)
-    label = heading_with_unit(quantity, prefixed).replace("m^0.5", "√m")
-    axis.set_label_text(upright(label) if axis.axis_name == "y" else label)
-    low, high = axis.get_view_interval()
+        unit_factor, prefixed_unit = choose_unit_prefix(
+            float(np.abs(axis.get_data_interval()).max()), unit
+        )
+    label = heading_with_unit(quantity, prefixed_unit).replace("m^0.5", "√m")
+    axis.set_label_text(wrap_upright_label(label) if axis.axis_name == "y" else label)
+    view_minimum, view_maximum = axis.get_view_interval()
     if axis.get_scale() != "log":
-        axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
-    elif (decades := np.log10(high / low)) > 5.0:
+        axis.set_major_formatter(
+            FuncFormatter(lambda value, _: _format_number(round(unit_factor * value, 12)))
+        )
+    elif (n_decades := np.log10(view_maximum / view_minimum)) > 5.0:
         axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda x, _: _power(factor * x)))
-    else:  # few decades: labels within them, too, or a few small ticks, of which each takes time
-        if decades > 2.0:
+        axis.set_major_formatter(
+            FuncFormatter(lambda value, _: _format_power_of_ten(unit_factor * value))
+        )
+    else:  # few decades have labels within them; every small tick takes time
+        if n_decades > 2.0:
             axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-        axis.set_major_formatter(_Decades(factor))
-        axis.set_minor_formatter(_Decades(factor, minor_thresholds=(2.0, 0.8)))
+        axis.set_major_formatter(_ScaledLogFormatter(unit_factor))
+        axis.set_minor_formatter(_ScaledLogFormatter(unit_factor, minor_thresholds=(2.0, 0.8)))
 
 
-def label_count(axis: Axis, things: str) -> None:
-    """Label a linear axis of numbers of things, after all is drawn: "10⁶ load cycles"."""
-    factor, _ = choose_unit_prefix(float(axis.get_data_interval()[1]), "")
-    axis.set_label_text(things if factor == 1.0 else f"{_power(1.0 / factor)} {things}")
-    axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
+def label_count_axis(axis: Axis, plural_noun: str) -> None:
+    """Label a linear axis of counts after all lines are drawn: "10⁶ load cycles"."""
+    power_factor, _ = choose_unit_prefix(float(axis.get_data_interval()[1]), "")
+    axis.set_label_text(
+        plural_noun
+        if power_factor == 1.0
+        else f"{_format_power_of_ten(1.0 / power_factor)} {plural_noun}"
+    )
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: _format_number(round(power_factor * value, 12)))
+    )
 
 
-class _Decades(LogFormatter):
-    """Plain numbers, 0.1, 1, 10, times a factor."""
+class _ScaledLogFormatter(LogFormatter):
+    """Formatter of logarithmic axes: plain numbers, 0.1, 1, 10, times the factor of a unit."""
 
-    def __init__(self, factor: float, **options: Any) -> None:
+    def __init__(self, unit_factor: float, **options: Any) -> None:
         super().__init__(**options)
-        self.factor = factor
+        self.unit_factor = unit_factor
 
     def __call__(self, x: float, pos: int | None = None) -> str:
-        """The label, or none."""
-        return _plain(self.factor * x) if super().__call__(x, pos) else ""
+        """Return the label of a tick at x, or an empty text."""
+        return _format_number(self.unit_factor * x) if super().__call__(x, pos) else ""
 
 
-def _plain(value: float) -> str:
+def _format_number(value: float) -> str:
     return str(Formatter.fix_minus(f"{value + 0.0:.10g}"))
 
 
-def _power(value: float) -> str:
-    return "10" + str(round(np.log10(value))).translate(SUPERSCRIPTS)
+def _format_power_of_ten(value: float) -> str:
+    return "10" + str(round(np.log10(value))).translate(SUPERSCRIPT_TRANSLATION)
 
 
 def _draw_legend(axes: Axes) -> None:
-    """Give a panel its legend.
+    """Draw the legend of a panel, if the panel has labels.
 
-    It stands below the panel where the figure has a constrained layout, which grows by the rows of
-    a long one, in lines as wide as the figure; else where it hides least.
+    With a constrained layout the legend stands below the panel, in lines up to 0.9 of the figure's
+    width, or as wide as one of several panels. A figure with a single panel grows by the rows of a
+    long legend. Without such a layout the legend stands at matplotlib's best place.
     """
     handles, labels = axes.get_legend_handles_labels()
-    first = [isinstance(handle, Artist) and handle.get_gid() == FIRST for handle in handles]
-    order = sorted(range(len(handles)), key=lambda place: not first[place])  # containers: no gid
-    named = {labels[place]: handles[place] for place in order}
-    if named and axes.figure.get_layout_engine() is not None:
-        alone = len(axes.figure.axes) == 1
-        room = 0.9 * axes.figure.bbox.width if alone else axes.get_window_extent().width
-        letters = 17.0 * room / axes.figure.dpi
-        wide = max(int(letters) - 8, LETTERS)
-        lines = [[p for line in label.splitlines() for p in wrap(line, wide)] for label in named]
-        named = dict(zip(map("\n".join, lines), named.values(), strict=True))
-        longest = max(len(line) for label in lines for line in label)
-        columns = max(1, min(len(named), int(letters / (longest + 8))))
-        high, before = -(-len(named) // columns), axes.get_legend()
-        tops = range(0, len(lines), high)
-        rows = max(2, *(sum(map(len, lines[top : top + high])) for top in tops))
-        more = rows - (2 if before is None else int(before.get_gid()))  # a figure has room for 2
-        if alone:
-            axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)
-        labelled = axes.xaxis.get_major_ticks()[0].label1.get_visible()
-        below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2 if labelled else 0.8}  # [em]
-        where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
-        axes.legend(list(named.values()), list(named), **where).set_gid(str(rows))
-    elif named:
-        axes.legend(list(named.values()), list(named), loc="best")
+    is_first = [
+        isinstance(handle, Artist) and handle.get_gid() == FIRST_IN_LEGEND_GID for handle in handles
+    ]
+    label_order = sorted(range(len(handles)), key=lambda label_index: not is_first[label_index])
+    handles_by_label = {labels[label_index]: handles[label_index] for label_index in label_order}
+    if handles_by_label and axes.figure.get_layout_engine() is not None:
+        is_only_panel = len(axes.figure.axes) == 1
+        available_width = (
+            0.9 * axes.figure.bbox.width if is_only_panel else axes.get_window_extent().width
+        )
+        line_letters = 17.0 * available_width / axes.figure.dpi
+        max_line_letters = max(int(line_letters) - 8, MAX_LETTERS_PER_LINE)
+        label_lines = [
+            [text for line in label.splitlines() for text in wrap(line, max_line_letters)]
+            for label in handles_by_label
+        ]
+        handles_by_label = dict(
+            zip(map("\n".join, label_lines), handles_by_label.values(), strict=True)
+        )
+        longest_line_letters = max(len(line) for label in label_lines for line in label)
+        n_columns = max(
+            1, min(len(handles_by_label), int(line_letters / (longest_line_letters + 8)))
+        )
+        n_labels_per_column = -(-len(handles_by_label) // n_columns)
+        previous_legend = axes.get_legend()
+        column_starts = range(0, len(label_lines), n_labels_per_column)
+        n_text_rows = max(
+            2,
+            *(
+                sum(map(len, label_lines[start : start + n_labels_per_column]))
+                for start in column_starts
+            ),
+        )
+        # A figure has room for two rows.
+        n_extra_rows = n_text_rows - (
+            2 if previous_legend is None else int(previous_legend.get_gid())
+        )
+        if is_only_panel:
+            axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * n_extra_rows)
+        has_tick_labels = axes.xaxis.get_major_ticks()[0].label1.get_visible()
+        legend_options = {
+            "loc": "upper center",
+            "ncol": n_columns,
+            "frameon": False,
+            "bbox_to_anchor": (0.5, 0.0),
+            "borderaxespad": 4.2 if has_tick_labels else 0.8,  # [em]
+        }
+        axes.legend(
+            list(handles_by_label.values()), list(handles_by_label), **legend_options
+        ).set_gid(str(n_text_rows))
+    elif handles_by_label:
+        axes.legend(list(handles_by_label.values()), list(handles_by_label), loc="best")

@@ -1,5 +1,7 @@
-"""Pictures of motions and of what they depend on: waves, contact laws, where crack faces touch,
-responses, maps, spectra, orbits in the phase plane, loops of friction, what opens crack tips."""
+"""Draw motions: waves, contact laws, contact maps, responses, spectra, orbits, friction loops.
+
+Further pictures are maps over two swept quantities, and stress intensities at crack tips.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,14 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import choose_unit_prefix, format_quantity
 from fenics_crack.draw.figure import (
-    COLOURS,
-    STYLE,
+    COLOURS_BY_NAME,
+    FIGURE_STYLE,
     Picture,
-    Where,
+    PictureOptions,
     distinct_colours,
-    given_axes,
     label_axis,
-    upright,
+    read_axes_option,
+    wrap_upright_label,
 )
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
@@ -41,10 +43,12 @@ from fenics_crack.numerics.fourier import to_complex
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.runs.stress_intensity import StressIntensity
 
-DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
-HATCHED = "#ffffff"
+DOUBTFUL_LABEL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
+"""Legend entry of doubtful points and cells."""
+HATCH_COLOUR = "#ffffff"
+"""White lines across doubtful cells of a map."""
 MISSING_COLOUR, OPEN_COLOUR = "#b5b5b5", "#e8e8e8"
-"""Cells without a value; an open crack."""
+"""Colours of cells without a value, and of an open crack."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +58,10 @@ class Wave:
     Attributes
     ----------
     label, colour, style : str
-        Legend entry; "blue", "orange", "green", "pink", "grey" or a colour of matplotlib; its line
-        style.
-    time, values : (n,)
-        [s], [m].
+        Legend entry; "blue", "orange", "green", "pink", "grey" or a colour of matplotlib; line
+        style of matplotlib.
+    time, values : (n,) [s], (n,) [m]
+        Instants and displacements.
     spread : (n,) [m] or None
         Half-width of a band around the curve, for example the standard deviation of a mean wave.
     width : float [points]
@@ -79,7 +83,7 @@ def draw_waves(
     quantity: str,
     period: float | None = None,
     zero: str | None = None,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw displacements over time.
 
@@ -93,14 +97,14 @@ def draw_waves(
         Unit of the time axis; default: seconds.
     zero : str, optional
         Legend entry of a line at zero, for example "crack faces touch".
-    **where
-        ``axes``, or ``ax``: where to draw, by default in a new figure; ``path``: where to save the
-        new figure; ``title`` of the picture; ``legend=False``: without a legend.
+    **picture_options
+        ``axes`` or ``ax``: axes to draw on, by default those of a new figure; ``path``: file for
+        the new figure; ``title`` of the picture; ``legend=False``: no legend.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -110,169 +114,216 @@ def draw_waves(
     """
     if not isinstance(quantity, str):
         raise InputError("quantity", quantity, "a text")
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     for wave in waves:
         time = wave.time / period if period else wave.time
-        colour = COLOURS.get(wave.colour, wave.colour)
+        colour = COLOURS_BY_NAME.get(wave.colour, wave.colour)
         panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=wave.width)
         if wave.spread is not None:
-            low, high = wave.values - wave.spread, wave.values + wave.spread
-            panel.fill_between(time, low, high, color=colour, alpha=0.2, lw=0)
+            lower_edge, upper_edge = wave.values - wave.spread, wave.values + wave.spread
+            panel.fill_between(time, lower_edge, upper_edge, color=colour, alpha=0.2, lw=0)
     if zero is not None:
-        panel.axhline(0.0, color=COLOURS["grey"], lw=0.8, label=zero)
+        panel.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8, label=zero)
     if period:
         panel.set_xlabel("time / load period")
     else:
         label_axis(panel.xaxis, "time", "s")
     label_axis(panel.yaxis, quantity, "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_laws(
-    laws: Mapping[str, ContactLaw], closing: np.ndarray, **where: Unpack[Where]
+    laws: Mapping[str, ContactLaw], closing: np.ndarray, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw the contact forces [N] of laws, by their labels, over the closing of a pair [m].
+    """Draw the contact force [N] of contact laws over the closing of a pair [m].
 
     Parameters
     ----------
     laws : mapping of str to ContactLaw
-        By the labels of their lines.
+        Laws by the labels of their lines.
     closing : (n,) [m]
-        Positive where the pair penetrates.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Gaps, positive in penetration.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
     >>> closing = np.linspace(-1e-6, 1e-6, 101)
     >>> figure = fc.draw_laws({"penalty": contact}, closing, path="laws.png")
     """
-    [panel] = picture = Picture(**where)
-    looks = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
-    for (label, law), (colour, style) in zip(laws.items(), looks, strict=True):
+    [panel] = picture = Picture(**picture_options)
+    line_styles = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
+    for (label, law), (colour, style) in zip(laws.items(), line_styles, strict=True):
         force = law.force(closing[:, None])[:, 0]
         panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_contact_map(
-    solution: PeriodicSolution, *, instants: int = 400, **where: Unpack[Where]
+    solution: PeriodicSolution, *, instants: int = 400, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw where along the crack and when in the period the crack faces touch, and how hard; of a
-    solid where on each crack, how hard at most, and for how much of the period.
+    """Draw contact along the crack and over the period.
 
-    Colours show the contact pressure if contact is rigid or its stiffness given per area, else the
-    force of each pair; grey is open. Several cracks are one above the other, with a line between
-    them.
+    Colours show the contact pressure if contact is rigid or its stiffness is given per area,
+    otherwise the force of each pair; grey is open. Several cracks stand one above the other, with a
+    line between them. Each crack of a solid has two panels instead: the largest contact in the
+    period, and the closed share of the period.
 
     Parameters
     ----------
     solution : PeriodicSolution
-        With the contact force of two or more pairs.
+        Solution with two or more contact pairs.
     instants : int
-        In the period.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Number of instants in the period.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
     InputError
-        The structure has fewer than two pairs, or does not know where they are.
+        The structure has fewer than two pairs, or no mesh.
 
     Examples
     --------
     >>> figure = fc.draw_contact_map(solution, path="contact.png")
     """
     structure, law = solution.structure, solution.contact
-    points = structure.pair_points
-    if points is None or len(points) < 2:
-        found = None if points is None else len(points)
-        raise InputError("pairs", found, "two or more, with a mesh")
+    pair_points = structure.pair_points
+    if pair_points is None or len(pair_points) < 2:
+        n_pairs = None if pair_points is None else len(pair_points)
+        raise InputError("pairs", n_pairs, "two or more, with a mesh")
     time = np.linspace(0.0, solution.period, instants + 1)
-    values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
-    smooth = law is not None and (is_rigid(law) or np.ndim(law.stiffness) > 0)
-    if structure.pair_areas is not None and smooth:
-        values, label, unit = values / structure.pair_areas, "contact pressure", "Pa"
-    scale, unit = choose_unit_prefix(float(values.max()), unit)
-    if points.shape[1] == 3:
-        shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
-        shown["share of the period closed"] = (values[:-1] > 0.0).mean(axis=0)
-        return _over_cracks(structure, shown, where)
-    depth, ends = _along_cracks(structure.pairs)
-    loads = time * solution.omega / (2.0 * np.pi)
-    [panel] = picture = Picture(**where)
-    shown = np.ma.masked_less_equal(scale * values.T, 0.0)
-    _colour(panel, loads, depth, shown, f"{label} [{unit}] (grey: open)", OPEN_COLOUR)
+    contact_values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
+    has_pressure = law is not None and (is_rigid(law) or np.ndim(law.stiffness) > 0)
+    if structure.pair_areas is not None and has_pressure:
+        contact_values = contact_values / structure.pair_areas
+        label, unit = "contact pressure", "Pa"
+    unit_factor, unit = choose_unit_prefix(float(contact_values.max()), unit)
+    if pair_points.shape[1] == 3:
+        values_by_label = {f"largest {label} [{unit}]": unit_factor * contact_values.max(axis=0)}
+        values_by_label["share of the period closed"] = (contact_values[:-1] > 0.0).mean(axis=0)
+        return _draw_crack_surfaces(structure, values_by_label, picture_options)
+    pair_distances, crack_borders = _stack_crack_distances(structure.pairs)
+    load_periods = time * solution.omega / (2.0 * np.pi)
+    [panel] = picture = Picture(**picture_options)
+    contact_cells = np.ma.masked_less_equal(unit_factor * contact_values.T, 0.0)
+    label = f"{label} [{unit}] (grey: open)"
+    _draw_coloured_cells(panel, load_periods, pair_distances, contact_cells, label, OPEN_COLOUR)
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("time / load period")
-    for end in ends:
-        panel.axhline(end, color="black", lw=1.5)
-    start = next(iter(structure.watched_pairs))
-    of_crack = "from the crack's mouth" if start == "the mouth" else "from the crack's left tip"
-    if ends:
-        of_crack = f"along cracks 1 to {len(ends) + 1}, one above the other"
-    label_axis(panel.yaxis, f"distance {of_crack}", "m")
-    return picture.saved()
+    for crack_border in crack_borders:
+        panel.axhline(crack_border, color="black", lw=1.5)
+    first_place = next(iter(structure.watched_pairs))
+    distance_text = (
+        "from the crack's mouth" if first_place == "the mouth" else "from the crack's left tip"
+    )
+    if crack_borders:
+        distance_text = f"along cracks 1 to {len(crack_borders) + 1}, one above the other"
+    label_axis(panel.yaxis, f"distance {distance_text}", "m")
+    return picture.save_with_title()
 
 
-def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: Where) -> Figure:
-    """Values of the pairs of a solid, by their labels, over each of its cracks."""
+def _draw_crack_surfaces(
+    structure: Structure, values_by_label: Mapping[str, np.ndarray], picture_options: PictureOptions
+) -> Figure:
+    """Draw values of a solid's contact pairs on each crack surface, a panel for each label.
+
+    Parameters
+    ----------
+    values_by_label : mapping of str to (n_pairs,)
+        Values of the pairs.
+    """
     from scipy.spatial import cKDTree
 
     mesh, pairs = NodalMesh(structure.whole), structure.pairs
     facets = mesh.crack_face_sides
     triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    tree = cKDTree(pairs.points)
-    of_pair = np.zeros(len(tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
-    of_crack = of_pair[tree.query(mesh.points[triangles].mean(axis=1))[1]]
-    cracks = np.unique(of_pair)
-    picture = Picture(2 * len(cracks), columns=2, size=(9.0, 3.4 * len(cracks)), **where)
-    for panel, (crack, label) in zip(picture, product(cracks, shown), strict=True):
-        nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
-        values = mesh.centre_and_pressure_functions[1][nodes] @ shown[label]
-        _over_crack(panel, mesh.points[nodes], corners.reshape(-1, 3), values, label)
-        if len(cracks) > 1:
-            panel.set_title(f"crack {crack + 1}", fontsize="medium")
-    return picture.saved()
+    pair_tree = cKDTree(pairs.points)
+    pair_crack_indices = (
+        np.zeros(len(pair_tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
+    )
+    triangle_crack_indices = pair_crack_indices[
+        pair_tree.query(mesh.points[triangles].mean(axis=1))[1]
+    ]
+    crack_indices = np.unique(pair_crack_indices)
+    picture = Picture(
+        2 * len(crack_indices), n_columns=2, size=(9.0, 3.4 * len(crack_indices)), **picture_options
+    )
+    for panel, (crack_index, label) in zip(
+        picture, product(crack_indices, values_by_label), strict=True
+    ):
+        nodes, corners = np.unique(
+            triangles[triangle_crack_indices == crack_index], return_inverse=True
+        )
+        nodal_values = mesh.centre_and_pressure_functions[1][nodes] @ values_by_label[label]
+        _draw_crack_surface(panel, mesh.points[nodes], corners.reshape(-1, 3), nodal_values, label)
+        if len(crack_indices) > 1:
+            panel.set_title(f"crack {crack_index + 1}", fontsize="medium")
+    return picture.save_with_title()
 
 
-def _over_crack(
+def _draw_crack_surface(
     axes: Axes, points: np.ndarray, triangles: np.ndarray, values: np.ndarray, label: str
 ) -> None:
-    """Values at points of a crack, zero at its front, over the plane in which it lies most."""
-    across = int(np.argmin(np.ptp(points, axis=0)))
-    one, other = (axis for axis in range(3) if axis != across)
-    scale, unit = choose_unit_prefix(float(np.abs(points[:, [one, other]]).max()), "m")
-    at, ends = scale * points[:, [one, other]].T, {"vmin": 0.0, "vmax": values.max() or 1.0}
-    drawn = axes.tripcolor(*at, triangles, values, shading="gouraud", cmap="viridis", **ends)
-    axes.triplot(*at, triangles, color="black", lw=0.2)
+    """Draw nodal values on a crack surface, seen along the axis in which it extends least.
+
+    Parameters
+    ----------
+    points : (n, 3) [m]
+        Nodes of the crack.
+    triangles : (m, 3) int
+        Their triangles.
+    values : (n,)
+        Values at the nodes, from 0.
+    """
+    normal_axis = int(np.argmin(np.ptp(points, axis=0)))
+    horizontal_axis, vertical_axis = (
+        direction for direction in range(3) if direction != normal_axis
+    )
+    unit_factor, unit = choose_unit_prefix(
+        float(np.abs(points[:, [horizontal_axis, vertical_axis]]).max()), "m"
+    )
+    plane_points = unit_factor * points[:, [horizontal_axis, vertical_axis]].T
+    colour_limits = {"vmin": 0.0, "vmax": values.max() or 1.0}
+    colour_mesh = axes.tripcolor(
+        *plane_points, triangles, values, shading="gouraud", cmap="viridis", **colour_limits
+    )
+    axes.triplot(*plane_points, triangles, color="black", lw=0.2)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"{AXES[one]} [{unit}]")
-    axes.set_ylabel(f"{AXES[other]} [{unit}]")
-    axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", pad=0.25).set_label(label)
+    axes.set_xlabel(f"{AXES[horizontal_axis]} [{unit}]")
+    axes.set_ylabel(f"{AXES[vertical_axis]} [{unit}]")
+    axes.figure.colorbar(colour_mesh, ax=axes, orientation="horizontal", pad=0.25).set_label(label)
 
 
-def _along_cracks(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
-    """Distance of the pairs along the cracks [m], one crack after the other; where others begin."""
+def _stack_crack_distances(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
+    """Return the pairs' distances along the cracks, laid one after the other.
+
+    Returns
+    -------
+    distances : (n_pairs,) [m]
+        Each crack follows the one before, with some space between them.
+    crack_borders : list of float [m]
+        Middles of these spaces.
+    """
     assert pairs.cracks is not None and pairs.positions is not None
-    depth = pairs.positions.copy()
-    space, ends = 0.05 * float(depth.max()) or 1.0, []
-    for first in np.flatnonzero(np.diff(pairs.cracks)) + 1:
-        depth[first:] += depth[first - 1] + space
-        ends.append(0.5 * (depth[first - 1] + depth[first]))
-    return depth, ends
+    distances = pairs.positions.copy()
+    crack_spacing, crack_borders = 0.05 * float(distances.max()) or 1.0, []
+    for first_pair in np.flatnonzero(np.diff(pairs.cracks)) + 1:
+        distances[first_pair:] += distances[first_pair - 1] + crack_spacing
+        crack_borders.append(0.5 * (distances[first_pair - 1] + distances[first_pair]))
+    return distances, crack_borders
 
 
 def draw_response(
@@ -283,35 +334,35 @@ def draw_response(
     over: str = "load frequency [rad/s]",
     doubtful: Mapping[str, np.ndarray] | None = None,
     unit: str = "m",
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw amplitudes [m] or other quantities over the load frequency [rad/s] or other values.
 
-    The scale is logarithmic if the values are positive and span a decade or more, or are lengths. A
-    curve has a dot at each of few values, a gap where it is nan, and rings where it is doubtful.
-    Lines that are on the axes already keep their colours to themselves.
+    The scale is logarithmic if all values are positive, and are lengths or span a decade or more. A
+    curve has a dot at each of few values, a gap at nan, and rings at doubtful values. Curves drawn
+    on the axes before have other colours.
 
     Parameters
     ----------
     values : (n,)
-        Load frequencies [rad/s], or what ``over`` says.
+        Load frequencies [rad/s], or the quantity of ``over``.
     curves : mapping of str to (n,) arrays
-        By the labels of their lines.
+        Curves by the labels of their lines.
     quantity
-        As of :func:`draw_waves`.
+        See :func:`draw_waves`.
     over : str
         Label of the horizontal axis, with its unit.
     doubtful : mapping of str to (n,) bool, optional
-        Where a curve has rings.
+        True at the values with rings, by the labels of ``curves``.
     unit : str
-        Of the curves; lengths [m] are drawn in a readable multiple.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Unit of the curves; the axis shows it with a prefix.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -325,25 +376,43 @@ def draw_response(
     """
     if not curves:
         raise InputError("curves", curves, "one or more")
-    [panel] = picture = Picture(**where)
-    values, curves = np.asarray(values), {name: np.asarray(y, float) for name, y in curves.items()}
-    every = np.concatenate([found[np.isfinite(found)] for found in curves.values()])
-    low, high = every.min(initial=np.inf), every.max(initial=-np.inf)
-    if 0.0 < low < np.inf and (unit == "m" or 10.0 * low <= high):
+    [panel] = picture = Picture(**picture_options)
+    values = np.asarray(values)
+    curves = {label: np.asarray(y, float) for label, y in curves.items()}
+    finite_values = np.concatenate(
+        [curve_values[np.isfinite(curve_values)] for curve_values in curves.values()]
+    )
+    minimum, maximum = finite_values.min(initial=np.inf), finite_values.max(initial=-np.inf)
+    if 0.0 < minimum < np.inf and (unit == "m" or 10.0 * minimum <= maximum):
         panel.set_yscale("log")
-    there = sum(line.get_linestyle() != "None" for line in panel.lines)
-    styles = islice(cycle(product((".-", ".--", ".:"), COLOURS.values())), there, None)
-    size = 4.0 if len(values) <= 60 else 0.0  # more dots would touch
-    for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
-        panel.plot(values, found, style, color=colour, label=label, lw=1.4, ms=size)
-    marked = {label: np.asarray(mask, bool) for label, mask in (doubtful or {}).items()}
-    ringed = [(values[mask], curves[label][mask]) for label, mask in marked.items()]
-    if any(len(x) for x, _ in ringed):
-        x, y = np.concatenate(ringed, axis=1)
-        panel.plot(x, y, "o", color=COLOURS["grey"], mfc="none", ms=size + 4.0, label=DOUBTFUL)
+    n_present_lines = sum(line.get_linestyle() != "None" for line in panel.lines)
+    line_styles = islice(
+        cycle(product((".-", ".--", ".:"), COLOURS_BY_NAME.values())), n_present_lines, None
+    )
+    dot_size = 4.0 if len(values) <= 60 else 0.0  # more dots would touch
+    for (label, curve_values), (style, colour) in zip(curves.items(), line_styles, strict=False):
+        panel.plot(values, curve_values, style, color=colour, label=label, lw=1.4, ms=dot_size)
+    is_doubtful_by_label = {
+        label: np.asarray(is_doubtful, bool) for label, is_doubtful in (doubtful or {}).items()
+    }
+    doubtful_points = [
+        (values[is_doubtful], curves[label][is_doubtful])
+        for label, is_doubtful in is_doubtful_by_label.items()
+    ]
+    if any(len(x) for x, _ in doubtful_points):
+        x, y = np.concatenate(doubtful_points, axis=1)
+        panel.plot(
+            x,
+            y,
+            "o",
+            color=COLOURS_BY_NAME["grey"],
+            mfc="none",
+            ms=dot_size + 4.0,
+            label=DOUBTFUL_LABEL,
+        )
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_map(
@@ -355,29 +424,29 @@ def draw_map(
     y_label: str,
     value_label: str,
     doubtful: np.ndarray | None = None,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw values over two swept quantities, such as load frequency and crack length, as colours.
+    """Draw values as colours over two swept quantities.
 
     The scale is logarithmic if the values are positive and the largest is 30 times the smallest.
 
     Parameters
     ----------
     x, y : (n,), (m,)
-        The swept quantities, rising; two or more of each.
+        Two or more ascending values of each swept quantity.
     values : (m, n)
-        Grey and crossed where nan: not converged.
+        Cells with nan, not converged, are grey and crossed.
     x_label, y_label, value_label : str
-        With units.
+        Labels with units.
     doubtful : (m, n) bool, optional
-        Hatched cells: not stable, or with a large estimated error.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        True for hatched cells: not stable, or with a large estimated error.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -391,72 +460,99 @@ def draw_map(
     ...     x, y, np.outer(1.0 + y, x), x_label="x [m]", y_label="y [m]", value_label="z [m]")
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    for name, swept in (("x", x), ("y", y)):
-        if swept.ndim != 1 or len(swept) < 2 or not np.all(np.diff(swept) > 0.0):
-            raise InputError(name, swept, "two or more rising numbers")
-    shown = np.ma.masked_invalid(np.asarray(values, dtype=float))
-    if shown.shape != (len(y), len(x)):
-        raise InputError("values", shown.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}")
-    if not shown.count():
+    for axis_name, coordinates in (("x", x), ("y", y)):
+        if coordinates.ndim != 1 or len(coordinates) < 2 or not np.all(np.diff(coordinates) > 0.0):
+            raise InputError(axis_name, coordinates, "two or more rising numbers")
+    cell_values = np.ma.masked_invalid(np.asarray(values, dtype=float))
+    if cell_values.shape != (len(y), len(x)):
+        raise InputError(
+            "values", cell_values.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}"
+        )
+    if not cell_values.count():
         raise InputError("values", "nan", "finite somewhere")
-    low, high = float(shown.min()), float(shown.max())
-    scale = LogNorm if 0.0 < 30.0 * low <= high else Normalize
-    marked = np.zeros(shown.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
-    if marked.shape != shown.shape:
-        raise InputError("doubtful", marked.shape, f"of the shape of values, {shown.shape}")
-    [panel] = picture = Picture(**where)
-    _colour(panel, x, y, shown, value_label, MISSING_COLOUR, norm=scale(low, high))
-    lost = np.ma.getmaskarray(shown)
-    panel.plot(*(at.ravel()[lost.ravel()] for at in np.meshgrid(x, y)), "x", color="white", ms=5)
-    keys = [Patch(facecolor=MISSING_COLOUR, label="not converged")] if lost.any() else []
-    if np.any(marked & ~lost):
-        look = {"edgecolor": HATCHED, "hatch": "/////", "linewidth": 0.0}
-        hatched = np.ma.masked_where(~marked, shown)
-        panel.pcolor(x, y, hatched, shading="nearest").set(facecolor="none", **look)
-        keys.append(Patch(label=DOUBTFUL, facecolor="#3b528b", **look))
+    minimum, maximum = float(cell_values.min()), float(cell_values.max())
+    colour_norm = (LogNorm if 0.0 < 30.0 * minimum <= maximum else Normalize)(minimum, maximum)
+    is_doubtful = (
+        np.zeros(cell_values.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
+    )
+    if is_doubtful.shape != cell_values.shape:
+        raise InputError(
+            "doubtful", is_doubtful.shape, f"of the shape of values, {cell_values.shape}"
+        )
+    [panel] = picture = Picture(**picture_options)
+    _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=colour_norm)
+    is_missing = np.ma.getmaskarray(cell_values)
+    panel.plot(
+        *(coordinate_grid.ravel()[is_missing.ravel()] for coordinate_grid in np.meshgrid(x, y)),
+        "x",
+        color="white",
+        ms=5,
+    )
+    legend_patches = (
+        [Patch(facecolor=MISSING_COLOUR, label="not converged")] if is_missing.any() else []
+    )
+    if np.any(is_doubtful & ~is_missing):
+        hatch_options = {"edgecolor": HATCH_COLOUR, "hatch": "/////", "linewidth": 0.0}
+        doubtful_values = np.ma.masked_where(~is_doubtful, cell_values)
+        panel.pcolor(x, y, doubtful_values, shading="nearest").set(
+            facecolor="none", **hatch_options
+        )
+        legend_patches.append(Patch(label=DOUBTFUL_LABEL, facecolor="#3b528b", **hatch_options))
     panel.set(xlabel=x_label, ylabel=y_label)
-    if keys and picture.legend:
-        below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
-        with rc_context(STYLE):
-            panel.legend(handles=keys, ncol=2, handlelength=3.0, frameon=False, **below)
-    return picture.saved()
+    if legend_patches and picture.has_legend:
+        placement_options = {
+            "loc": "upper center",
+            "bbox_to_anchor": (0.5, 0.0),
+            "borderaxespad": 4.2,
+        }
+        with rc_context(FIGURE_STYLE):
+            panel.legend(
+                handles=legend_patches, ncol=2, handlelength=3.0, frameon=False, **placement_options
+            )
+    return picture.save_with_title()
 
 
-def _colour(
-    axes: Axes, x: np.ndarray, y: np.ndarray, values: Any, label: str, grey: str, **options: Any
+def _draw_coloured_cells(
+    axes: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    values: Any,
+    label: str,
+    masked_colour: str,
+    **mesh_options: Any,
 ) -> None:
-    """Draw values (len(y), len(x)) as coloured cells; masked ones are grey."""
-    axes.set_facecolor(grey)
-    image = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", **options)
-    axes.figure.colorbar(image, ax=axes, label=upright(label)).minorticks_off()
+    """Draw values (len(y), len(x)) as coloured cells; masked cells have ``masked_colour``."""
+    axes.set_facecolor(masked_colour)
+    cell_mesh = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", **mesh_options)
+    axes.figure.colorbar(cell_mesh, ax=axes, label=wrap_upright_label(label)).minorticks_off()
 
 
 # --- harmonics, orbits, tips ----------------------------------------------------------------------
 
 
 def draw_spectrum(
-    solution: PeriodicSolution, dof: int | None = None, **where: Unpack[Where]
+    solution: PeriodicSolution, dof: int | None = None, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
+    """Draw the amplitudes of the harmonics over their orders (collective).
 
-    The upper panel shows the gap of the pair that moves most and the displacement of a dof, the
-    lower one the contact force, summed over the pairs. Order 1 is the load's, 0 the mean; the
-    orders of a subharmonic response are fractions. There are enough harmonics where the amplitudes
-    have fallen far.
+    The upper panel shows the gap of the pair that moves most and the displacement of a dof. The
+    lower panel shows the contact force, summed over the pairs. Order 1 is the load's, 0 the mean;
+    the orders of a subharmonic response are fractions. The harmonics suffice if the last amplitudes
+    are small.
 
     Parameters
     ----------
     solution : PeriodicSolution
         Result to draw.
     dof : int, optional
-        Whose displacement.
-    **where
-        ``axes`` (one, or two with the force), ``path``, ``title``, as of :func:`draw_waves`.
+        Dof whose displacement is drawn.
+    **picture_options
+        ``axes`` (one, or two with the force), ``path``, ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -467,50 +563,82 @@ def draw_spectrum(
     --------
     >>> figure = fc.draw_spectrum(solution, tip, path="spectrum.png")
     """
-    lengths = {}
+    displacements_by_label = {}
     if solution.structure.n_pairs:
         time = np.linspace(0.0, solution.period, 257)
-        pair = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
-        lengths[f"gap {solution.structure.describe_pair(pair)}"] = solution.gap_coefficients[
-            :, pair
-        ]
+        pair_index = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
+        displacements_by_label[f"gap {solution.structure.describe_pair(pair_index)}"] = (
+            solution.gap_coefficients[:, pair_index]
+        )
     if dof is not None:
-        lengths[solution.structure.dof_name(dof)] = solution.coefficients_at([dof])[:, 0]
-    if not lengths:
+        dof_coefficients = solution.coefficients_at([dof])[:, 0]
+        displacements_by_label[solution.structure.dof_name(dof)] = dof_coefficients
+    if not displacements_by_label:
         raise InputError("dof", None, "given where there is no contact pair")
-    force = solution.force_coefficients.sum(axis=1)
-    axes = given_axes(where)
-    count = 1 + bool(np.any(force)) if axes is None else min(2, np.size(axes))
-    size, comm = (7.0, 2.4 + 2.2 * count), solution.structure.comm
-    picture = Picture(count, size=size, sharex=True, comm=comm, **where)
-    forces = {"contact force, all pairs": force}, "contact force", "N"
-    for panel, part in zip(picture, ((lengths, "displacement", "m"), forces), strict=False):
-        _stems(panel, solution.subharmonic, *part)
+    force_coefficients = solution.force_coefficients.sum(axis=1)
+    axes = read_axes_option(picture_options)
+    n_panels = 1 + bool(np.any(force_coefficients)) if axes is None else min(2, np.size(axes))
+    size, comm = (7.0, 2.4 + 2.2 * n_panels), solution.structure.comm
+    picture = Picture(n_panels, size=size, sharex=True, comm=comm, **picture_options)
+    force_content = {"contact force, all pairs": force_coefficients}, "contact force", "N"
+    for panel, panel_content in zip(
+        picture, ((displacements_by_label, "displacement", "m"), force_content), strict=False
+    ):
+        _draw_stems(panel, solution.subharmonic, *panel_content)
     picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
-    return picture.finished()
+    return picture.finish()
 
 
-def _stems(
-    axes: Axes, loads: int, series: Mapping[str, np.ndarray], quantity: str, unit: str
+def _draw_stems(
+    axes: Axes,
+    n_load_periods: int,
+    coefficients_by_label: Mapping[str, np.ndarray],
+    quantity: str,
+    unit: str,
 ) -> None:
-    """Draw the amplitudes of series of coefficients over a period of so many loads, side by side as
-    stems, or as points where they are many."""
-    every = {label: np.abs(to_complex(column)) for label, column in series.items()}
-    seen = np.array([*every.values()])
-    top, most = float(seen.max()) or 1.0, seen.shape[1] - 1
-    lowest = np.min(seen, where=seen > 1e-9 * top, initial=0.1 * top)  # what is smaller is rounding
-    bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
-    size = 4.5 if most < 25 else 3.0 if most <= 150 else 1.5  # beyond, points without stems
-    styles = zip(every.items(), distinct_colours(len(every)), "os", strict=False)
-    for number, ((label, values), colour, marker) in enumerate(styles):
-        kept = np.flatnonzero(values >= bottom)
-        order = (kept + 0.25 * (number - 0.5 * (len(every) - 1))) / loads
-        if size > 1.5:
-            axes.vlines(order, bottom, values[kept], color=colour, lw=1.2)
-        axes.plot(order, values[kept], marker, color=colour, ms=size, label=label)
-    axes.set_xlim(-0.5, most / loads + 0.5)
+    """Draw Fourier amplitudes over their orders, as stems side by side.
+
+    More than 150 harmonics are points.
+
+    Parameters
+    ----------
+    n_load_periods : int
+        Load periods in a series' period.
+    coefficients_by_label : mapping of str to (2H+1,)
+        Mean, cosine and sine coefficients for each series.
+    """
+    amplitudes_by_label = {
+        label: np.abs(to_complex(column)) for label, column in coefficients_by_label.items()
+    }
+    amplitudes = np.array([*amplitudes_by_label.values()])
+    largest_amplitude, max_order = float(amplitudes.max()) or 1.0, amplitudes.shape[1] - 1
+    is_significant = amplitudes > 1e-9 * largest_amplitude  # others are rounding
+    smallest_amplitude = np.min(amplitudes, where=is_significant, initial=0.1 * largest_amplitude)
+    axis_bottom = 10.0 ** np.floor(np.log10(0.5 * smallest_amplitude))
+    marker_size = 4.5 if max_order < 25 else 3.0 if max_order <= 150 else 1.5
+    series_styles = zip(
+        amplitudes_by_label.items(), distinct_colours(len(amplitudes_by_label)), "os", strict=False
+    )
+    for series_index, ((label, series_amplitudes), colour, marker) in enumerate(series_styles):
+        kept_orders = np.flatnonzero(series_amplitudes >= axis_bottom)
+        stem_positions = (
+            kept_orders + 0.25 * (series_index - 0.5 * (len(amplitudes_by_label) - 1))
+        ) / n_load_periods
+        if marker_size > 1.5:
+            axes.vlines(
+                stem_positions, axis_bottom, series_amplitudes[kept_orders], color=colour, lw=1.2
+            )
+        axes.plot(
+            stem_positions,
+            series_amplitudes[kept_orders],
+            marker,
+            color=colour,
+            ms=marker_size,
+            label=label,
+        )
+    axes.set_xlim(-0.5, max_order / n_load_periods + 0.5)
     axes.set_yscale("log")
-    axes.set_ylim(bottom, top * (top / bottom) ** 0.08)
+    axes.set_ylim(axis_bottom, largest_amplitude * (largest_amplitude / axis_bottom) ** 0.08)
     axes.xaxis.get_major_locator().set_params(integer=True)
     label_axis(axes.yaxis, f"amplitude of the\n{quantity}", unit)
 
@@ -520,108 +648,137 @@ def draw_orbits(
     dof: int | None = None,
     *,
     instants: int = 2000,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
-    One panel shows the gap at the mouth (of the first crack; in the middle of a crack inside), one
-    the displacement of a dof. The orbit is thick where the crack faces touch there, or in the panel
-    of the dof anywhere. A dot marks the beginning of each load period; the motion runs clockwise.
+    One panel shows the gap at the first crack's mouth, or in the middle of a crack inside. Another
+    shows the displacement of a dof. The gap's orbit is thick while this pair is closed, the dof's
+    while any pair is. A dot marks the beginning of each load period; the motion runs clockwise.
 
     Parameters
     ----------
     solution, dof
-        As of :func:`draw_spectrum`.
+        See :func:`draw_spectrum`.
     instants : int
-        Points of the orbit.
-    **where
-        ``axes``, one or two, ``path`` and ``title``, as of :func:`draw_waves`.
+        Number of points of the orbit.
+    **picture_options
+        ``axes``, one or two, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
     InputError
-        As of :func:`draw_spectrum`.
+        There is neither a pair nor a dof, or the number of axes is wrong.
 
     Examples
     --------
     >>> figure = fc.draw_orbits(solution, tip, path="orbits.png")
     """
     time = np.linspace(0.0, solution.period, instants + 1)
-    closed = solution.contact_force(time) > 0.0
-    orbits: list[tuple[Motion, np.ndarray, str, str]] = []
+    is_closed = solution.contact_force(time) > 0.0
+    orbit_contents: list[tuple[DisplacementFunction, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
-        pair = solution.structure.first_watched_pair
-        gap, name = lambda time: solution.gap(time)[:, pair], solution.structure.describe_pair(pair)
-        orbits.append((gap, closed[:, pair], f"closing {name}", "crack faces touch there"))
+        pair_index = solution.structure.first_watched_pair
+        gap_label = f"closing {solution.structure.describe_pair(pair_index)}"
+        gap_closed = is_closed[:, pair_index]
+        orbit_contents.append(
+            (
+                lambda t: solution.gap(t)[:, pair_index],
+                gap_closed,
+                gap_label,
+                "crack faces touch there",
+            )
+        )
     if dof is not None:
-        moved, name = partial(solution.displacement, dofs=[dof]), solution.structure.dof_name(dof)
-        orbits.append((moved, np.any(closed, axis=1), name, "crack faces touch somewhere"))
-    if not orbits:
+        displacement_function = partial(solution.displacement, dofs=[dof])
+        label, is_any_pair_closed = solution.structure.dof_name(dof), np.any(is_closed, axis=1)
+        orbit_contents.append(
+            (displacement_function, is_any_pair_closed, label, "crack faces touch somewhere")
+        )
+    if not orbit_contents:
         raise InputError("dof", None, "given where there is no contact pair")
-    count = len(orbits)
-    size, comm = (1.0 + 4.2 * count, 4.4), solution.structure.comm
-    picture = Picture(count, columns=count, size=size, comm=comm, **where)
-    for panel, content in zip(picture, orbits, strict=True):
-        _orbit(panel, solution, *content)
-    return picture.finished()
+    n_panels = len(orbit_contents)
+    size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
+    picture = Picture(n_panels, n_columns=n_panels, size=size, comm=comm, **picture_options)
+    for panel, orbit_content in zip(picture, orbit_contents, strict=True):
+        _draw_orbit(panel, solution, *orbit_content)
+    return picture.finish()
 
 
-Motion = Callable[[np.ndarray], np.ndarray]
-"""A displacement at times [s], with the kinks of crack faces, which harmonics round off."""
+DisplacementFunction = Callable[[np.ndarray], np.ndarray]
+"""Function of instants (n,) [s] that returns a displacement [m], with the kinks of contact."""
 
 
-def _orbit(
+def _draw_orbit(
     axes: Axes,
     solution: PeriodicSolution,
-    motion: Motion,
-    closed: np.ndarray,
+    displacement_function: DisplacementFunction,
+    is_closed: np.ndarray,
     quantity: str,
-    touching: str,
+    closed_label: str,
 ) -> None:
-    """Draw the orbit of one displacement, thick where the crack is closed."""
-    step = CENTRAL_DIFFERENCE_STEP * solution.period
+    """Draw the orbit of one displacement, thick while the crack is closed.
 
-    def orbit_at(time: np.ndarray) -> np.ndarray:
-        before, now, after = (np.ravel(motion(time + by)) for by in (-step, 0.0, step))
-        return np.array([now, (after - before) / (2.0 * step)])
+    Parameters
+    ----------
+    is_closed : (n,) bool
+        At n equally spaced instants from 0 to the end of the period.
+    """
+    time_step = CENTRAL_DIFFERENCE_STEP * solution.period
 
-    orbit = orbit_at(np.linspace(0.0, solution.period, len(closed)))
-    axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
-    if closed.any():
-        axes.plot(*np.where(closed, orbit, np.nan), color=COLOURS["orange"], lw=3.2, label=touching)
-    beginnings = orbit_at(2.0 * np.pi / solution.omega * np.arange(solution.subharmonic))
-    axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
+    def evaluate_orbit(time: np.ndarray) -> np.ndarray:
+        displacement_before, displacement, displacement_after = (
+            np.ravel(displacement_function(time + offset))
+            for offset in (-time_step, 0.0, time_step)
+        )
+        return np.array(
+            [displacement, (displacement_after - displacement_before) / (2.0 * time_step)]
+        )
+
+    orbit = evaluate_orbit(np.linspace(0.0, solution.period, len(is_closed)))
+    axes.plot(*orbit, color=COLOURS_BY_NAME["blue"], lw=1.4, label="orbit")
+    if is_closed.any():
+        axes.plot(
+            *np.where(is_closed, orbit, np.nan),
+            color=COLOURS_BY_NAME["orange"],
+            lw=3.2,
+            label=closed_label,
+        )
+    period_starts = evaluate_orbit(2.0 * np.pi / solution.omega * np.arange(solution.subharmonic))
+    axes.plot(*period_starts, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "velocity", "m/s")
     axes.margins(0.08)
 
 
-LOOPS = 4
-"""Pairs whose loops are drawn: those of the largest friction losses."""
+MAX_DRAWN_LOOPS = 4
+"""Maximum number of drawn loops, of the pairs with the largest friction losses."""
 
 
-def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
-    """Draw the friction force over the tangential gap of the pairs that lose most by friction, at
-    most four, thick where they slip (collective).
+def draw_friction_loops(
+    solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]
+) -> Figure:
+    """Draw friction force over tangential gap of a few pairs (collective).
 
-    The area of a loop is the loss in a period.
+    They are the pairs with the largest friction losses, at most four. A loop is thick while its
+    pair slips, and its area is the loss in a period.
 
     Parameters
     ----------
     solution : PeriodicSolution
-        Result to draw, with friction.
-    **where
-        ``axes`` (one), ``path``, ``title``, as of :func:`draw_waves`.
+        Solution with friction.
+    **picture_options
+        ``axes`` (one), ``path``, ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -634,44 +791,57 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     >>> rubbing = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=20)
     >>> figure = fc.draw_friction_loops(rubbing, path="loops.png")
     """
-    coefficient = coefficient_of(solution.contact)
-    if coefficient is None:
+    friction_coefficient = coefficient_of(solution.contact)
+    if friction_coefficient is None:
         raise InputError("solution", "no friction", "one with CoulombFriction")
     time = np.append(solution.instants(), solution.period)
-    (_, slide), (normal, drag) = (np.hsplit(one, 2) for one in solution.gaps_and_forces(time))
-    slips = is_slipping(coefficient, normal, drag)
-    loss = friction_losses(slide, drag)
-    [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
-    chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
-    for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
-        name = solution.structure.describe_pair(pair).removeprefix("of ")
-        label = f"{name}: {format_quantity(float(loss[pair]), 'J')}"
-        panel.plot(slide[:, pair], drag[:, pair], color=colour, lw=1.1, label=label)
-        sliding = np.where(slips[:, pair], slide[:, pair], np.nan)
-        panel.plot(sliding, drag[:, pair], color=colour, lw=3.2)
+    (_, tangential_gaps), (normal_forces, friction_forces) = (
+        np.hsplit(gaps_or_forces, 2) for gaps_or_forces in solution.gaps_and_forces(time)
+    )
+    slip_mask = is_slipping(friction_coefficient, normal_forces, friction_forces)
+    losses = friction_losses(tangential_gaps, friction_forces)
+    [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **picture_options)
+    drawn_pairs = np.argsort(-losses, kind="stable")[: min(MAX_DRAWN_LOOPS, len(losses))]
+    for pair_index, colour in zip(
+        drawn_pairs.tolist(), distinct_colours(len(drawn_pairs)), strict=True
+    ):
+        place_name = solution.structure.describe_pair(pair_index).removeprefix("of ")
+        label = f"{place_name}: {format_quantity(float(losses[pair_index]), 'J')}"
+        panel.plot(
+            tangential_gaps[:, pair_index],
+            friction_forces[:, pair_index],
+            color=colour,
+            lw=1.1,
+            label=label,
+        )
+        slipping_gaps = np.where(slip_mask[:, pair_index], tangential_gaps[:, pair_index], np.nan)
+        panel.plot(slipping_gaps, friction_forces[:, pair_index], color=colour, lw=3.2)
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "tangential gap", "m")
     label_axis(panel.yaxis, "friction force", "N")
-    return picture.finished()
+    return picture.finish()
 
 
-def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Figure:
-    """Draw K_I at each tip over time, grey and thick where the tip is closed, and K_II dashed.
+def draw_stress_intensity(
+    found: StressIntensity, **picture_options: Unpack[PictureOptions]
+) -> Figure:
+    """Draw K_I and K_II at each crack tip over time, or those of a solid with K_III.
 
-    Of a solid draw two panels: the largest K_I, K_II and K_III, of either sign, along its fronts,
-    and all three over time where the effective range is the largest.
+    K_I is grey and thick while the tip is closed, and K_II is dashed. A solid has two panels: the
+    largest sizes of all three along its fronts, and all three over time at the front station with
+    the largest effective range.
 
     Parameters
     ----------
     found : StressIntensity
-        Of :func:`stress_intensity`.
-    **where
-        ``axes``, ``path``, ``title``, as of :func:`draw_waves`.
+        Result of :func:`stress_intensity`.
+    **picture_options
+        ``axes``, ``path``, ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -682,47 +852,72 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     --------
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
-    count = 1 if found.three is None else 2
-    picture = Picture(count, size=(7.0, 1.0 + 3.3 * count), **where)
+    n_panels = 1 if found.three is None else 2
+    picture = Picture(n_panels, size=(7.0, 1.0 + 3.3 * n_panels), **picture_options)
     if found.three is not None:
-        _along_fronts(found, picture.panels[0])
-    _over_time(found, picture.panels[-1])
+        _draw_intensity_along_fronts(found, picture.panels[0])
+    _draw_intensity_over_time(found, picture.panels[-1])
     label_axis(picture.panels[-1].xaxis, "time", "s")
     for panel in picture:
         panel.axhline(0.0, color="black", lw=0.6)
         label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
-    return picture.finished()
+    return picture.finish()
 
 
-def _over_time(found: StressIntensity, panel: Axes) -> None:
-    """Draw K of each tip, or of the leading place on the fronts, over the time."""
-    time = found.time - found.time[0]
-    if found.three is not None:
-        kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
-        for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
-            panel.plot(time, values[:, found.leading], color=colour, lw=1.8, label=f"_{kind}")
-        panel.set_title(f"at {found.tips[found.leading]}", fontsize="medium")
+def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
+    """Draw K_I and K_II of each tip, or all K at the leading front station, over time."""
+    time = intensity.time - intensity.time[0]
+    if intensity.three is not None:
+        component_curves = zip(
+            ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
+        )
+        for (component_name, component_values), colour in zip(
+            component_curves, distinct_colours(3), strict=True
+        ):
+            panel.plot(
+                time,
+                component_values[:, intensity.leading],
+                color=colour,
+                lw=1.8,
+                label=f"_{component_name}",
+            )
+        panel.set_title(f"at {intensity.tips[intensity.leading]}", fontsize="medium")
         return
-    shut = "crack tip closed"
-    styles = zip(found.tips, distinct_colours(len(found.tips)), strict=True)
-    for number, (tip, colour) in enumerate(styles):
-        one, two = found.one[:, number], found.two[:, number]
-        panel.plot(time, one, color=colour, lw=1.8, label=f"K_I, {tip}")
-        panel.plot(time, two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
-        closed = np.where(one <= 0.01 * max(one.max(), 0.0), one, np.nan)  # to drawing accuracy
-        if not np.all(np.isnan(closed)):
-            panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
-            shut = "_" + shut.lstrip("_")  # once in the legend
+    closed_label = "crack tip closed"
+    tip_styles = zip(intensity.tips, distinct_colours(len(intensity.tips)), strict=True)
+    for tip_index, (tip, colour) in enumerate(tip_styles):
+        mode_one, mode_two = intensity.one[:, tip_index], intensity.two[:, tip_index]
+        panel.plot(time, mode_one, color=colour, lw=1.8, label=f"K_I, {tip}")
+        panel.plot(time, mode_two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
+        # Closed to drawing accuracy.
+        mode_one_while_closed = np.where(
+            mode_one <= 0.01 * max(mode_one.max(), 0.0), mode_one, np.nan
+        )
+        if not np.all(np.isnan(mode_one_while_closed)):
+            panel.plot(
+                time,
+                mode_one_while_closed,
+                color=COLOURS_BY_NAME["grey"],
+                lw=4.0,
+                label=closed_label,
+            )
+            closed_label = "_" + closed_label.lstrip("_")  # once in the legend
 
 
-def _along_fronts(found: StressIntensity, panel: Axes) -> None:
-    """Draw largest sizes of K over the distance along each front."""
-    assert found.three is not None
-    kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
-    for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
-        sizes = np.abs(values).max(axis=0)
-        for its in found.fronts.values():
-            look = {"color": colour, "lw": 1.8, "marker": "o", "label": kind}
-            panel.plot(found.positions[its], sizes[its], **look)
-            kind = "_" + kind.lstrip("_")  # once in the legend
+def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> None:
+    """Draw the largest sizes of K_I, K_II and K_III over the distance along each front."""
+    assert intensity.three is not None
+    component_curves = zip(
+        ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
+    )
+    for (component_name, component_values), colour in zip(
+        component_curves, distinct_colours(3), strict=True
+    ):
+        largest_sizes = np.abs(component_values).max(axis=0)
+        for station_indices in intensity.fronts.values():
+            line_options = {"color": colour, "lw": 1.8, "marker": "o", "label": component_name}
+            panel.plot(
+                intensity.positions[station_indices], largest_sizes[station_indices], **line_options
+            )
+            component_name = "_" + component_name.lstrip("_")  # once in the legend
     label_axis(panel.xaxis, "distance along the front", "m")

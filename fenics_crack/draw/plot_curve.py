@@ -1,4 +1,4 @@
-"""Pictures of response curves: their size and stability, their harmonics, their multipliers."""
+"""Draw response curves: amplitudes with stability, harmonics and Floquet multipliers."""
 
 from __future__ import annotations
 
@@ -20,15 +20,31 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import damping_by_half_power_width
-from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
+from fenics_crack.draw.figure import (
+    COLOURS_BY_NAME,
+    FIRST_IN_LEGEND_GID,
+    Picture,
+    PictureOptions,
+    distinct_colours,
+    label_axis,
+)
 from fenics_crack.numerics.fourier import to_complex
 
-BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
-"""Other curves, drawn behind the one in question."""
-MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
-VERDICT_STYLES = {"stable": "-", "unstable": "--", "irregular": "-.", "undecided": ":"}
-UNASSESSED = "stability not examined"
-INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
+BACKGROUND_COLOURS = ("#8f8f8f", "#cc8fb1", "#6fb59a")
+"""Colours of other curves that are drawn behind a curve."""
+MARKERS_BY_BIFURCATION_KIND = {
+    "fold": "v",
+    "branch_point": "s",
+    "period_doubling": "D",
+    "neimark_sacker": "^",
+}
+"""Markers of matplotlib by kind of bifurcation."""
+LINE_STYLES_BY_VERDICT = {"stable": "-", "unstable": "--", "irregular": "-.", "undecided": ":"}
+"""Line styles of matplotlib by verdict on stability."""
+STABILITY_NOT_EXAMINED_LABEL = "stability not examined"
+"""Legend entry of a curve without multipliers."""
+LARGE_ERROR_LABEL = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
+"""Legend entry of faint parts."""
 
 
 def draw_curve(
@@ -40,179 +56,273 @@ def draw_curve(
     behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     in_hertz: bool = False,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
-    Stable parts are solid, unstable ones dashed, irregular ones dash-dotted and undecided ones
-    dotted; the legend says so where the curve has no multipliers. Parts whose displacement has a
-    large estimated error are faint. A ring marks the largest response, whose place and size the
-    legend has. Bifurcations are marked, of many in one place only some, and the legend has their
-    number. The order of the largest harmonic stands at superharmonic peaks.
+    Stable parts are solid, unstable parts dashed, irregular parts dash-dotted and undecided parts
+    dotted. Without multipliers the curve is solid, and the legend says that stability was not
+    examined. Parts with a large estimated displacement error are faint. A ring marks the largest
+    response inside the curve; the legend has its position and size. Bifurcations have marks, only
+    some if many are in one place, and the legend counts them. Superharmonic peaks have the order of
+    their largest harmonic.
 
     Parameters
     ----------
     curve : ResponseCurve
         Result to draw.
     dof : int, optional
-        Whose displacement; default: the watched one.
+        Dof whose displacement is drawn; default: the watched dof.
     colour, label : str
-        "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry,
-        for several curves on the same axes; with a label, bifurcations have the curve's colour.
+        "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry
+        for one among several curves. With a label, bifurcations have the curve's colour.
     behind, points : mapping, optional
-        Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
+        Other curves, and single points, by their labels: parameter values, amplitudes [m].
     in_hertz : bool
-        Load frequencies in Hz and speeds in rpm, those of ``behind`` and ``points`` too, which are
-        given in rad/s.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Show load frequencies in Hz and speeds in rpm, also those of ``behind`` and ``points``,
+        which are given in rad/s.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
     >>> figure = fc.draw_curve(curve, tip, in_hertz=True, path="curve.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     if curve.parameter == "omega":
         panel.set_yscale("log")
-    amplitude, factor = curve.amplitude(dof), parameter_axis(curve.parameter, in_hertz)[0]
-    for (name, (values, others)), grey in zip((behind or {}).items(), cycle(BEHIND), strict=False):
-        panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
-    ink = COLOURS.get(colour, colour)
-    _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
-    _mark_peak(panel, curve, dof, in_hertz, ink if label else "")
-    _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
-    for (name, (values, others)), marker in zip((points or {}).items(), cycle("^v"), strict=False):
-        look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
-        panel.plot(factor * values, others, marker, **look)
+    amplitudes, unit_factor = curve.amplitude(dof), parameter_axis(curve.parameter, in_hertz)[0]
+    for (curve_label, (parameter_values, other_amplitudes)), grey_tone in zip(
+        (behind or {}).items(), cycle(BACKGROUND_COLOURS), strict=False
+    ):
+        panel.plot(
+            unit_factor * parameter_values,
+            other_amplitudes,
+            color=grey_tone,
+            lw=0.9,
+            label=curve_label,
+        )
+    line_colour = COLOURS_BY_NAME.get(colour, colour)
+    _draw_curve_parts(panel, curve, unit_factor * curve.values, amplitudes, line_colour, label)
+    _mark_peak(panel, curve, dof, in_hertz, line_colour if label else "")
+    _mark_bifurcations(panel, curve, dof, unit_factor, line_colour if label else "")
+    for (curve_label, (parameter_values, other_amplitudes)), marker in zip(
+        (points or {}).items(), cycle("^v"), strict=False
+    ):
+        marker_options = {
+            "color": COLOURS_BY_NAME["green"],
+            "ms": 4.5,
+            "mfc": "none",
+            "label": curve_label,
+        }
+        panel.plot(unit_factor * parameter_values, other_amplitudes, marker, **marker_options)
     if curve.parameter == "omega":
-        _mark_superharmonics(panel, curve, dof, amplitude, factor)
-    _label_parameter(panel, curve, in_hertz)
+        _mark_superharmonics(panel, curve, dof, amplitudes, unit_factor)
+    _label_parameter_axis(panel, curve, in_hertz)
     panel.margins(y=0.1)
     label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
-    return picture.finished()
+    return picture.finish()
 
 
-def _draw_parts(
-    axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, ink: str, label: str
+def _draw_curve_parts(
+    axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, line_colour: str, label: str
 ) -> None:
-    """Draw the parts of a curve by their stability and estimated error."""
-    known = curve.multipliers is not None
-    states = curve.verdicts if known else np.full(len(x), "stable")
-    inexact, faint = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
+    """Draw the parts of a curve in styles for their stability and estimated error.
+
+    Parameters
+    ----------
+    x, y : (n,)
+        Parameter in the shown unit, amplitude [m].
+    label : str
+        Legend entry if there are several curves, otherwise empty.
+    """
+    is_assessed = curve.multipliers is not None
+    verdicts = curve.verdicts if is_assessed else np.full(len(x), "stable")
+    is_inexact, faint_options = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
-        name = label if known else f"{label} ({UNASSESSED})"
-        axes.plot([], [], color=ink, lw=1.8, label=name, gid=FIRST)
-    for state, style in VERDICT_STYLES.items():
-        if not np.any(states == state):
+        legend_label = label if is_assessed else f"{label} ({STABILITY_NOT_EXAMINED_LABEL})"
+        axes.plot([], [], color=line_colour, lw=1.8, label=legend_label, gid=FIRST_IN_LEGEND_GID)
+    for verdict, style in LINE_STYLES_BY_VERDICT.items():
+        if not np.any(verdicts == verdict):
             continue
-        for error, look in ((False, {}), (True, faint)):
-            at = (states == state) & (inexact == error)
-            # the stretch between two points is in the state of the first
-            shown = np.where(at | np.append(False, at[:-1]), y, np.nan)
-            axes.plot(x, shown, style, color=ink, lw=1.4, **look)
-        grey = COLOURS["grey"] if label else ink
-        if known or not label:
-            name = state if known else f"with contact, {UNASSESSED}"
-            axes.plot([], [], style, color=grey, lw=1.4, label=name)
-    if inexact.any():
-        axes.plot([], [], color=ink, lw=1.4, label=INEXACT, **faint)
+        for has_error, alpha_options in ((False, {}), (True, faint_options)):
+            is_in_part = (verdicts == verdict) & (is_inexact == has_error)
+            # A segment between two points has the verdict and error of the first.
+            part_values = np.where(is_in_part | np.append(False, is_in_part[:-1]), y, np.nan)
+            axes.plot(x, part_values, style, color=line_colour, lw=1.4, **alpha_options)
+        style_colour = COLOURS_BY_NAME["grey"] if label else line_colour
+        if is_assessed or not label:
+            legend_label = (
+                verdict if is_assessed else f"with contact, {STABILITY_NOT_EXAMINED_LABEL}"
+            )
+            axes.plot([], [], style, color=style_colour, lw=1.4, label=legend_label)
+    if is_inexact.any():
+        axes.plot([], [], color=line_colour, lw=1.4, label=LARGE_ERROR_LABEL, **faint_options)
 
 
-def _mark_peak(axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, ink: str) -> None:
-    """Mark the largest response unless it is an end of the curve; ``ink`` as of bifurcations."""
-    top, (factor, _, unit) = curve.top(dof), parameter_axis(curve.parameter, in_hertz)
-    if top.at_end:
+def _mark_peak(
+    axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, curve_colour: str
+) -> None:
+    """Mark the largest response with a ring, unless it is an end of the curve.
+
+    Parameters
+    ----------
+    curve_colour : str
+        The curve's colour if there are several, otherwise empty for a ring with a legend entry.
+    """
+    peak, (unit_factor, _, unit) = curve.top(dof), parameter_axis(curve.parameter, in_hertz)
+    if peak.at_end:
         return
-    place, height = factor * top.value, top.amplitude
-    words = f"largest: {format_quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
+    peak_parameter, amplitude = unit_factor * peak.value, peak.amplitude
+    label = (
+        f"largest: {format_quantity(amplitude, 'm')} at {peak_parameter:.5g} {unit}".removesuffix(
+            " -"
+        )
+    )
     if curve.parameter == "omega":
-        waves = curve.coefficients_at(dof)
-        damping = damping_by_half_power_width(curve.values, waves, curve.subharmonic, top.index)
-        words += f",\nhalf-power damping {format_percent(damping)}" if np.isfinite(damping) else ""
-    look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
-    axes.plot(place, height, "o", label="" if ink else words, **look)
+        displacement_coefficients = curve.coefficients_at(dof)
+        damping = damping_by_half_power_width(
+            curve.values, displacement_coefficients, curve.subharmonic, peak.index
+        )
+        label += f",\nhalf-power damping {format_percent(damping)}" if np.isfinite(damping) else ""
+    ring_options = {
+        "color": curve_colour or COLOURS_BY_NAME["blue"],
+        "mfc": "none",
+        "ms": 7.0,
+        "mew": 1.1,
+    }
+    axes.plot(peak_parameter, amplitude, "o", label="" if curve_colour else label, **ring_options)
 
 
 def _mark_bifurcations(
-    axes: Axes, curve: ResponseCurve, dof: int | None, factor: float, ink: str
+    axes: Axes, curve: ResponseCurve, dof: int | None, unit_factor: float, curve_colour: str
 ) -> None:
-    """Mark them; ``ink`` is the colour where several curves are drawn, else empty."""
+    """Mark the bifurcations of a curve.
+
+    Parameters
+    ----------
+    unit_factor : float
+        Factor from the parameter's SI unit to the shown unit.
+    curve_colour : str
+        The curve's colour if there are several, otherwise empty for a legend with counts.
+    """
     if not curve.bifurcations:
         return
-    x = np.array([factor * one.value for one in curve.bifurcations])
+    x = np.array([unit_factor * bifurcation.value for bifurcation in curve.bifurcations])
     y = curve.at_bifurcations.amplitude(dof)[1:-1]
-    kinds = np.array([one.kind for one in curve.bifurcations])
-    shown = _apart(axes, x, y, kinds)
-    for kind, marker in MARKERS.items():
-        at, name = kinds == kind, kind_in_words(kind)
-        if not at.any():
+    kinds = np.array([bifurcation.kind for bifurcation in curve.bifurcations])
+    is_marked = _choose_spread_marks(axes, x, y, kinds)
+    for kind, marker in MARKERS_BY_BIFURCATION_KIND.items():
+        is_of_kind, legend_label = kinds == kind, kind_in_words(kind)
+        if not is_of_kind.any():
             continue
-        look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3.8, "mew": 0.8, "zorder": 3}
-        axes.plot(x[shown & at], y[shown & at], color=ink or COLOURS["orange"], **look)
-        if not ink:
-            total, drawn = int(at.sum()), int((shown & at).sum())
-            name += f" ({total})" if drawn == total else f" ({total}, {drawn} marked)"
-        axes.plot([], [], color=COLOURS["grey"] if ink else COLOURS["orange"], label=name, **look)
+        marker_options: dict[str, Any] = {
+            "ls": "none",
+            "marker": marker,
+            "ms": 3.8,
+            "mew": 0.8,
+            "zorder": 3,
+        }
+        axes.plot(
+            x[is_marked & is_of_kind],
+            y[is_marked & is_of_kind],
+            color=curve_colour or COLOURS_BY_NAME["orange"],
+            **marker_options,
+        )
+        if not curve_colour:
+            n_found, n_marked = int(is_of_kind.sum()), int((is_marked & is_of_kind).sum())
+            legend_label += (
+                f" ({n_found})" if n_marked == n_found else f" ({n_found}, {n_marked} marked)"
+            )
+        axes.plot(
+            [],
+            [],
+            color=COLOURS_BY_NAME["grey"] if curve_colour else COLOURS_BY_NAME["orange"],
+            label=legend_label,
+            **marker_options,
+        )
 
 
-def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Choose the places of a picture that are marked, one of a kind in each 3 % of its width and
-    height, so that marks do not pile up: (n,) bool."""
-    axes.autoscale_view()  # to what is drawn so far
-    places = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
-    cells = np.column_stack([np.floor(places / 0.03), np.unique(kinds, return_inverse=True)[1]])
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return np.isin(np.arange(len(x)), first)
+def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """Choose points to mark, so that marks do not pile up: (n,) bool.
+
+    Each kind has at most one mark in a cell, 3 % of the panel's width and height.
+
+    Parameters
+    ----------
+    x, y, kinds : (n,)
+        Points in data coordinates, and their bifurcation kinds.
+    """
+    axes.autoscale_view()  # to the lines drawn so far
+    panel_positions = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
+    cells_and_kinds = np.column_stack(
+        [np.floor(panel_positions / 0.03), np.unique(kinds, return_inverse=True)[1]]
+    )
+    _, first_in_cell = np.unique(cells_and_kinds, axis=0, return_index=True)
+    return np.isin(np.arange(len(x)), first_in_cell)
 
 
 def _mark_superharmonics(
-    axes: Axes, curve: ResponseCurve, dof: int | None, amplitude: np.ndarray, factor: float
+    axes: Axes, curve: ResponseCurve, dof: int | None, amplitudes: np.ndarray, unit_factor: float
 ) -> None:
-    """Write at each peak the order of its largest harmonic, if that is above the load's."""
-    largest = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
-    order, rest = np.divmod(largest, curve.subharmonic)
-    above = (order > 1) & (rest == 0)
-    if not above.any():
+    """Write the order of the largest harmonic at each superharmonic peak."""
+    largest_harmonic = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
+    load_order, remainder = np.divmod(largest_harmonic, curve.subharmonic)
+    is_superharmonic = (load_order > 1) & (remainder == 0)
+    if not is_superharmonic.any():
         return
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
 
-    style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
-    peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
-    for peak in peaks[above[peaks]]:
-        at = factor * curve.omega[peak], amplitude[peak]
-        axes.annotate(f"{order[peak]}ω", at, (0, 5), textcoords="offset points", **style)
-
-
-def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
-    """Label the axis of a curve's parameter, after all is drawn; above that of a run-up is the
-    frequency of its engine order."""
-    factor, name, unit = parameter_axis(curve.parameter, in_hertz)
-    if curve.parameter == "speed":
-        order = float(curve.omega[0] / curve.values[0])
-        hertz, load, of_load = frequency_axis(in_hertz)
-        slope, words = (
-            order * hertz / factor,
-            heading_with_unit(f"{load}, engine order {order:g}", of_load),
+    text_options = {"ha": "center", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
+    peak_indices, _ = find_peaks(np.log10(np.maximum(amplitudes, 1e-300)), prominence=0.05)
+    for peak_index in peak_indices[is_superharmonic[peak_indices]]:
+        peak_position = unit_factor * curve.omega[peak_index], amplitudes[peak_index]
+        axes.annotate(
+            f"{load_order[peak_index]}ω",
+            peak_position,
+            (0, 5),
+            textcoords="offset points",
+            **text_options,
         )
-        for above in axes.child_axes:  # of a curve drawn before
-            above.set_visible(above.get_visible() and above.get_xlabel() == words)
+
+
+def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
+    """Label the axis of a curve's parameter after all lines are drawn.
+
+    A curve over the speed also has its engine order's frequency above.
+    """
+    unit_factor, parameter_name, unit = parameter_axis(curve.parameter, in_hertz)
+    if curve.parameter == "speed":
+        engine_order = float(curve.omega[0] / curve.values[0])
+        frequency_factor, frequency_name, frequency_unit = frequency_axis(in_hertz)
+        frequency_label = heading_with_unit(
+            f"{frequency_name}, engine order {engine_order:g}", frequency_unit
+        )
+        for top_axis in axes.child_axes:  # of an earlier curve
+            top_axis.set_visible(
+                top_axis.get_visible() and top_axis.get_xlabel() == frequency_label
+            )
         if not axes.child_axes:
-            both = lambda x: slope * x, lambda x: x / slope
-            above = axes.secondary_xaxis("top", functions=both)
-            above.set_xlabel(words)
+            frequency_per_speed = engine_order * frequency_factor / unit_factor
+            axis_conversions = (
+                lambda speed: frequency_per_speed * speed,
+                lambda frequency: frequency / frequency_per_speed,
+            )
+            top_axis = axes.secondary_xaxis("top", functions=axis_conversions)
+            top_axis.set_xlabel(frequency_label)
     if unit == "m":
-        label_axis(axes.xaxis, name, unit)
+        label_axis(axes.xaxis, parameter_name, unit)
     else:
-        axes.set_xlabel(heading_with_unit(name, unit))
+        axes.set_xlabel(heading_with_unit(parameter_name, unit))
 
 
 def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:
-    """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
+    """Return the amplitudes of harmonics 1 to H at a curve's points: (n, H) [m]."""
     return np.abs(to_complex(curve.coefficients_at(dof).T)[1:].T)
 
 
@@ -222,23 +332,23 @@ def draw_content(
     *,
     highest: int = 5,
     in_hertz: bool = False,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw the amplitudes of the lowest harmonics of a dof's displacement over the parameter.
+    """Draw the lowest harmonics' amplitudes at a dof over the parameter.
 
     Parameters
     ----------
     curve, dof, in_hertz
-        As of :func:`draw_curve`.
+        See :func:`draw_curve`.
     highest : int
-        Highest harmonic of the load that is drawn.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Highest drawn harmonic, in multiples of the load's frequency.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -250,43 +360,47 @@ def draw_content(
     >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
     check_count("highest", highest, 1)
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     panel.set_yscale("log")
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
-    shown = harmonics[:, :highest].T
-    x = parameter_axis(curve.parameter, in_hertz)[0] * curve.values
-    colours = distinct_colours(len(shown))
-    for order, (values, colour) in enumerate(zip(shown, colours, strict=True), 1):
-        panel.plot(x, values, color=colour, lw=1.2, label=f"harmonic {order}")
-    panel.set_ylim(1e-5 * shown.max(), 2.0 * shown.max())
-    _label_parameter(panel, curve, in_hertz)
+    shown_amplitudes = harmonics[:, :highest].T
+    parameter_values = parameter_axis(curve.parameter, in_hertz)[0] * curve.values
+    colours = distinct_colours(len(shown_amplitudes))
+    for order, (order_amplitudes, colour) in enumerate(
+        zip(shown_amplitudes, colours, strict=True), 1
+    ):
+        panel.plot(
+            parameter_values, order_amplitudes, color=colour, lw=1.2, label=f"harmonic {order}"
+        )
+    panel.set_ylim(1e-5 * shown_amplitudes.max(), 2.0 * shown_amplitudes.max())
+    _label_parameter_axis(panel, curve, in_hertz)
     label_axis(panel.yaxis, "amplitude of the harmonic", "m")
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_multipliers(
-    curve: ResponseCurve, *, in_hertz: bool = False, **where: Unpack[Where]
+    curve: ResponseCurve, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
     """Draw the modulus of the largest Floquet multiplier along a curve.
 
-    An orbit is stable where it is below 1. Colours show where the multiplier is: a real one leaves
-    the unit circle at +1 (folds, branch points) or -1 (period doublings), a pair anywhere else
-    (Neimark-Sacker). Irregular points have the growth of a small disturbance. Undecided points are
-    crosses, at 1 where their multipliers are unknown.
+    An orbit is stable if the modulus is below 1. Colours show the kind of multiplier. A real
+    multiplier leaves the unit circle at +1 (folds, branch points) or -1 (period doublings), a
+    complex pair anywhere else (Neimark-Sacker). Irregular points have the growth of a small
+    disturbance. Undecided points are crosses, at 1 if their multipliers are unknown.
 
     Parameters
     ----------
     curve : ResponseCurve
-        Followed with ``stability=True``.
+        Curve followed with ``stability=True``.
     in_hertz
-        As of :func:`draw_curve`.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        See :func:`draw_curve`.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -299,32 +413,50 @@ def draw_multipliers(
     """
     if curve.multipliers is None:
         raise InputError("stability", False, "True when the curve is followed")
-    [panel] = picture = Picture(**where)
-    x, found = parameter_axis(curve.parameter, in_hertz)[0] * curve.values, curve.multipliers
-    sizes, verdicts = np.abs(found), curve.verdicts
-    open_ = verdicts == "undecided"
-    pair = np.abs(found.imag) > 1e-9 * sizes
-    kinds = {"irregular": verdicts == "irregular", "pair": pair, "+1": found.real > 0.0}
-    where = np.select([*kinds.values()], [*kinds], "-1")
-    panel.axhline(1.0, color=COLOURS["grey"], lw=0.9, label="limit of stability")
-    panel.plot(x, sizes, color=COLOURS["grey"], lw=0.4, alpha=0.6)
+    [panel] = picture = Picture(**picture_options)
+    parameter_values = parameter_axis(curve.parameter, in_hertz)[0] * curve.values
+    multipliers, moduli = curve.multipliers, np.abs(curve.multipliers)
+    is_undecided = curve.verdicts == "undecided"
+    is_complex_pair = np.abs(multipliers.imag) > 1e-9 * moduli
+    is_kind_by_name = {
+        "irregular": curve.verdicts == "irregular",
+        "pair": is_complex_pair,
+        "+1": multipliers.real > 0.0,
+    }
+    multiplier_kinds = np.select([*is_kind_by_name.values()], [*is_kind_by_name], "-1")
+    panel.axhline(1.0, color=COLOURS_BY_NAME["grey"], lw=0.9, label="limit of stability")
+    panel.plot(parameter_values, moduli, color=COLOURS_BY_NAME["grey"], lw=0.4, alpha=0.6)
     for kind, label, colour in (
         ("+1", "real, positive", "blue"),
         ("-1", "real, negative", "orange"),
         ("pair", "a complex pair", "green"),
         ("irregular", "growth of an irregular motion", "pink"),
     ):
-        at = (where == kind) & ~open_
-        if at.any():
-            panel.plot(x[at], sizes[at], ".", ms=4.0, color=COLOURS[colour], label=label)
-    if open_.any():
-        known = np.isfinite(sizes[open_])
-        label = "undecided" if known.all() else "undecided; at 1 where unknown"
-        shown = np.where(known, sizes[open_], 1.0)
-        panel.plot(x[open_], shown, "x", ms=4.0, color=COLOURS["pink"], label=label)
-    if far := int(np.sum(sizes > 2.0)):  # else all others would be a line
+        is_drawn = (multiplier_kinds == kind) & ~is_undecided
+        if is_drawn.any():
+            panel.plot(
+                parameter_values[is_drawn],
+                moduli[is_drawn],
+                ".",
+                ms=4.0,
+                color=COLOURS_BY_NAME[colour],
+                label=label,
+            )
+    if is_undecided.any():
+        is_known = np.isfinite(moduli[is_undecided])
+        label = "undecided" if is_known.all() else "undecided; at 1 where unknown"
+        undecided_moduli = np.where(is_known, moduli[is_undecided], 1.0)
+        panel.plot(
+            parameter_values[is_undecided],
+            undecided_moduli,
+            "x",
+            ms=4.0,
+            color=COLOURS_BY_NAME["pink"],
+            label=label,
+        )
+    if n_above := int(np.sum(moduli > 2.0)):  # else all others would be a line
         panel.set_ylim(top=2.0)
-        panel.plot([], [], " ", label=f"{far} of {len(sizes)} lie above")
-    _label_parameter(panel, curve, in_hertz)
+        panel.plot([], [], " ", label=f"{n_above} of {len(moduli)} lie above")
+    _label_parameter_axis(panel, curve, in_hertz)
     panel.set_ylabel("modulus of the largest multiplier [-]")
-    return picture.finished()
+    return picture.finish()

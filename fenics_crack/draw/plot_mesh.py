@@ -1,5 +1,7 @@
-"""Pictures of the mesh: with its named parts, and moved by mode shapes; of a solid VTK draws the
-surface, seen from a corner, into an image."""
+"""Draw the mesh with its named parts, mode shapes, and a part's numbered faces.
+
+VTK draws the surface of a solid, seen from a corner, into an image.
+"""
 
 from __future__ import annotations
 
@@ -16,31 +18,38 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.draw.figure import (
+    COLOURS_BY_NAME,
+    Picture,
+    PictureOptions,
+    label_axis,
+    magnification_to_tenth,
+)
 from fenics_crack.fem.cracks import rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 
 
-def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
+def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
-    They are what is clamped, the crack faces, the pairs of their nodes where contact is
-    watched, and the load: arrows along its mean, cosines and sines, each in a scale of its own; of
-    further harmonics along the largest.
+    The parts are clamped edges, crack faces, contact pairs, and the load. Arrows along the load's
+    mean, cosine and sine parts have a scale for each part. Among further harmonics, only the
+    largest cosine or sine part has arrows. In a solid each part of the load has one arrow, and
+    contact pairs are not drawn.
 
     Parameters
     ----------
     structure : Structure
-        Whole or reduced, from a mesh.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Whole or reduced structure from a mesh.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -52,82 +61,112 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     >>> figure = fc.draw_mesh(structure, path="mesh.png")
     """
     mesh = NodalMesh(structure)
-    load = mesh.nodal_vectors(mesh.structure.force)
+    load_parts = mesh.nodal_vectors(mesh.structure.force)
     if mesh.dimension == 3:
-        picture = Picture(size=(5.5, 6.5), **where)
-        _solid(picture, mesh, load)
-        return picture.finished()
-    ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
-    size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
-    [panel] = picture = Picture(size=size, **where)
-    clamped = mesh.boundary[mesh.is_clamped[mesh.boundary].all(axis=1)]
-    for edges, colour, width, label in (
+        picture = Picture(size=(5.5, 6.5), **picture_options)
+        _draw_solid(picture, mesh, load_parts)
+        return picture.finish()
+    aspect_ratio = float(
+        np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5)
+    )
+    size = (min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio))
+    [panel] = picture = Picture(size=size, **picture_options)
+    clamped_edges = mesh.boundary[mesh.is_clamped[mesh.boundary].all(axis=1)]
+    for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
         (mesh.boundary, "black", 1.2, ""),
-        (clamped, COLOURS["green"], 5.0, "clamped"),
-        (mesh.crack_face_sides, COLOURS["orange"], 2.2, "crack faces"),
+        (clamped_edges, COLOURS_BY_NAME["green"], 5.0, "clamped"),
+        (mesh.crack_face_sides, COLOURS_BY_NAME["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
-            look = {"colors": colour, "linewidths": width, "label": label}
-            panel.add_collection(LineCollection(mesh.points[edges], **look))
-    pairs = mesh.structure.pair_points
-    if pairs is not None and len(pairs):
-        look = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}
-        panel.plot(*pairs.T, "o", label=f"contact pairs ({len(pairs)})", **look)
-    if len(load) > len(LOAD_PARTS):  # dozens of arrows at one node would hide each other
-        largest = 3 + int(np.argmax(np.linalg.norm(load[3:], axis=(1, 2))))
-        load = load[[0, 1, 2, largest]]
-    acting = [part for part, there in enumerate(load.any(axis=(1, 2))) if there]
-    for part in acting:
-        several = len(acting) > 1
-        words = f"load, {LOAD_PARTS[part]}" if several else "load"
-        colour = PART_COLOURS[part] if several else COLOURS["pink"]
-        _arrows(panel, mesh, load[part], words, colour)
+            style_options = {"colors": colour, "linewidths": line_width, "label": label}
+            panel.add_collection(LineCollection(mesh.points[edges], **style_options))
+    pair_points = mesh.structure.pair_points
+    if pair_points is not None and len(pair_points):
+        style_options = {"color": COLOURS_BY_NAME["blue"], "ms": 3.0, "zorder": 3}
+        panel.plot(
+            *pair_points.T, "o", label=f"contact pairs ({len(pair_points)})", **style_options
+        )
+    # Dozens of arrows at one node would hide each other.
+    if len(load_parts) > len(LOAD_PART_NAMES):
+        largest_part_index = 3 + int(np.argmax(np.linalg.norm(load_parts[3:], axis=(1, 2))))
+        load_parts = load_parts[[0, 1, 2, largest_part_index]]
+    acting_parts = [
+        part_index for part_index, is_acting in enumerate(load_parts.any(axis=(1, 2))) if is_acting
+    ]
+    for part_index in acting_parts:
+        has_several_parts = len(acting_parts) > 1
+        legend_label = f"load, {LOAD_PART_NAMES[part_index]}" if has_several_parts else "load"
+        colour = LOAD_PART_COLOURS[part_index] if has_several_parts else COLOURS_BY_NAME["pink"]
+        _draw_load_arrows(panel, mesh, load_parts[part_index], legend_label, colour)
     panel.autoscale_view()
     panel.margins(0.06)
     panel.set_aspect("equal")
     label_axis(panel.xaxis, "x", "m")
     label_axis(panel.yaxis, "y", "m")
     panel.set_axisbelow(True)
-    return picture.finished()
+    return picture.finish()
 
 
-LOAD_PARTS = ("mean", "cosine part", "sine part", "largest further harmonic")
-PART_COLOURS = (COLOURS["grey"], COLOURS["blue"], COLOURS["pink"], "black")
+LOAD_PART_NAMES = ("mean", "cosine part", "sine part", "largest further harmonic")
+"""Legend entries of the load's parts."""
+LOAD_PART_COLOURS = (
+    COLOURS_BY_NAME["grey"],
+    COLOURS_BY_NAME["blue"],
+    COLOURS_BY_NAME["pink"],
+    "black",
+)
+"""Colours of their arrows, if there are several parts."""
 
 
-def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: str) -> None:
-    """Draw nodal forces (n_nodes, 2) as arrows that begin at their nodes, the largest as long."""
-    sizes = np.linalg.norm(load, axis=1)
-    loaded = np.flatnonzero(sizes > 1e-9 * sizes.max())
-    loaded = loaded[:: -(-len(loaded) // 40)]  # at most 40 arrows
-    arrows = tenth(load, mesh.size) * load[loaded]
-    look = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
-    axes.quiver(*mesh.points[loaded].T, *arrows.T, units="inches", width=0.03, zorder=4, **look)
-    axes.update_datalim(mesh.points[loaded] + arrows)
+def _draw_load_arrows(
+    axes: Axes, mesh: NodalMesh, nodal_forces: np.ndarray, label: str, colour: str
+) -> None:
+    """Draw nodal forces (n_nodes, 2) [N] as arrows that begin at their nodes.
+
+    The largest force is a tenth of the mesh's size. At most 40 arrows are drawn.
+    """
+    force_sizes = np.linalg.norm(nodal_forces, axis=1)
+    arrow_nodes = np.flatnonzero(force_sizes > 1e-9 * force_sizes.max())
+    arrow_nodes = arrow_nodes[:: -(-len(arrow_nodes) // 40)]
+    arrow_vectors = magnification_to_tenth(nodal_forces, mesh.size) * nodal_forces[arrow_nodes]
+    arrow_options = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver(
+        *mesh.points[arrow_nodes].T,
+        *arrow_vectors.T,
+        units="inches",
+        width=0.03,
+        zorder=4,
+        **arrow_options,
+    )
+    axes.update_datalim(mesh.points[arrow_nodes] + arrow_vectors)
     axes.plot([], [], color=colour, marker=">", label=label)
 
 
 def draw_modes(
-    modes: Modes, *, numbers: Sequence[int] | None = None, columns: int = 3, **where: Unpack[Where]
+    modes: Modes,
+    *,
+    numbers: Sequence[int] | None = None,
+    columns: int = 3,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw mode shapes over the structure at rest, coloured by their displacement (collective).
+    """Draw mode shapes over the structure at rest, coloured by displacement (collective).
 
     Parameters
     ----------
     modes : Modes
-        Of a structure with a mesh.
+        Modes of a structure with a mesh.
     numbers : sequence of int, optional
-        Numbers of the modes, from 1; default: all.
+        Mode numbers, from 1; default: all.
     columns : int
         Panels side by side in a new figure.
-    **where
-        ``axes``, one for each mode, ``path`` and ``title``, as of :func:`draw_waves`.
+    **picture_options
+        ``axes``, one for each mode, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -139,127 +178,178 @@ def draw_modes(
     --------
     >>> figure = fc.draw_modes(fc.solve_modes(structure, 2), path="modes.png")
     """
-    every = range(1, len(modes.omega) + 1)
-    numbers = list(every if numbers is None else numbers)
-    if not numbers or any(number not in every for number in numbers):
-        raise InputError("numbers", numbers, f"one or more of 1 to {every[-1]}")
+    mode_numbers = range(1, len(modes.omega) + 1)
+    numbers = list(mode_numbers if numbers is None else numbers)
+    if not numbers or any(mode_number not in mode_numbers for mode_number in numbers):
+        raise InputError("numbers", numbers, f"one or more of 1 to {mode_numbers[-1]}")
     check_count("columns", columns, 1)
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)
-    across, up = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # they move by a tenth
-    row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
-    size = (2.7 * columns, row * -(-len(numbers) // columns))
-    picture = Picture(len(numbers), columns=columns, size=size, comm=mesh.structure.comm, **where)
-    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
-    for panel, number in zip(picture, numbers, strict=True):
-        shape = shapes[number - 1]
-        draw_moved(panel, mesh, tenth(shape, mesh.size) * shape, np.linalg.norm(shape, axis=1))
-        panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
-    return picture.saved()
+    width, height = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # a tenth each way
+    row_height = 0.4 + 2.4 * float(np.clip(height / width, 0.3, 1.0))
+    size = (2.7 * columns, row_height * -(-len(numbers) // columns))
+    picture = Picture(
+        len(numbers), n_columns=columns, size=size, comm=mesh.structure.comm, **picture_options
+    )
+    mode_shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
+    for panel, mode_number in zip(picture, numbers, strict=True):
+        mode_shape = mode_shapes[mode_number - 1]
+        displacement = magnification_to_tenth(mode_shape, mesh.size) * mode_shape
+        draw_displaced_mesh(panel, mesh, displacement, np.linalg.norm(mode_shape, axis=1))
+        panel.set_title(
+            f"mode {mode_number}: {modes.omega[mode_number - 1] / (2.0 * np.pi):.1f} Hz"
+        )
+    return picture.save_with_title()
 
 
-def draw_moved(
+def draw_displaced_mesh(
     axes: Axes,
     mesh: NodalMesh,
     displacement: np.ndarray,
     values: np.ndarray,
     *,
-    of_wheel: bool = False,
+    is_wheel: bool = False,
 ) -> Any:
-    """Draw a mesh moved by a displacement (n_nodes, d), as large as it is to be drawn, coloured by
-    values (n_nodes,), with its edges and, but of a wheel, at rest; what the scale of the colours
-    is of."""
-    moved = mesh.points + displacement
+    """Draw a displaced mesh with coloured nodal values.
+
+    The boundary or the sharp edges are drawn, too. Without ``is_wheel``, the edges at rest follow,
+    and in a plate the edges of all cells.
+
+    Parameters
+    ----------
+    displacement : (n_nodes, d) [m]
+        Displacement, magnified as drawn.
+    values : (n_nodes,)
+        Nodal values of the colours.
+
+    Returns
+    -------
+    ScalarMappable
+        Colours and their scale, for a colour bar.
+    """
+    displaced_points = mesh.points + displacement
     if mesh.dimension == 2:
-        drawn = axes.tripcolor(*moved.T, mesh.triangles, values, shading="gouraud", cmap="viridis")
-        edges = [(mesh.boundary, moved, "black", 0.7 if of_wheel else 1.2)]
-        if not of_wheel:
-            edges.insert(0, (mesh.boundary, mesh.points, COLOURS["grey"], 0.6))
-            edges.insert(0, (mesh.edges, moved, "#777777", 0.3))
-        for ends, points, colour, width in edges:
-            axes.add_collection(LineCollection(points[ends], colors=colour, linewidths=width))
+        mappable = axes.tripcolor(
+            *displaced_points.T, mesh.triangles, values, shading="gouraud", cmap="viridis"
+        )
+        edge_layers = [(mesh.boundary, displaced_points, "black", 0.7 if is_wheel else 1.2)]
+        if not is_wheel:
+            edge_layers.insert(0, (mesh.boundary, mesh.points, COLOURS_BY_NAME["grey"], 0.6))
+            edge_layers.insert(0, (mesh.edges, displaced_points, "#777777", 0.3))
+        for edge_nodes, layer_points, colour, line_width in edge_layers:
+            axes.add_collection(
+                LineCollection(layer_points[edge_nodes], colors=colour, linewidths=line_width)
+            )
         axes.autoscale_view()
         axes.set_aspect("equal")
     else:
         from fenics_crack.draw import vtk
 
         plotter = vtk.off_screen_plotter()
-        surface = vtk.surface(moved, mesh.boundary)
+        surface = vtk.make_surface(displaced_points, mesh.boundary)
         surface["amplitude"] = values
         plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-        outline = vtk.outline(mesh)
-        plotter.add_mesh(vtk.lines(moved, outline), color="black", line_width=2)
-        if not of_wheel:
-            plotter.add_mesh(vtk.lines(mesh.points, outline), color="#8a8a8a", line_width=2)
-        axes.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
-        drawn = ScalarMappable(Normalize(0.0, float(values.max())), "viridis")
+        sharp_edges = vtk.find_sharp_edges(mesh)
+        plotter.add_mesh(vtk.make_lines(displaced_points, sharp_edges), color="black", line_width=2)
+        if not is_wheel:
+            plotter.add_mesh(
+                vtk.make_lines(mesh.points, sharp_edges), color="#8a8a8a", line_width=2
+            )
+        axes.imshow(vtk.render_cropped_image(plotter, mesh.points), interpolation="antialiased")
+        mappable = ScalarMappable(Normalize(0.0, float(values.max())), "viridis")
     axes.axis("off")
-    return drawn
+    return mappable
 
 
-def draw_faces(
-    triangles: np.ndarray, owners: np.ndarray, faces: Sequence[int], places: np.ndarray,
-    **where: Unpack[Where],
+def draw_numbered_faces(
+    triangles: np.ndarray, triangle_faces: np.ndarray, face_tags: Sequence[int],
+    number_positions: np.ndarray, **picture_options: Unpack[PictureOptions],
 ) -> Figure:  # fmt: skip
-    """Draw faces of a part with their numbers, from 1, at places (n, 3) of each.
+    """Draw a part's faces from two sides, with their numbers from 1.
 
-    Triangles (m, 3, 3) have the face of each in ``owners`` (m,).
+    Parameters
+    ----------
+    triangles : (m, 3, 3) [m]
+        Corners of each triangle on the faces.
+    triangle_faces : (m,) int
+        Tag of each triangle's face.
+    face_tags : sequence of int
+        Tags of the drawn faces, in their numbers' order.
+    number_positions : (n, 3) [m]
+        Position of each number, for at least all drawn faces.
     """
     from fenics_crack.draw import vtk
 
-    picture = Picture(2, columns=2, size=(11.0, 6.5), **where)
-    numbers = [str(number) for number in range(1, len(faces) + 1)]
-    look = {"font_size": 24, "show_points": False, "shape": None}
-    for panel, turn, words in zip(
+    picture = Picture(2, n_columns=2, size=(11.0, 6.5), **picture_options)
+    number_texts = [str(face_number) for face_number in range(1, len(face_tags) + 1)]
+    label_options = {"font_size": 24, "show_points": False, "shape": None}
+    for panel, axis_signs, view_title in zip(
         picture, ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0]), ("from a corner", "from the other side"),
         strict=True,
     ):  # fmt: skip
-        plotter, corners = vtk.off_screen_plotter(), turn * triangles.reshape(-1, 3)
-        rows = np.arange(len(corners)).reshape(-1, 3)
-        for face, colour in zip(faces, cycle(COLOURS.values()), strict=False):
-            plotter.add_mesh(vtk.surface(corners, rows[owners == face]), color=to_rgb(colour))
-        plotter.add_point_labels(turn * places[: len(faces)], numbers, **look)
-        panel.imshow(vtk.image_of(plotter, corners), interpolation="antialiased")
+        plotter, turned_corners = vtk.off_screen_plotter(), axis_signs * triangles.reshape(-1, 3)
+        corner_rows = np.arange(len(turned_corners)).reshape(-1, 3)
+        for face_tag, colour in zip(face_tags, cycle(COLOURS_BY_NAME.values()), strict=False):
+            plotter.add_mesh(
+                vtk.make_surface(turned_corners, corner_rows[triangle_faces == face_tag]),
+                color=to_rgb(colour),
+            )
+        plotter.add_point_labels(
+            axis_signs * number_positions[: len(face_tags)], number_texts, **label_options
+        )
+        panel.imshow(vtk.render_cropped_image(plotter, turned_corners), interpolation="antialiased")
         panel.axis("off")
-        panel.set_title(words)
-    return picture.finished()
+        panel.set_title(view_title)
+    return picture.finish()
 
 
 # --- of solids ------------------------------------------------------------------------------------
 
 
-def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
-    """The mesh with what is clamped, the crack faces, and the load (2K+1, n_nodes, 3) [N]."""
+def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> None:
+    """Draw a solid with clamped facets, crack faces and load.
+
+    Parameters
+    ----------
+    load_parts : (2K+1, n_nodes, 3) [N]
+        Mean, cosine and sine parts of the nodal forces. Each has one arrow, of one length.
+    """
     from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()
     points, facets = mesh.points, mesh.boundary
-    clamped = mesh.is_clamped[facets].all(axis=1)
-    is_lip = rows_in(facets, mesh.crack_face_sides)
-    shown = vtk.surface(points, facets[~clamped & ~is_lip])
-    plotter.add_mesh(shown, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a")
-    plotter.add_mesh(vtk.lines(points, vtk.outline(mesh)), color="black", line_width=3)
-    handles = []
-    for rows, colour, label in (
-        (facets[clamped], "green", "clamped"),
-        (facets[is_lip], "orange", "crack faces"),
+    is_clamped = mesh.is_clamped[facets].all(axis=1)
+    is_crack_face = rows_in(facets, mesh.crack_face_sides)
+    free_surface = vtk.make_surface(points, facets[~is_clamped & ~is_crack_face])
+    plotter.add_mesh(
+        free_surface, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a"
+    )
+    plotter.add_mesh(
+        vtk.make_lines(points, vtk.find_sharp_edges(mesh)), color="black", line_width=3
+    )
+    legend_patches = []
+    for part_facets, colour, label in (
+        (facets[is_clamped], "green", "clamped"),
+        (facets[is_crack_face], "orange", "crack faces"),
     ):
-        if len(rows):
-            faces = vtk.surface(points, rows)
-            plotter.add_mesh(faces, color=to_rgb(COLOURS[colour]), lighting=False)
-            handles.append(Patch(color=COLOURS[colour], label=label))
-    for part in load:
-        total, share = part.sum(axis=0), np.abs(part).sum(axis=1)
-        if np.linalg.norm(total) > 0.0:
-            place = share @ points / share.sum()
-            length, thick = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
-            start = place - length * total / np.linalg.norm(total)
-            arrow = vtk.pyvista().Arrow(start=start, direction=total, scale=length, **thick)
-            plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
-    if np.any(load):
-        handles.append(Patch(color=COLOURS["pink"], label="load"))
+        if len(part_facets):
+            part_surface = vtk.make_surface(points, part_facets)
+            plotter.add_mesh(part_surface, color=to_rgb(COLOURS_BY_NAME[colour]), lighting=False)
+            legend_patches.append(Patch(color=COLOURS_BY_NAME[colour], label=label))
+    for nodal_forces in load_parts:
+        total_force, force_sizes = nodal_forces.sum(axis=0), np.abs(nodal_forces).sum(axis=1)
+        if np.linalg.norm(total_force) > 0.0:
+            arrow_head = force_sizes @ points / force_sizes.sum()
+            arrow_length, arrow_radii = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
+            arrow_start = arrow_head - arrow_length * total_force / np.linalg.norm(total_force)
+            arrow = vtk.import_pyvista().Arrow(
+                start=arrow_start, direction=total_force, scale=arrow_length, **arrow_radii
+            )
+            plotter.add_mesh(arrow, color=to_rgb(COLOURS_BY_NAME["pink"]), lighting=False)
+    if np.any(load_parts):
+        legend_patches.append(Patch(color=COLOURS_BY_NAME["pink"], label="load"))
     [axes] = picture
-    axes.imshow(vtk.image_of(plotter, points), interpolation="antialiased")
+    axes.imshow(vtk.render_cropped_image(plotter, points), interpolation="antialiased")
     axes.axis("off")
-    if handles and picture.legend:
-        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)
+    if legend_patches and picture.has_legend:
+        axes.legend(handles=legend_patches, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)

@@ -1,5 +1,7 @@
-"""Pictures of studies: a posterior of measurements, errors by their causes, a crack that grows; of
-rotors Campbell diagrams, arrivals at probes, what was fitted to them, a run-up."""
+"""Draw results of studies: posteriors, verifications, crack growth, and rotors' diagrams.
+
+Rotors have Campbell diagrams, arrivals at probes, and vibrations or resonances fitted to arrivals.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,13 @@ from fenics_crack.basics.tables import (
     speed_axis,
 )
 from fenics_crack.draw.figure import (
-    COLOURS,
-    LETTERS,
+    COLOURS_BY_NAME,
+    MAX_LETTERS_PER_LINE,
     Picture,
-    Where,
+    PictureOptions,
     distinct_colours,
     label_axis,
-    label_count,
+    label_count_axis,
 )
 from fenics_crack.errors.convergence import SAFE
 from fenics_crack.errors.verification import Verification
@@ -48,156 +50,205 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.study.campbell import Campbell
 
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
-"""Probabilities within the contours."""
-MARKER_SHAPES = "osD^v<>ph*"
-CAUSE_WORDS = {"shift": "mesh, shift of the resonance"}
-Looks = dict[str, dict[str, Any]]
-"""Marks and colours of quantities by their names."""
+"""Probabilities within the contours of a posterior."""
+MARKER_LETTERS = "osD^v<>ph*"
+"""Markers of matplotlib for the quantities of a verification."""
+LABELS_BY_CAUSE = {"shift": "mesh, shift of the resonance"}
+"""Legend entries of causes that have another name."""
+StylesByQuantity = dict[str, dict[str, Any]]
+"""Options of a quantity's line (marker, colour, size) by the quantity's name."""
 
 
 def draw_posterior(
-    found: Identification, x: str | None = None, y: str | None = None, **where: Unpack[Where]
+    found: Identification,
+    x: str | None = None,
+    y: str | None = None,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw the regions that hold 50, 95 and 99.9 % of the probability of two unknowns, or the
-    density of one, with the interval that holds 95 %.
+    """Draw the posterior probability of one or two unknowns.
 
-    Whatever the other unknowns are. Each choice of an unknown that is a word, such as the edge of
-    the crack, has its own colour.
+    Regions hold 50, 95 and 99.9 % of the probability of two unknowns. One unknown has its density
+    and its 95 % interval. The other unknowns are integrated out. Each choice of an unknown that is
+    a word, such as the crack's edge, has its own colour.
 
     Parameters
     ----------
     found : Identification
-        Made by :func:`identify`.
+        Result of :func:`identify`.
     x, y : str, optional
-        The two unknowns, or one. Default: the first two, or the only one.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        One or two unknowns; default: the first two, or the only unknown.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
     InputError
-        These are not unknowns, or the same.
+        A name is not an unknown, or both are the same.
 
     Examples
     --------
     >>> found = fc.identify(scene, "measured.csv")  # doctest: +SKIP
     >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
-    x, *others = [key for key in (x, y) if key is not None] or found.unknown[:2]
-    for name, key in zip("xy", (x, *others), strict=False):
-        if key not in found.unknown or others == [x]:
+    x, *other_keys = [key for key in (x, y) if key is not None] or found.unknown[:2]
+    for name, key in zip("xy", (x, *other_keys), strict=False):
+        if key not in found.unknown or other_keys == [x]:
             raise InputError(name, key, f"one or two different ones of {', '.join(found.unknown)}")
-    [panel] = picture = Picture(size=(6.0, 4.6), **where)
-    if not others:
+    [panel] = picture = Picture(size=(6.0, 4.6), **picture_options)
+    if not other_keys:
         _draw_density(panel, found, x)
-        return picture.finished()
-    [y] = others
-    first, second = (found.unknown.index(key) for key in (x, y))
+        return picture.finish()
+    [y] = other_keys
+    x_index, y_index = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
-    grids = {
-        name: (
-            branch.axes[first],
-            branch.axes[second],
-            *posterior.compute_pair_marginal(name, first, second),
+    grids_by_branch = {
+        branch_name: (
+            branch.axes[x_index],
+            branch.axes[y_index],
+            *posterior.compute_pair_marginal(branch_name, x_index, y_index),
         )
-        for name, branch in posterior.branch_by_words.items()
+        for branch_name, branch in posterior.branch_by_words.items()
     }
-    levels = _levels(list(grids.values()))
-    within = [np.array([[found.estimate[x], found.estimate[y]]])]
-    colours = distinct_colours(len(grids))
-    for (name, (right, up, _, density)), colour in zip(grids.items(), colours, strict=True):
-        at, shown = (right, up), _log(density.T)
-        if shown.max() <= levels[0]:
+    log_levels = _contour_log_levels(list(grids_by_branch.values()))
+    shown_points = [np.array([[found.estimate[x], found.estimate[y]]])]
+    colours = distinct_colours(len(grids_by_branch))
+    for (branch_name, (x_values, y_values, _, density)), colour in zip(
+        grids_by_branch.items(), colours, strict=True
+    ):
+        grid_axes, log_density = (x_values, y_values), _log_density(density.T)
+        if log_density.max() <= log_levels[0]:
             continue
-        look: dict[str, Any] = {"linewidths": [0.6, 1.2, 1.8], "linestyles": "solid"}
-        panel.contour(*at, shown, levels=levels, colors=colour, **look)
-        for level in levels:
-            panel.contourf(*at, shown, levels=[level, np.inf], alpha=0.2, colors=colour)
-        label = f"50, 95 and 99.9 %{', ' if name else ''}{name}"
+        contour_options: dict[str, Any] = {"linewidths": [0.6, 1.2, 1.8], "linestyles": "solid"}
+        panel.contour(*grid_axes, log_density, levels=log_levels, colors=colour, **contour_options)
+        for level in log_levels:
+            panel.contourf(
+                *grid_axes, log_density, levels=[level, np.inf], alpha=0.2, colors=colour
+            )
+        label = f"50, 95 and 99.9 %{', ' if branch_name else ''}{branch_name}"
         panel.plot([], [], color=colour, lw=1.8, label=label)
-        across, upwards = np.nonzero(shown.T > levels[0])
-        within.append(np.column_stack([right[across], up[upwards]]))
-    look = {"color": "black", "ms": 10, "mew": 1.5, "clip_on": False, "label": "estimate"}
-    panel.plot(*within[0].T, "+", **look)
-    axes = next(iter(posterior.branch_by_words.values())).axes
-    _set_limits(panel, np.concatenate(within), (axes[first], axes[second]))
+        x_indices, y_indices = np.nonzero(log_density.T > log_levels[0])
+        shown_points.append(np.column_stack([x_values[x_indices], y_values[y_indices]]))
+    cross_options = {"color": "black", "ms": 10, "mew": 1.5, "clip_on": False}
+    panel.plot(*shown_points[0].T, "+", label="estimate", **cross_options)
+    branch_axes = next(iter(posterior.branch_by_words.values())).axes
+    _set_limits(panel, np.concatenate(shown_points), (branch_axes[x_index], branch_axes[y_index]))
     label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of_key(y))
-    return picture.finished()
+    return picture.finish()
 
 
-def _draw_density(panel: Axes, found: Identification, x: str) -> None:
-    """Draw the probability of one unknown, by a line for each choice of words."""
-    place, posterior = found.unknown.index(x), found.posterior
-    low, high = found.intervals[x]
-    lines = {}
-    for name, branch in posterior.branch_by_words.items():
-        others = tuple(k for k in range(len(branch.axes)) if k != place)
-        density = posterior.mass_by_words[name].sum(axis=others) / branch.prior_masses.sum(
-            axis=others
+def _draw_density(panel: Axes, identification: Identification, key: str) -> None:
+    """Draw the probability density of one unknown, a line for each branch of the posterior."""
+    key_index, posterior = identification.unknown.index(key), identification.posterior
+    interval_start, interval_end = identification.intervals[key]
+    lines_by_branch = {}
+    for branch_name, branch in posterior.branch_by_words.items():
+        other_axes = tuple(k for k in range(len(branch.axes)) if k != key_index)
+        density = posterior.mass_by_words[branch_name].sum(
+            axis=other_axes
+        ) / branch.prior_masses.sum(axis=other_axes)
+        unknown_values = np.unique([*branch.axes[key_index], interval_start, interval_end])
+        lines_by_branch[branch_name] = (
+            unknown_values,
+            np.interp(unknown_values, branch.axes[key_index], density),
         )
-        values = np.unique([*branch.axes[place], low, high])
-        lines[name] = values, np.interp(values, branch.axes[place], density)
-    most = max(density.max() for _, density in lines.values())
-    colours = distinct_colours(len(lines))
-    for (name, (values, density)), colour in zip(lines.items(), colours, strict=True):
-        panel.plot(values, density / most, color=colour, label=name or "probability")
-        within = (values >= low) & (values <= high)
-        look = {"color": colour, "alpha": 0.2, "lw": 0.0, "label": "95 %"}
-        panel.fill_between(values[within], density[within] / most, **look)
-    panel.axvline(found.estimate[x], color="black", ls="--", label="estimate")
+    largest_density = max(density.max() for _, density in lines_by_branch.values())
+    colours = distinct_colours(len(lines_by_branch))
+    for (branch_name, (unknown_values, density)), colour in zip(
+        lines_by_branch.items(), colours, strict=True
+    ):
+        panel.plot(
+            unknown_values,
+            density / largest_density,
+            color=colour,
+            label=branch_name or "probability",
+        )
+        is_inside = (unknown_values >= interval_start) & (unknown_values <= interval_end)
+        band_options = {"color": colour, "alpha": 0.2, "lw": 0.0, "label": "95 %"}
+        panel.fill_between(
+            unknown_values[is_inside], density[is_inside] / largest_density, **band_options
+        )
+    panel.axvline(identification.estimate[key], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
-    label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
+    label_axis(panel.xaxis, key_in_words(key), unit_of_key(key))
     panel.set_ylabel("probability density over the largest")
 
 
-def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
-    """log of the density at the borders of the regions, outermost first."""
-    masses = np.concatenate([grid[2].ravel() for grid in grids])
-    logs = _log(np.concatenate([grid[3].ravel() for grid in grids]))
-    order = np.argsort(-logs)
-    held = np.cumsum(masses[order])
-    places = np.minimum(np.searchsorted(held, CONTOUR_PROBABILITIES), len(order) - 1)[::-1]
-    return list(logs[order[places]] + 1e-6 * np.arange(len(places)))  # of one point rising, too
+def _contour_log_levels(branch_grids: list[tuple[np.ndarray, ...]]) -> list[float]:
+    """Return the log density at the region borders, outermost first.
+
+    Parameters
+    ----------
+    branch_grids : list of (x, y, mass, density)
+        Grid axes, probability of each grid point, and density, of each branch.
+    """
+    probability_masses = np.concatenate([branch_grid[2].ravel() for branch_grid in branch_grids])
+    log_densities = _log_density(
+        np.concatenate([branch_grid[3].ravel() for branch_grid in branch_grids])
+    )
+    descending_order = np.argsort(-log_densities)
+    cumulative_mass = np.cumsum(probability_masses[descending_order])
+    level_positions = np.minimum(
+        np.searchsorted(cumulative_mass, CONTOUR_PROBABILITIES), len(descending_order) - 1
+    )[::-1]
+    # Strictly ascending, also if one point holds several regions.
+    return list(
+        log_densities[descending_order[level_positions]] + 1e-6 * np.arange(len(level_positions))
+    )
 
 
-def _log(density: np.ndarray) -> np.ndarray:
-    """The logarithm of a density, which is finite also where it is zero."""
+def _log_density(density: np.ndarray) -> np.ndarray:
+    """Return the logarithm of a density, finite also at zero."""
     return np.log(np.maximum(density, np.finfo(float).tiny))
 
 
-def _set_limits(panel: Any, within: np.ndarray, axes: tuple[np.ndarray, np.ndarray]) -> None:
-    """Show the regions, with their points (n, 2), and some room around them, within the bounds."""
-    for values, axis, change in zip(within.T, axes, (panel.set_xlim, panel.set_ylim), strict=True):
-        room = 0.35 * np.ptp(values) + 0.02 * np.ptp(axis)
-        change(max(axis[0], values.min() - room), min(axis[-1], values.max() + room))
+def _set_limits(
+    panel: Any, shown_points: np.ndarray, branch_axes: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Limit a panel to some points and a margin, within the bounds of both unknowns.
+
+    Parameters
+    ----------
+    shown_points : (n, 2)
+        Points in the drawn regions.
+    branch_axes : pair of (m,)
+        Ascending grid values of both unknowns.
+    """
+    for coordinates, bound_values, set_limits in zip(
+        shown_points.T, branch_axes, (panel.set_xlim, panel.set_ylim), strict=True
+    ):
+        margin = 0.35 * np.ptp(coordinates) + 0.02 * np.ptp(bound_values)
+        set_limits(
+            max(bound_values[0], coordinates.min() - margin),
+            min(bound_values[-1], coordinates.max() + margin),
+        )
 
 
-def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
-    """Draw the distance of each quantity from its extrapolated value over the size of elements, or
-    of what else was varied first, and the contribution of each cause to its uncertainty.
+def draw_verification(found: Verification, **picture_options: Unpack[PictureOptions]) -> Figure:
+    """Draw the convergence of each quantity, and its uncertainty by causes.
 
-    The second panel has a row for each quantity, with its line in the first one, if there is one,
-    and the observed order, the slope of that line. Quantities outside of the asymptotic range have
-    no line. Hollow marks stand for a factor of safety of 3, black bars for the root of the sum of
-    squares.
+    The first panel shows the difference from the extrapolated value over the element size, or over
+    the first other varied cause. Quantities outside the asymptotic range have no line. The second
+    panel has a row for each quantity with each cause's contribution, the quantity's marker from the
+    first panel, and the observed order, its line's slope. Hollow marks stand for a safety factor of
+    3, black bars for the root of the sum of squares.
 
     Parameters
     ----------
     found : Verification
-        Made by :func:`verify`.
-    **where
-        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+        Result of :func:`verify`.
+    **picture_options
+        ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
@@ -205,113 +256,168 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
     size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
-    left, right = picture = Picture(2, columns=2, size=size, **where)
-    cause = next(iter(found.causes), "")
-    looks = _looks(found, cause) if cause else {}
-    _draw_orders(left, found, cause, looks)
-    _draw_contributions(right, found, looks)
-    return picture.finished()
+    convergence_panel, contribution_panel = picture = Picture(
+        2, n_columns=2, size=size, **picture_options
+    )
+    first_cause = next(iter(found.causes), "")
+    styles_by_quantity = _choose_line_styles(found, first_cause) if first_cause else {}
+    _draw_convergence_lines(convergence_panel, found, first_cause, styles_by_quantity)
+    _draw_contributions(contribution_panel, found, styles_by_quantity)
+    return picture.finish()
 
 
-def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> None:
-    """|f_i - f| over h, relative to those of the scene's own choice."""
-    widest, largest = np.ones(1), 100.0 * MIN_REPORTED_ERROR
-    for name, look in looks.items():
-        part = found.parts[cause][name]
-        away = np.abs(np.array(part.values) - part.extrapolated)
-        shares = np.array([100.0 * found.relative(name, distance) for distance in away])
-        widest, largest = np.array(part.sizes) / part.sizes[-1], max(largest, shares.max())
-        panel.plot(widest, shares, **look)
-    if not looks:
+def _draw_convergence_lines(
+    panel: Axes, verification: Verification, cause: str, styles_by_quantity: StylesByQuantity
+) -> None:
+    """Draw |f_i - f| in percent over the element sizes h_i, relative to the scene's.
+
+    The values f_i are those of the first cause, and f is their extrapolation. Another cause has its
+    inverse number, such as that of harmonics, for h_i.
+    """
+    relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_ERROR
+    for quantity_name, line_options in styles_by_quantity.items():
+        convergence = verification.parts[cause][quantity_name]
+        distances = np.abs(np.array(convergence.values) - convergence.extrapolated)
+        percent_differences = np.array(
+            [100.0 * verification.relative(quantity_name, distance) for distance in distances]
+        )
+        relative_sizes = np.array(convergence.sizes) / convergence.sizes[-1]
+        largest_difference = max(largest_difference, percent_differences.max())
+        panel.plot(relative_sizes, percent_differences, **line_options)
+    if not styles_by_quantity:
         panel.set_axis_off()
         panel.text(0.5, 0.5, "nothing to extrapolate", ha="center", transform=panel.transAxes)
         return
-    ends = widest[[0, -1]]
-    panel.plot(ends, 2.0 * largest * ends, color="black", ls=":", lw=1.2, label="first order")
+    end_sizes = relative_sizes[[0, -1]]
+    first_order = 2.0 * largest_difference * end_sizes
+    panel.plot(end_sizes, first_order, color="black", ls=":", lw=1.2, label="first order")
     panel.set(xscale="log", yscale="log")
-    panel.set_xticks(widest, labels=[f"{tick:.2g}" for tick in widest])
+    panel.set_xticks(relative_sizes, labels=[f"{tick:.2g}" for tick in relative_sizes])
     panel.set_xticks([], minor=True)
     label_axis(panel.yaxis, "difference from the extrapolated value", "%")
-    own = found.counts[cause][0]
-    by_size = f"element size over that of the scene ({own} elements)"
-    by_number = f"{own} {cause} of the scene over their number"
-    panel.set_xlabel(by_size if cause == "mesh" else by_number)
+    scene_count = verification.counts[cause][0]
+    size_label = f"element size over that of the scene ({scene_count} elements)"
+    number_label = f"{scene_count} {cause} of the scene over their number"
+    panel.set_xlabel(size_label if cause == "mesh" else number_label)
 
 
-def _looks(found: Verification, cause: str) -> Looks:
-    """Return the looks of the lines, by the names of the quantities that are extrapolated."""
-    drawn = [
-        name
-        for name, part in found.parts[cause].items()
-        if part.is_asymptotic and found.values[name] and part.extrapolated not in part.values
+def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuantity:
+    """Return line styles by name for the quantities with a line in the convergence panel."""
+    drawn_quantities = [
+        quantity_name
+        for quantity_name, convergence in verification.parts[cause].items()
+        if convergence.is_asymptotic
+        and verification.values[quantity_name]
+        and convergence.extrapolated not in convergence.values
     ]
-    every = zip(drawn, product(MARKER_SHAPES, COLOURS.values()), strict=False)
-    return {name: {"marker": mark, "color": colour, "ms": 5} for name, (mark, colour) in every}
+    quantity_markers = zip(
+        drawn_quantities, product(MARKER_LETTERS, COLOURS_BY_NAME.values()), strict=False
+    )
+    return {
+        quantity_name: {"marker": marker, "color": colour, "ms": 5}
+        for quantity_name, (marker, colour) in quantity_markers
+    }
 
 
-def _draw_contributions(panel: Axes, found: Verification, looks: Looks) -> None:
-    """Relative uncertainties by quantity and cause; beside each quantity its line in the other
-    panel, and its observed order."""
-    names, beside = list(found.values)[::-1], panel.get_yaxis_transform()
-    colours = dict(zip(ERROR_CAUSES, COLOURS.values(), strict=False))
-    for place, name in enumerate(names):
-        total = 100.0 * found.relative(name, found.total(name))
-        if total > 100.0 * MIN_REPORTED_ERROR:
-            panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
-        for cause, error in found.contributions(name).items():
-            inside = found.parts[cause][name].factor <= SAFE
-            share = 100.0 * found.relative(name, error)
-            if share > 100.0 * MIN_REPORTED_ERROR:
-                look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
-                panel.plot(share, place, "o", ms=7, **look)
-        if name in looks:
-            at = {"transform": beside, "clip_on": False}
-            panel.plot([-0.06, -0.035, -0.01], 3 * [place], markevery=[1], **at, **looks[name])
-        if found.causes:
-            part = found.parts[found.causes[0]][name]
-            order = f"{part.order:.2g}" if np.isfinite(part.order) else part.behaviour
-            panel.text(1.02, place, order, transform=beside, va="center", fontsize=9)
-    for cause in found.causes:
-        panel.plot([], [], "o", ms=7, color=colours[cause], label=CAUSE_WORDS.get(cause, cause))
+def _draw_contributions(
+    panel: Axes, verification: Verification, styles_by_quantity: StylesByQuantity
+) -> None:
+    """Draw relative uncertainties by quantity and cause.
+
+    Each quantity has its marker of the convergence panel on the left, and its observed order on the
+    right.
+    """
+    quantity_names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
+    colours = dict(zip(ERROR_CAUSES, COLOURS_BY_NAME.values(), strict=False))
+    for row_height, quantity_name in enumerate(quantity_names):
+        total_percent = 100.0 * verification.relative(
+            quantity_name, verification.total(quantity_name)
+        )
+        if total_percent > 100.0 * MIN_REPORTED_ERROR:
+            panel.plot(
+                2 * [total_percent], [row_height - 0.32, row_height + 0.32], color="black", lw=1.6
+            )
+        for cause, uncertainty in verification.contributions(quantity_name).items():
+            has_small_factor = verification.parts[cause][quantity_name].factor <= SAFE
+            error_percent = 100.0 * verification.relative(quantity_name, uncertainty)
+            if error_percent > 100.0 * MIN_REPORTED_ERROR:
+                fill_colour = colours[cause] if has_small_factor else "none"
+                panel.plot(
+                    error_percent, row_height, "o", ms=7, color=colours[cause], mfc=fill_colour
+                )
+        if quantity_name in styles_by_quantity:
+            placement_options = {"transform": axis_transform, "clip_on": False}
+            panel.plot(
+                [-0.06, -0.035, -0.01],
+                3 * [row_height],
+                markevery=[1],
+                **placement_options,
+                **styles_by_quantity[quantity_name],
+            )
+        if verification.causes:
+            convergence = verification.parts[verification.causes[0]][quantity_name]
+            order_text = (
+                f"{convergence.order:.2g}"
+                if np.isfinite(convergence.order)
+                else convergence.behaviour
+            )
+            panel.text(
+                1.02, row_height, order_text, transform=axis_transform, va="center", fontsize=9
+            )
+    for cause in verification.causes:
+        panel.plot([], [], "o", ms=7, color=colours[cause], label=LABELS_BY_CAUSE.get(cause, cause))
     panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
     panel.plot([], [], color="black", lw=1.6, label="all together")
-    if found.causes:
-        panel.text(1.02, len(names) - 0.3, "observed order", transform=beside, fontsize=9)
-    panel.set(xscale="log", ylim=(-0.6, len(names) - 0.4))
-    panel.set_yticks(range(len(names)), [_in_words(found, name) for name in names], fontsize=9)
+    if verification.causes:
+        panel.text(
+            1.02, len(quantity_names) - 0.3, "observed order", transform=axis_transform, fontsize=9
+        )
+    panel.set(xscale="log", ylim=(-0.6, len(quantity_names) - 0.4))
+    panel.set_yticks(
+        range(len(quantity_names)),
+        [_describe_quantity(verification, quantity_name) for quantity_name in quantity_names],
+        fontsize=9,
+    )
     panel.tick_params("y", pad=28, length=0)
     label_axis(panel.xaxis, "uncertainty of the scene's own value", "%")
 
 
-def _in_words(found: Verification, name: str) -> str:
-    """A quantity and its value: "half peak-to-peak, 1.094 µm"."""
-    point, _, own = name.rpartition(".")
-    kind, _, mode = own.replace("frequency_", "omega_").rpartition("_")
-    row = OBSERVABLES_BY_NAME.get(own)
-    words = f"{OBSERVABLES_BY_NAME[kind].words}, mode {mode}" if row is None else row.words
-    if point:
-        words += f", {found.scene.point_names.get(point, point)}"
-    return f"{fill(words, LETTERS)}, {format_quantity(found.values[name], found.units[name])}"
+def _describe_quantity(verification: Verification, name: str) -> str:
+    """Describe a quantity and its value: "half peak-to-peak, 1.094 µm"."""
+    point_name, _, quantity_name = name.rpartition(".")
+    quantity_kind, _, mode_number = quantity_name.replace("frequency_", "omega_").rpartition("_")
+    observable = OBSERVABLES_BY_NAME.get(quantity_name)
+    quantity_text = (
+        f"{OBSERVABLES_BY_NAME[quantity_kind].words}, mode {mode_number}"
+        if observable is None
+        else observable.words
+    )
+    if point_name:
+        quantity_text += f", {verification.scene.point_names.get(point_name, point_name)}"
+    value_text = format_quantity(verification.values[name], verification.units[name])
+    return f"{fill(quantity_text, MAX_LETTERS_PER_LINE)}, {value_text}"
 
 
-def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
-    """Draw a crack's length, the frequencies and its stress intensity over the cycles.
+def draw_growth(
+    found: Growth, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
+) -> Figure:
+    """Draw a crack's length, frequencies and stress intensity over the load cycles.
 
-    Dots are the lengths that were solved; of a half-ellipse its depth and length are drawn.
+    Dots are solved lengths. A half-ellipse has its depth and length, without dots.
 
     Parameters
     ----------
     found : Growth
-        Of :func:`grow`.
+        Result of :func:`grow`.
     in_hertz : bool
-        Frequencies in Hz instead of rad/s.
-    **where
-        ``axes`` (three), ``path``, ``title``, as of :func:`draw_waves`.
+        Show frequencies in Hz instead of rad/s.
+    **picture_options
+        ``axes`` (three), ``path``, ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -322,37 +428,54 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     --------
     >>> figure = fc.draw_growth(fc.grow(growing), path="growth.png")  # doctest: +SKIP
     """
-    size, solved = (7.0, 8.6), np.zeros(0)
+    size, solved_lengths = (7.0, 8.6), np.zeros(0)
     if found.depth is None:
-        solved = found.solved[found.solved <= found.length[-1]]
-    picture = Picture(3, size=size, sharex=True, **where)
-    length, frequency, strength = picture.panels
-    at = np.interp(solved, found.length, found.cycles)
-    factor, _, unit = frequency_axis(in_hertz)
-    lines = {
-        "length": (length, found.length, "blue", "-"),
-        "load": (frequency, factor * found.omega, "black", "-"),
-        "natural, breathing crack": (frequency, factor * found.omega_bilinear, "orange", "-"),
-        "natural, open crack": (frequency, factor * found.omega_open, "green", "--"),
-        r"effective range of $K_\mathrm{I}$": (strength, found.effective, "blue", "-"),
-        r"$K_\mathrm{max}$": (strength, found.largest, "pink", ":"),
+        solved_lengths = found.solved[found.solved <= found.length[-1]]
+    picture = Picture(3, size=size, sharex=True, **picture_options)
+    length_panel, frequency_panel, intensity_panel = picture.panels
+    solved_cycles = np.interp(solved_lengths, found.length, found.cycles)
+    frequency_factor, _, unit = frequency_axis(in_hertz)
+    lines_by_label = {
+        "length": (length_panel, found.length, "blue", "-"),
+        "load": (frequency_panel, frequency_factor * found.omega, "black", "-"),
+        "natural, breathing crack": (
+            frequency_panel,
+            frequency_factor * found.omega_bilinear,
+            "orange",
+            "-",
+        ),
+        "natural, open crack": (
+            frequency_panel,
+            frequency_factor * found.omega_open,
+            "green",
+            "--",
+        ),
+        r"effective range of $K_\mathrm{I}$": (intensity_panel, found.effective, "blue", "-"),
+        r"$K_\mathrm{max}$": (intensity_panel, found.largest, "pink", ":"),
     }
     if found.depth is not None:
-        lines["depth"] = length, found.depth, "orange", "-"
-    for label, (panel, values, colour, style) in lines.items():
-        look = {"color": COLOURS.get(colour, colour), "ls": style}
-        panel.plot(found.cycles, values, label=label, **look)
-    if len(solved):
-        length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
-    there = np.interp(solved, found.length, found.effective)
-    strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
+        lines_by_label["depth"] = length_panel, found.depth, "orange", "-"
+    for label, (panel, curve_values, colour, style) in lines_by_label.items():
+        line_options = {"color": COLOURS_BY_NAME.get(colour, colour), "ls": style}
+        panel.plot(found.cycles, curve_values, label=label, **line_options)
+    if len(solved_lengths):
+        length_panel.plot(
+            solved_cycles,
+            solved_lengths,
+            "o",
+            color=COLOURS_BY_NAME["blue"],
+            ms=4.0,
+            label="solved",
+        )
+    solved_ranges = np.interp(solved_lengths, found.length, found.effective)
+    intensity_panel.plot(solved_cycles, solved_ranges, "o", color=COLOURS_BY_NAME["blue"], ms=4.0)
     if found.effective.max() > 0.0:
-        strength.set_yscale("log")
-    label_axis(length.yaxis, "crack", "m")
-    label_axis(frequency.yaxis, "frequency", unit)
-    label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
-    label_count(strength.xaxis, "load cycles")
-    return picture.finished()
+        intensity_panel.set_yscale("log")
+    label_axis(length_panel.yaxis, "crack", "m")
+    label_axis(frequency_panel.yaxis, "frequency", unit)
+    label_axis(intensity_panel.yaxis, "stress intensity", "Pa m^0.5")
+    label_count_axis(intensity_panel.xaxis, "load cycles")
+    return picture.finish()
 
 
 # --- rotors ---------------------------------------------------------------------------------------
@@ -364,12 +487,14 @@ def draw_campbell(
     *,
     in_hertz: bool = True,
     in_rpm: bool = True,
-    **where: Unpack[Where],
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw natural frequencies over the speed: as lines those of the crack as it is held open, shut
-    or partly open, or breathes at each speed, in bands from open to bonded; engine orders
-    as grey lines with their numbers, and circles where they meet. Modes above the reach of all
-    orders are left out, but for the first one.
+    """Draw a Campbell diagram: natural frequencies and engine orders over the rotor speed.
+
+    A mode's line belongs to the crack's state at each speed: held open, shut or partly open, or
+    breathing. A band goes from the open to the bonded crack. Engine orders are grey lines with
+    numbers, and circles mark their crossings with the modes. Modes above all engine orders are left
+    out, except the first mode.
 
     Parameters
     ----------
@@ -378,14 +503,15 @@ def draw_campbell(
     orders : sequence of int
         Engine orders.
     in_hertz, in_rpm : bool
-        Frequencies in Hz, else in rad/s; speeds in revolutions per minute, else in rad/s.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Show frequencies in Hz, otherwise in rad/s; speeds in revolutions per minute, otherwise in
+        rad/s.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -401,113 +527,195 @@ def draw_campbell(
 
     for order in orders:
         check_count("orders", order, 1)
-    [panel] = picture = Picture(**where)
-    factor, _, unit = frequency_axis(in_hertz)
-    pace, *name = speed_axis(in_rpm)
-    speed, real = pace * diagram.speed, factor * diagram.omega_real
-    reach = max(orders, default=0) * factor / pace * speed[-1]
-    real = real[:, : max(1, int(np.sum(real.min(axis=0) <= reach)))]
-    colours = list(COLOURS.values())[:-1]
-    for mode in range(real.shape[1]):
-        along, line, kinds = zip(*diagram.real_line(mode + 1), strict=True)
-        colour, label = colours[mode % len(colours)], f"mode {mode + 1}"
+    [panel] = picture = Picture(**picture_options)
+    frequency_factor, _, frequency_unit = frequency_axis(in_hertz)
+    speed_factor, *speed_name_and_unit = speed_axis(in_rpm)
+    speeds, frequencies = speed_factor * diagram.speed, frequency_factor * diagram.omega_real
+    largest_order_frequency = max(orders, default=0) * frequency_factor / speed_factor * speeds[-1]
+    frequencies = frequencies[
+        :, : max(1, int(np.sum(frequencies.min(axis=0) <= largest_order_frequency)))
+    ]
+    colours = list(COLOURS_BY_NAME.values())[:-1]
+    for mode_index in range(frequencies.shape[1]):
+        line_speeds, line_frequencies, line_states = zip(
+            *diagram.real_line(mode_index + 1), strict=True
+        )
+        colour, label = colours[mode_index % len(colours)], f"mode {mode_index + 1}"
         if diagram.cracked:
-            label = ", ".join([label, *dict.fromkeys(STATE_TEXT_BY_KIND[kind] for kind in kinds)])
-        panel.plot(pace * np.array(along), factor * np.array(line), color=colour, label=label)
+            label = ", ".join(
+                [label, *dict.fromkeys(STATE_TEXT_BY_KIND[state] for state in line_states)]
+            )
+        panel.plot(
+            speed_factor * np.array(line_speeds),
+            frequency_factor * np.array(line_frequencies),
+            color=colour,
+            label=label,
+        )
         if diagram.cracked:
-            ends = (factor * ends[:, mode] for ends in (diagram.omega_open, diagram.omega_tied))
-            panel.fill_between(speed, *ends, color=colour, alpha=0.25, lw=0.0)
-    top = 1.08 * float(real.max())
-    panel.set(xlim=(speed[0], speed[-1]), ylim=(0.0, top))
+            band_edges = (
+                frequency_factor * state_omega[:, mode_index]
+                for state_omega in (diagram.omega_open, diagram.omega_tied)
+            )
+            panel.fill_between(speeds, *band_edges, color=colour, alpha=0.25, lw=0.0)
+    upper_limit = 1.08 * float(frequencies.max())
+    panel.set(xlim=(speeds[0], speeds[-1]), ylim=(0.0, upper_limit))
     for order in orders:
-        _draw_order(panel, order, order * factor / pace, (speed[0], speed[-1]), top)
-        at = diagram.crossings(order, "real")[:, 1] * pace
-        panel.plot(at, order * factor / pace * at, "o", color=COLOURS["grey"], mfc="none", ms=6)
+        slope = order * frequency_factor / speed_factor
+        _draw_engine_order(panel, order, slope, (speeds[0], speeds[-1]), upper_limit)
+        crossing_speeds = diagram.crossings(order, "real")[:, 1] * speed_factor
+        panel.plot(
+            crossing_speeds,
+            slope * crossing_speeds,
+            "o",
+            color=COLOURS_BY_NAME["grey"],
+            mfc="none",
+            ms=6,
+        )
     if diagram.cracked:
-        panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to bonded")
-    panel.set(xlabel=heading_with_unit(*name), ylabel=f"natural frequency [{unit}]")
-    return picture.finished()
+        panel.fill_between(
+            [], [], [], color=COLOURS_BY_NAME["grey"], alpha=0.25, label="open to bonded"
+        )
+    panel.set(
+        xlabel=heading_with_unit(*speed_name_and_unit),
+        ylabel=f"natural frequency [{frequency_unit}]",
+    )
+    return picture.finish()
 
 
-def _draw_order(
-    panel: Any, order: int, slope: float, span: tuple[float, float], top: float
+def _draw_engine_order(
+    panel: Any,
+    engine_order: int,
+    frequency_per_speed: float,
+    speed_range: tuple[float, float],
+    upper_limit: float,
 ) -> None:
-    """The line of an engine order, and its number where it leaves the panel."""
-    ends = np.array(span)
-    panel.plot(ends, slope * ends, color=COLOURS["grey"], lw=0.8, ls="--", alpha=0.7)
-    if slope * span[1] <= top:
-        _write_order(panel, order, (span[1], slope * span[1]), (3, 0), ha="left", va="center")
+    """Draw the line of an engine order, and its number at the panel's right or upper edge.
+
+    Parameters
+    ----------
+    frequency_per_speed : float
+        Slope of the line in the shown units.
+    speed_range, upper_limit
+        First and last speed, and largest frequency, of the panel.
+    """
+    end_speeds = np.array(speed_range)
+    panel.plot(
+        end_speeds,
+        frequency_per_speed * end_speeds,
+        color=COLOURS_BY_NAME["grey"],
+        lw=0.8,
+        ls="--",
+        alpha=0.7,
+    )
+    last_frequency = frequency_per_speed * speed_range[1]
+    if last_frequency <= upper_limit:
+        position = speed_range[1], last_frequency
+        _write_engine_order(panel, engine_order, position, (3, 0), ha="left", va="center")
     else:
-        _write_order(panel, order, (top / slope, top), (0, 2), ha="center", va="bottom")
+        position = upper_limit / frequency_per_speed, upper_limit
+        _write_engine_order(panel, engine_order, position, (0, 2), ha="center", va="bottom")
 
 
-def _write_order(panel: Any, order: float, place: Any, by: tuple[int, int], **look: Any) -> None:
-    """Write an engine order beside a place, also outside of the panel."""
-    look |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS["grey"]}
-    panel.annotate(f"{order:g}", place, xytext=by, annotation_clip=False, **look)
+def _write_engine_order(
+    panel: Any,
+    engine_order: float,
+    position: Any,
+    point_offset: tuple[int, int],
+    **text_options: Any,
+) -> None:
+    """Write an engine order next to a position, also outside the panel.
+
+    Parameters
+    ----------
+    position : (float, float)
+        Position in data coordinates, or in those of ``xycoords``.
+    point_offset : (int, int) [points]
+        Distance of the text from it.
+    """
+    text_options |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
+    panel.annotate(
+        f"{engine_order:g}", position, xytext=point_offset, annotation_clip=False, **text_options
+    )
 
 
 def draw_arrivals(
-    arrivals: ArrivalTimes, *, in_rpm: bool = False, **where: Unpack[Where]
+    arrivals: ArrivalTimes, *, in_rpm: bool = False, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw the displacements that follow from the arrivals, for each probe.
+    """Draw blade tip displacements from arrivals, for each probe.
 
-    They stand over the revolutions, of a run-up over the speed. Each probe sees one point in a
-    revolution: a vibration at an engine order is constant to it, any other one appears slow.
+    The abscissa has the revolutions, or the speed of a run-up. Each probe sees one instant in a
+    revolution: a vibration at an engine order appears constant, any other vibration slow.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Result to draw.
     in_rpm : bool
-        Speeds of a run-up in revolutions per minute, else in rad/s.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Show speeds of a run-up in revolutions per minute, otherwise in rad/s.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
     >>> figure = fc.draw_arrivals(arrivals, path="arrivals.png")
     """
-    [panel] = picture = Picture(**where)
+    [panel] = picture = Picture(**picture_options)
     _draw_displacements(panel, arrivals, in_rpm)
-    return picture.finished()
+    return picture.finish()
 
 
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
-    """Draw each probe's displacements over the revolutions, in a run-up over the speed."""
-    pace, *over = speed_axis(in_rpm)
-    steady, turns = arrivals.steady, arrivals.first + np.arange(len(arrivals))
-    place = turns if steady else pace * arrivals.speed
-    size = 3.0 if len(arrivals) > 100 else 4.5
+    """Draw each probe's displacements over the revolutions, or over the speed of a run-up."""
+    speed_factor, *speed_name_and_unit = speed_axis(in_rpm)
+    is_steady, revolutions = arrivals.steady, arrivals.first + np.arange(len(arrivals))
+    abscissa = revolutions if is_steady else speed_factor * arrivals.speed
+    marker_size = 3.0 if len(arrivals) > 100 else 4.5
     colours = distinct_colours(len(arrivals.probes))
-    columns = zip(arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False)
-    for column, probe, colour, marker in columns:
-        label = f"probe at {np.degrees(probe):.4g}°"
-        panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)
-    panel.set_xlabel("revolution" if steady else heading_with_unit(*over))
+    probe_columns = zip(
+        arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False
+    )
+    for probe_displacements, probe_angle, colour, marker in probe_columns:
+        label = f"probe at {np.degrees(probe_angle):.4g}°"
+        panel.plot(
+            abscissa,
+            probe_displacements,
+            marker,
+            color=colour,
+            ms=marker_size,
+            mew=0,
+            alpha=0.8,
+            label=label,
+        )
+    panel.set_xlabel("revolution" if is_steady else heading_with_unit(*speed_name_and_unit))
     label_axis(panel.yaxis, "blade tip displacement", "m")
 
 
-def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) -> Figure:
-    """Draw a fitted vibration, with the arrivals over its period, and the engine orders that were
-    tried; of one order alone the amplitudes of its harmonics, with their standard errors.
+def draw_tip_fit(
+    fit: TipFit, arrivals: ArrivalTimes, **picture_options: Unpack[PictureOptions]
+) -> Figure:
+    """Draw a fitted vibration with its arrivals, and the residuals of all engine orders.
+
+    The first panel shows a period. If only one order was tried, the second panel shows the
+    amplitudes of its harmonics with their standard errors.
 
     Parameters
     ----------
-    fit, arrivals : TipFit, ArrivalTimes
-        A fit, and what it was fitted to.
-    **where
-        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+    fit : TipFit
+        Fitted vibration.
+    arrivals : ArrivalTimes
+        Arrivals that it was fitted to.
+    **picture_options
+        ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -518,120 +726,172 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     --------
     >>> figure = fc.draw_tip_fit(fc.fit_order(arrivals), arrivals, path="fit.png")
     """
-    upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
-    loads = max(1, round(1.0 / fit.multiples[0]))  # load periods of a response
-    turns = np.linspace(0.0, loads, 500)
-    wave = fit.displacement(2.0 * np.pi * turns / fit.order)
-    seen = np.isfinite(arrivals.time)
-    phase = (fit.order * fit.phases(arrivals)[seen] / (2.0 * np.pi)) % loads
-    look: dict[str, Any] = {"color": COLOURS["blue"], "ms": 3.5, "mew": 0, "alpha": 0.4}
-    upper.plot(phase, arrivals.displacement[seen], "o", **look, label="arrivals")
-    upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=f"fit, order {fit.order:.6g}")
-    upper.set_xlabel("time / load period")
-    label_axis(upper.yaxis, "blade tip displacement", "m")
+    time_panel, order_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
+    n_load_periods = max(1, round(1.0 / fit.multiples[0]))  # in a response period
+    load_periods = np.linspace(0.0, n_load_periods, 500)
+    fitted_displacement = fit.displacement(2.0 * np.pi * load_periods / fit.order)
+    has_arrived = np.isfinite(arrivals.time)
+    arrival_periods = (
+        fit.order * fit.phases(arrivals)[has_arrived] / (2.0 * np.pi)
+    ) % n_load_periods
+    marker_options: dict[str, Any] = {
+        "color": COLOURS_BY_NAME["blue"],
+        "ms": 3.5,
+        "mew": 0,
+        "alpha": 0.4,
+    }
+    time_panel.plot(
+        arrival_periods, arrivals.displacement[has_arrived], "o", **marker_options, label="arrivals"
+    )
+    time_panel.plot(
+        load_periods,
+        fitted_displacement,
+        color=COLOURS_BY_NAME["orange"],
+        lw=1.6,
+        label=f"fit, order {fit.order:.6g}",
+    )
+    time_panel.set_xlabel("time / load period")
+    label_axis(time_panel.yaxis, "blade tip displacement", "m")
     if len(fit.candidates.orders) > 1:
-        _draw_candidates(lower, fit.candidates, fit.order)
+        _draw_candidates(order_panel, fit.candidates, fit.order)
     else:
-        _draw_harmonics(lower, fit)
-    return picture.finished()
+        _draw_fitted_harmonics(order_panel, fit)
+    return picture.finish()
 
 
-def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
-    """Residuals over orders; those that fit as well, and hidden ones, are marked."""
-    bottom = 0.5 * float(np.nanmin(tried.residuals[tried.residuals > 0.0], initial=np.inf))
-    if np.isfinite(bottom):
+def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> None:
+    """Draw residuals over engine orders; mark equivalent, hidden and best orders."""
+    axis_bottom = 0.5 * float(
+        np.nanmin(candidates.residuals[candidates.residuals > 0.0], initial=np.inf)
+    )
+    if np.isfinite(axis_bottom):
         axes.set_yscale("log")
     else:
-        bottom = 0.0
-    best = tried.orders == order
-    kinds = {
-        "other orders": (~best & ~tried.equivalent & ~tried.hidden, "o", "grey"),
-        "cannot be measured": (tried.hidden & ~best, "X", "pink"),
-        "fit as well": (~best & tried.equivalent & ~tried.hidden, "s", "blue"),
-        "best": (best, "o", "orange"),
+        axis_bottom = 0.0
+    is_best = candidates.orders == best_order
+    categories_by_label = {
+        "other orders": (~is_best & ~candidates.equivalent & ~candidates.hidden, "o", "grey"),
+        "cannot be measured": (candidates.hidden & ~is_best, "X", "pink"),
+        "fit as well": (~is_best & candidates.equivalent & ~candidates.hidden, "s", "blue"),
+        "best": (is_best, "o", "orange"),
     }
-    for label, (chosen, marker, colour) in kinds.items():
-        if np.any(chosen):
-            place, height = tried.orders[chosen], np.maximum(tried.residuals[chosen], bottom)
-            axes.vlines(place, bottom, height, color=COLOURS[colour], lw=1.0)
-            axes.plot(place, height, marker, color=COLOURS[colour], ms=5.0, label=label)
-    axes.set_ylim(bottom=bottom)
+    for label, (is_in_category, marker, colour) in categories_by_label.items():
+        if np.any(is_in_category):
+            category_orders = candidates.orders[is_in_category]
+            category_residuals = np.maximum(candidates.residuals[is_in_category], axis_bottom)
+            axes.vlines(
+                category_orders,
+                axis_bottom,
+                category_residuals,
+                color=COLOURS_BY_NAME[colour],
+                lw=1.0,
+            )
+            axes.plot(
+                category_orders,
+                category_residuals,
+                marker,
+                color=COLOURS_BY_NAME[colour],
+                ms=5.0,
+                label=label,
+            )
+    axes.set_ylim(bottom=axis_bottom)
     axes.set_xlabel("engine order: load periods in a revolution")
-    if not np.any(tried.orders % 1.0):
+    if not np.any(candidates.orders % 1.0):
         axes.xaxis.get_major_locator().set_params(integer=True)
     label_axis(axes.yaxis, "rms residual of the fit", "m")
 
 
-def _draw_harmonics(axes: Axes, fit: TipFit) -> None:
-    """Amplitudes of the harmonics with their standard errors."""
-    at, sizes, errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
-    both = np.append(sizes, errors)
-    bottom = 0.5 * float(np.min(both, where=both > 0.0, initial=np.inf))
-    if np.isfinite(bottom):
+def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
+    """Draw the amplitudes of a fit's harmonics with their standard errors."""
+    multiples, amplitudes, standard_errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
+    amplitudes_and_errors = np.append(amplitudes, standard_errors)
+    axis_bottom = 0.5 * float(
+        np.min(amplitudes_and_errors, where=amplitudes_and_errors > 0.0, initial=np.inf)
+    )
+    if np.isfinite(axis_bottom):
         axes.set_yscale("log")
-        axes.set_ylim(bottom, 2.0 * both.max(where=both > 0.0, initial=bottom))
-    look: dict[str, Any] = {"color": COLOURS["orange"], "ms": 5.0, "capsize": 4.0}
-    axes.errorbar(at, sizes, errors, fmt="o", **look, label="fit, with standard errors")
-    axes.set(xticks=at, xlim=(0.0, at[-1] + 0.5))
+        axes.set_ylim(
+            axis_bottom,
+            2.0 * amplitudes_and_errors.max(where=amplitudes_and_errors > 0.0, initial=axis_bottom),
+        )
+    bar_options: dict[str, Any] = {"color": COLOURS_BY_NAME["orange"], "ms": 5.0, "capsize": 4.0}
+    axes.errorbar(
+        multiples,
+        amplitudes,
+        standard_errors,
+        fmt="o",
+        **bar_options,
+        label="fit, with standard errors",
+    )
+    axes.set(xticks=multiples, xlim=(0.0, multiples[-1] + 0.5))
     axes.set_xlabel("harmonic of the load")
     label_axis(axes.yaxis, "amplitude of the blade tip", "m")
 
 
-def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
-    """Draw the amplitudes of a run-up over the load's frequency, with their standard errors.
+def draw_tip_track(
+    track: TipTrack, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
+) -> Figure:
+    """Draw a run-up's amplitudes with standard errors over the load frequency.
 
     Parameters
     ----------
     track : TipTrack
         Result to draw.
     in_hertz : bool
-        Frequencies in Hz, not rad/s.
-    **where
-        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+        Show frequencies in Hz instead of rad/s.
+    **picture_options
+        ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Examples
     --------
     >>> figure = fc.draw_tip_track(fc.track_order(arrivals, 6), path="track.png")
     """
-    [panel] = picture = Picture(**where)
-    factor, name, unit = frequency_axis(in_hertz)
-    place = factor * track.omega
+    [panel] = picture = Picture(**picture_options)
+    frequency_factor, frequency_name, unit = frequency_axis(in_hertz)
+    frequencies = frequency_factor * track.omega
     series = zip(track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True)
-    for (multiple, sizes, errors), colour in zip(series, cycle(COLOURS.values()), strict=False):
+    for (multiple, amplitudes, standard_errors), colour in zip(
+        series, cycle(COLOURS_BY_NAME.values()), strict=False
+    ):
         label = f"{multiple:g}x the load's frequency"
-        panel.plot(place, sizes, ".-", color=colour, lw=0.8, ms=3.0, label=label)
-        low, high = np.maximum(sizes - errors, 0.0), sizes + errors
-        panel.fill_between(place, low, high, color=colour, alpha=0.25, lw=0)
-    panel.set_xlabel(heading_with_unit(name, unit))
+        panel.plot(frequencies, amplitudes, ".-", color=colour, lw=0.8, ms=3.0, label=label)
+        upper_edge = amplitudes + standard_errors
+        lower_edge = np.maximum(amplitudes - standard_errors, 0.0)
+        panel.fill_between(frequencies, lower_edge, upper_edge, color=colour, alpha=0.25, lw=0)
+    panel.set_xlabel(heading_with_unit(frequency_name, unit))
     label_axis(panel.yaxis, "amplitude of the blade tip", "m")
     panel.set_ylim(bottom=0.0)
-    return picture.finished()
+    return picture.finish()
 
 
 def draw_passages(
-    passages: Sequence[PassageFit], arrivals: ArrivalTimes, **where: Unpack[Where]
+    passages: Sequence[PassageFit],
+    arrivals: ArrivalTimes,
+    **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw a record over the speed, the resonances found in it, and the clearest of them closely:
-    what one probe sees of each passage without drift, and the fit.
+    """Draw a record over the rotor speed with its resonances, and the clearest resonance.
+
+    The second panel shows, for each passage through the clearest resonance, the displacements at
+    one probe without drift, and the fit.
 
     Parameters
     ----------
     passages : sequence of PassageFit
-        The clearest one first, as :func:`find_passages` gives them.
+        Resonances from :func:`find_passages`, the clearest first.
     arrivals : ArrivalTimes
-        In which they were found.
-    **where
-        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+        Record in which they were found.
+    **picture_options
+        ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
     Returns
     -------
     Figure
-        Of matplotlib, also where ``axes`` are given.
+        Matplotlib's figure, also with given ``axes``.
 
     Raises
     ------
@@ -642,35 +902,61 @@ def draw_passages(
     --------
     >>> figure = fc.draw_passages(fc.find_passages(arrivals), arrivals, path="passages.png")
     """
-    upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
-    _draw_displacements(upper, arrivals, in_rpm=True)
-    upper_edge = "data", "axes fraction"
-    for number, fit in enumerate(passages):
-        label = "_" * bool(number) + "resonance, with its engine order"
-        look: dict[str, Any] = {"color": COLOURS["grey"], "lw": 0.7, "ls": "--", "zorder": 0}
-        upper.axvline(fit.speed / RAD_PER_S_PER_RPM, **look, label=label)
-        place, above = (fit.speed / RAD_PER_S_PER_RPM, 1.0), (0, 2 + 9 * (number % 2))
-        _write_order(upper, fit.order, place, above, ha="center", xycoords=upper_edge)
+    record_panel, passage_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
+    _draw_displacements(record_panel, arrivals, in_rpm=True)
+    coordinate_systems = "data", "axes fraction"
+    for passage_index, passage in enumerate(passages):
+        label = "_" * bool(passage_index) + "resonance, with its engine order"
+        line_options: dict[str, Any] = {"color": COLOURS_BY_NAME["grey"], "lw": 0.7, "ls": "--"}
+        record_panel.axvline(
+            passage.speed / RAD_PER_S_PER_RPM, **line_options, zorder=0, label=label
+        )
+        text_position, text_offset = (
+            (passage.speed / RAD_PER_S_PER_RPM, 1.0),
+            (0, 2 + 9 * (passage_index % 2)),
+        )
+        text_options = {"ha": "center", "xycoords": coordinate_systems}
+        _write_engine_order(record_panel, passage.order, text_position, text_offset, **text_options)
     if passages:
-        _draw_passage(lower, passages[0], arrivals)
+        _draw_passage_fit(passage_panel, passages[0], arrivals)
     else:
-        lower.set_axis_off()
-    return picture.finished()
+        passage_panel.set_axis_off()
+    return picture.finish()
 
 
-def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
-    """Draw each passage as measured by the probe with the largest motion, and the fit."""
-    runs = fit.compared(arrivals)
-    probe = int(np.argmax(sum(np.sum(motion**2, axis=0) for _, _, motion in runs)))
-    for (speed, seen, motion), colour in zip(runs, cycle(COLOURS.values()), strict=False):
-        way = "up" if speed[-1] > speed[0] else "down"
-        look: dict[str, Any] = {"color": colour, "ms": 3.0, "mew": 0, "alpha": 0.6}
-        axes.plot(speed / RAD_PER_S_PER_RPM, seen[:, probe], "o", **look, label=f"arrivals, {way}")
+def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -> None:
+    """Draw each passage as measured by the probe with the largest fitted motion, and the fit."""
+    measured_and_fitted_runs = passage.compared(arrivals)
+    probe_index = int(
+        np.argmax(
+            sum(
+                np.sum(fitted_displacements**2, axis=0)
+                for _, _, fitted_displacements in measured_and_fitted_runs
+            )
+        )
+    )
+    for (speeds, measured_displacements, fitted_displacements), colour in zip(
+        measured_and_fitted_runs, cycle(COLOURS_BY_NAME.values()), strict=False
+    ):
+        direction = "up" if speeds[-1] > speeds[0] else "down"
+        marker_options: dict[str, Any] = {"color": colour, "ms": 3.0, "mew": 0, "alpha": 0.6}
         axes.plot(
-            speed / RAD_PER_S_PER_RPM, motion[:, probe], color=colour, lw=1.2, label=f"fit, {way}"
+            speeds / RAD_PER_S_PER_RPM,
+            measured_displacements[:, probe_index],
+            "o",
+            **marker_options,
+            label=f"arrivals, {direction}",
+        )
+        axes.plot(
+            speeds / RAD_PER_S_PER_RPM,
+            fitted_displacements[:, probe_index],
+            color=colour,
+            lw=1.2,
+            label=f"fit, {direction}",
         )
     axes.set_xlabel("rotor speed [rpm]")
     label_axis(axes.yaxis, "blade tip displacement", "m")
-    angle = np.degrees(arrivals.probes[probe])
-    where = f"order {fit.order:g}, {fit.omega / RAD_PER_TURN:.5g} Hz, probe at {angle:.4g}°"
-    axes.set_title(where, fontsize="medium")
+    probe_angle = np.degrees(arrivals.probes[probe_index])
+    title = f"order {passage.order:g}, {passage.omega / RAD_PER_TURN:.5g} Hz, "
+    title += f"probe at {probe_angle:.4g}°"
+    axes.set_title(title, fontsize="medium")

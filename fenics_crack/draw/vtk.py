@@ -1,9 +1,10 @@
-"""Drawing and writing by VTK and pyvista: points, cells and values, the camera that looks at them,
-stresses, and files for ParaView (VTK XML): mode shapes and one period of the breathing crack.
+"""Draw meshes by VTK, compute stresses, and write files for ParaView (VTK XML).
 
-Stresses at the nodes of a mesh, and at points of it, follow from the gradient of the displacement
-in the cells at each node, averaged; the crack faces have nodes of their own, so nothing is averaged
-across the crack. Files have all nodes, also those of quadratic elements; rank 0 writes them.
+The files hold mode shapes, stress intensities along crack fronts, or one period of the breathing
+crack. They have all nodes, also the middle nodes of quadratic elements, and rank 0 writes them.
+
+The stress at a node follows from the displacement gradient averaged over the cells at the node. No
+average crosses the crack, since both crack faces have their own nodes.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from fenics_crack.basics.atomic_files import (
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows, on_root
-from fenics_crack.draw.figure import tenth
+from fenics_crack.draw.figure import magnification_to_tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
@@ -46,13 +47,13 @@ if TYPE_CHECKING:
     from fenics_crack.runs.stress_intensity import StressIntensity
 
 
-def in_space(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (n, d) as VTK has them: (n, 3)."""
+def pad_to_space(vectors: np.ndarray) -> np.ndarray:
+    """Pad vectors (n, d) with zeros to VTK's three components: (n, 3)."""
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
 
 
-def seen_parallel(renderer: Any) -> Any:
-    """The camera of a renderer, which draws on white and makes nothing smaller that is far."""
+def set_parallel_camera(renderer: Any) -> Any:
+    """Set a white background and a parallel projection, and return the renderer's camera."""
     renderer.SetBackground(1.0, 1.0, 1.0)
     camera = renderer.GetActiveCamera()
     camera.ParallelProjectionOn()
@@ -60,133 +61,186 @@ def seen_parallel(renderer: Any) -> Any:
 
 
 def look_from_corner(renderer: Any, points: np.ndarray) -> None:
-    """Set the camera so that all of a solid is seen, y up, and what moves across it."""
-    camera = seen_parallel(renderer)
-    flat = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
-    x, z = np.linalg.eigh(flat.T @ flat)[1][:, 0]  # where it is thinnest
+    """Set the camera to see a whole solid and its deflection, with y upwards.
+
+    The camera looks from the side, from above, and mostly along the thinnest horizontal axis.
+
+    Parameters
+    ----------
+    renderer : vtkRenderer
+    points : (n, 3) [m]
+        Nodes of the solid.
+    """
+    camera = set_parallel_camera(renderer)
+    horizontal_offsets = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
+    x, z = np.linalg.eigh(horizontal_offsets.T @ horizontal_offsets)[1][:, 0]  # thinnest axis
     x, z = (x, z) if z > 0.0 else (-x, -z)
     camera.SetFocalPoint(0.0, 0.0, 0.0)
-    across, up, along = -1.3, 0.55, 1.6  # along: where the solid is thinnest
-    camera.SetPosition(across * z + along * x, up, along * z - across * x)
+    wide_offset, upward_offset, thin_offset = -1.3, 0.55, 1.6  # along the camera's three axes
+    camera.SetPosition(
+        wide_offset * z + thin_offset * x, upward_offset, thin_offset * z - wide_offset * x
+    )
     camera.SetViewUp(0.0, 1.0, 0.0)
     renderer.ResetCamera()
 
 
-def pyvista() -> Any:
-    """The package, loaded without mypy, which it would load for a plugin of its own where that is
-    installed: a third of the time that it takes to load."""
-    modules: dict[str, Any] = sys.modules
-    absent = modules.setdefault("mypy", None) is None
+def import_pyvista() -> Any:
+    """Import pyvista without its plugin of mypy, and return the package.
+
+    With mypy installed, the plugin takes a third of the loading time.
+    """
+    module_table: dict[str, Any] = sys.modules
+    is_mypy_absent = module_table.setdefault("mypy", None) is None
     try:
         import pyvista
     finally:
-        if absent:
-            del modules["mypy"]
+        if is_mypy_absent:
+            del module_table["mypy"]
     return pyvista
 
 
 def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
-    """A plotter that draws into memory, without a search for a screen where there is none."""
+    """Return a pyvista plotter that draws into memory, also without a screen."""
     if not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-        os.environ.setdefault("ALLOW_PLOTTING", "true")  # pyvista would open a window to know
-    return pyvista().Plotter(off_screen=True, window_size=window_size)
+        os.environ.setdefault("ALLOW_PLOTTING", "true")  # pyvista would try a window
+    return import_pyvista().Plotter(off_screen=True, window_size=window_size)
 
 
-def _grid_of(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
-    """Points (n, d) and cells of one type."""
-    counted = np.insert(cells, 0, cells.shape[1], axis=1)
-    types = np.full(len(cells), vtk_type)
-    return pyvista().UnstructuredGrid(counted.ravel(), types, in_space(points))
+def _make_grid(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
+    """Make an unstructured grid from points (n, d) [m] and cells (m, k) of one VTK type."""
+    cells_with_size = np.insert(cells, 0, cells.shape[1], axis=1)
+    cell_types = np.full(len(cells), vtk_type)
+    return import_pyvista().UnstructuredGrid(
+        cells_with_size.ravel(), cell_types, pad_to_space(points)
+    )
 
 
-def surface(points: np.ndarray, facets: np.ndarray) -> Any:
-    """Some facets."""
-    return pyvista().PolyData.from_regular_faces(in_space(points), facets)
+def make_surface(points: np.ndarray, facets: np.ndarray) -> Any:
+    """Make the surface of facets (m, k) between points (n, d) [m], as pyvista's PolyData."""
+    return import_pyvista().PolyData.from_regular_faces(pad_to_space(points), facets)
 
 
-def lines(points: np.ndarray, edges: np.ndarray) -> Any:
-    """Some edges."""
-    counted = np.insert(edges, 0, edges.shape[1], axis=1)
-    return pyvista().PolyData(in_space(points), lines=counted.ravel())
+def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
+    """Make the lines of edges (m, k) between points (n, d) [m], as pyvista's PolyData."""
+    edges_with_size = np.insert(edges, 0, edges.shape[1], axis=1)
+    return import_pyvista().PolyData(pad_to_space(points), lines=edges_with_size.ravel())
 
 
-def outline(mesh: NodalMesh) -> np.ndarray:
-    """Edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    whole = surface(mesh.points, mesh.boundary)
-    whole["node"] = np.arange(len(mesh.points))
-    others = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
-    edges = whole.extract_feature_edges(feature_angle=25.0, **others)
-    return np.asarray(edges["node"])[edges.lines.reshape(-1, 3)[:, 1:]]
+def find_sharp_edges(mesh: NodalMesh) -> np.ndarray:
+    """Find the edges at which the surface of a solid at rest bends: (n, 2) nodes."""
+    boundary_surface = make_surface(mesh.points, mesh.boundary)
+    boundary_surface["node"] = np.arange(len(mesh.points))
+    other_kinds = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
+    sharp_edges = boundary_surface.extract_feature_edges(feature_angle=25.0, **other_kinds)
+    return np.asarray(sharp_edges["node"])[sharp_edges.lines.reshape(-1, 3)[:, 1:]]
 
 
-def image_of(plotter: Any, points: np.ndarray) -> np.ndarray:
-    """Return the image of a plotter with a solid, without white margins; closes the plotter."""
+def render_cropped_image(plotter: Any, points: np.ndarray) -> np.ndarray:
+    """Render a solid from a corner without white margins, and close the plotter.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+    points : (n, 3) [m]
+        Nodes of the solid.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        Red, green and blue of each pixel.
+    """
     look_from_corner(plotter.renderer, points)
     plotter.camera_set = True
     image = plotter.screenshot(None, return_img=True)
     plotter.close()
-    ink = np.argwhere((image < 250).any(axis=2))
-    (top, left), (bottom, right) = ink.min(axis=0), ink.max(axis=0) + 1
+    coloured_pixels = np.argwhere((image < 250).any(axis=2))
+    (top, left), (bottom, right) = coloured_pixels.min(axis=0), coloured_pixels.max(axis=0) + 1
     return np.asarray(image[top:bottom, left:right])
 
 
 # --- stresses -------------------------------------------------------------------------------------
 
-COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
-"""Stresses in a plane and in space."""
+STRESS_COMPONENTS_BY_DIMENSION = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
+"""Names of the stress components in a plane and in space, in the order of arrays."""
 
 
-def grid_at_rest(mesh: NodalMesh) -> Any:
-    """The cells where they are."""
-    return _grid_of(mesh.points, mesh.cells, mesh.vtk_type)
+def make_grid_at_rest(mesh: NodalMesh) -> Any:
+    """Make VTK's grid from the cells of a mesh at rest."""
+    return _make_grid(mesh.points, mesh.cells, mesh.vtk_type)
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
-    """Plane stresses xx, yy, xy of nodal displacements (..., n_nodes, 2) [m]: (..., n_nodes, 3)
-    [Pa]; of a solid xx, yy, zz, xy, yz, xz: (..., n_nodes, 6)."""
-    columns = np.moveaxis(displacement, -2, 0)
-    flat = columns.reshape(len(columns), -1)
-    slopes = [(part @ flat).reshape(columns.shape) for part in _slopes(mesh)]
-    slope = np.moveaxis(np.stack(slopes, axis=-1), 0, -3)
-    nu = material.poisson
-    share = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
-    strain = 0.5 * (slope + np.swapaxes(slope, -1, -2))
-    volume = np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(mesh.dimension)
-    full = material.young / (1.0 + nu) * (strain + share * volume)
-    places = (map("xyz".index, name) for name in COMPONENTS[mesh.dimension])
-    return np.stack([full[..., i, j] for i, j in places], axis=-1)
+    """Compute the stress at the nodes, plane stress in a plate.
 
+    Parameters
+    ----------
+    displacement : (..., n_nodes, d) [m]
+        Nodal displacements.
 
-def _slopes(mesh: NodalMesh) -> list[csr_matrix]:
-    """d/dx, d/dy (and d/dz) at the nodes of a nodal field, each the mean of the cells there, as
-    matrices (n_nodes, n_nodes) [1/m].
-
-    VTK differentiates the shape functions N at the nodes of its unit cell, and in a cell that x(X)
-    maps it to, dN/dx = dN/dX (dx/dX)^-1. (In the cells themselves it looks for the nodes first,
-    which fails in slim tetrahedra of ten nodes.)
+    Returns
+    -------
+    (..., n_nodes, 3) or (..., n_nodes, 6) [Pa]
+        Components of :data:`STRESS_COMPONENTS_BY_DIMENSION`, of a plate or a solid.
     """
-    of_cell = mesh.cells.shape[1]
-    places = np.reshape(grid_at_rest(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
-    unit = _grid_of(places, np.arange(of_cell)[None], mesh.vtk_type)
-    unit.point_data["shape"] = np.eye(of_cell)
-    found = np.asarray(unit.compute_derivative("shape")["gradient"])
-    shape = found.reshape(of_cell, of_cell, 3)[..., : mesh.dimension]  # node, function, axis
-    mapped = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape)
-    slope = np.einsum("nbX,cnXx->xcnb", shape, np.linalg.inv(mapped))
-    slope /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
-    rows, functions = np.repeat(mesh.cells, of_cell), np.tile(mesh.cells, of_cell).ravel()
-    size = 2 * (len(mesh.points),)
-    return [csr_matrix((part.ravel(), (rows, functions)), size) for part in slope]
+    displacement_by_node = np.moveaxis(displacement, -2, 0)
+    flat_displacement = displacement_by_node.reshape(len(displacement_by_node), -1)
+    derivatives = [
+        (matrix @ flat_displacement).reshape(displacement_by_node.shape)
+        for matrix in _make_derivative_matrices(mesh)
+    ]
+    displacement_gradient = np.moveaxis(np.stack(derivatives, axis=-1), 0, -3)
+    nu = material.poisson
+    volume_factor = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
+    strain = 0.5 * (displacement_gradient + np.swapaxes(displacement_gradient, -1, -2))
+    volume_strain = np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(mesh.dimension)
+    stress = material.young / (1.0 + nu) * (strain + volume_factor * volume_strain)
+    component_names = STRESS_COMPONENTS_BY_DIMENSION[mesh.dimension]
+    component_indices = (map("xyz".index, name) for name in component_names)
+    return np.stack([stress[..., i, j] for i, j in component_indices], axis=-1)
+
+
+def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
+    """Make matrices that differentiate a nodal field at the nodes: d/dx, d/dy (and d/dz).
+
+    A derivative at a node is the mean over the cells at the node. VTK differentiates the shape
+    functions N at the nodes of its unit cell, X. A cell x(X) in the mesh then has dN/dx = dN/dX
+    (dx/dX)^-1. (In the mesh's cells VTK would search for the nodes, which fails in slim tetrahedra
+    of ten nodes.)
+
+    Returns
+    -------
+    list of (n_nodes, n_nodes) [1/m]
+        A matrix for each axis.
+    """
+    n_cell_nodes = mesh.cells.shape[1]
+    node_coordinates = np.reshape(
+        make_grid_at_rest(mesh).GetCell(0).GetParametricCoords(), (n_cell_nodes, 3)
+    )
+    unit_cell = _make_grid(node_coordinates, np.arange(n_cell_nodes)[None], mesh.vtk_type)
+    unit_cell.point_data["shape"] = np.eye(n_cell_nodes)
+    flat_gradients = np.asarray(unit_cell.compute_derivative("shape")["gradient"])
+    # Node, shape function, axis.
+    shape_gradients = flat_gradients.reshape(n_cell_nodes, n_cell_nodes, 3)[..., : mesh.dimension]
+    jacobians = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape_gradients)
+    cell_derivatives = np.einsum("nbX,cnXx->xcnb", shape_gradients, np.linalg.inv(jacobians))
+    cell_derivatives /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
+    matrix_rows = np.repeat(mesh.cells, n_cell_nodes)
+    matrix_columns = np.tile(mesh.cells, n_cell_nodes).ravel()
+    matrix_shape = 2 * (len(mesh.points),)
+    return [
+        csr_matrix((axis_derivatives.ravel(), (matrix_rows, matrix_columns)), matrix_shape)
+        for axis_derivatives in cell_derivatives
+    ]
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    """Von Mises stress of stresses as :func:`nodal_stress` has them: (...) [Pa]."""
-    if stress.shape[-1] == 3:  # none across the plane
+    """Return the von Mises stress (...) [Pa] of components from :func:`nodal_stress`."""
+    if stress.shape[-1] == 3:  # plane stress
         stress = np.insert(stress, (2, 3, 3), 0.0, axis=-1)
     xx, yy, zz, xy, yz, xz = np.moveaxis(stress, -1, 0)
-    normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
-    return np.asarray(np.sqrt(0.5 * normal + 3.0 * (xy**2 + yz**2 + xz**2)))
+    normal_differences = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
+    return np.asarray(np.sqrt(0.5 * normal_differences + 3.0 * (xy**2 + yz**2 + xz**2)))
 
 
 def stress_at(
@@ -194,28 +248,28 @@ def stress_at(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find stresses at some points over time (collective).
 
-    Those of the nodes, where the cells' own are averaged, but not across a crack; between the nodes
-    as displacements are. At the tip of a crack and under a force at a point they grow without bound
-    as the mesh is refined: there :func:`stress_intensity` is the number to ask for.
+    A stress at a node is the mean over the cells at the node, but not across a crack. Between the
+    nodes it is interpolated as displacements are. At a crack tip and under a point force, stresses
+    grow without bound as the mesh is refined: ask for :func:`stress_intensity` there.
 
     Parameters
     ----------
     run : Run
-        Result of :func:`solve` or :func:`integrate`, of a mesh.
+        Result of :func:`solve` or :func:`integrate`, with a mesh.
     points : (m, d) [m]
-        Where; of a line its points, ``np.linspace(start, stop, 50)``.
+        Points in the mesh; for a line ``np.linspace(start, stop, 50)``.
 
     Returns
     -------
     time : (n,) [s]
-        128 instants of a period, or those of the record.
-    stress : (n, m, 3) [Pa]
-        xx, yy, xy; of a solid xx, yy, zz, xy, yz, xz: (n, m, 6).
+        128 instants in a period, or the recorded instants.
+    stress : (n, m, 3) or (n, m, 6) [Pa]
+        xx, yy, xy in a plate; xx, yy, zz, xy, yz, xz in a solid.
 
     Raises
     ------
     InputError
-        The structure has no mesh, or a point is not on it.
+        The structure has no mesh, some displacements were not recorded, or a point is off the mesh.
 
     Examples
     --------
@@ -224,28 +278,29 @@ def stress_at(
     from fenics_crack.runs.run import check_motion  # loads DOLFINx
 
     check_motion(run)
-    found, structure = run.result, run.structure
-    mesh, places = NodalMesh(structure), numbers(points)
-    fits = places.ndim == 2 and places.shape[1] == mesh.dimension
-    if not (fits and places.size and np.all(np.isfinite(places))):
-        allowed = f"one or more rows of {mesh.dimension} finite numbers [m]"
-        raise InputError("points", points, allowed)
-    if isinstance(found, TimeHistory):
-        time = found.time
-        if len(found.recorded_dofs) < structure.n_local:
+    result, structure = run.result, run.structure
+    mesh, stress_points = NodalMesh(structure), numbers(points)
+    has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
+    if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
+        requirement = f"one or more rows of {mesh.dimension} finite numbers [m]"
+        raise InputError("points", points, requirement)
+    if isinstance(result, TimeHistory):
+        time = result.time
+        if len(result.recorded_dofs) < structure.n_local:
             raise InputError("dofs", "some", "None, to record all displacements")
-        moved = structure.expand(found.recorded)
+        displacement = structure.expand(result.recorded)
     else:
-        time = np.linspace(0.0, found.period, 128, endpoint=False)
-        moved = found.displacement_field(time)
-    nodal = nodal_stress(mesh, mesh.nodal_vectors(moved), run.scene.material)
-    grid, columns = grid_at_rest(mesh), np.moveaxis(nodal, -2, 0)
-    grid["stress"] = columns.reshape(len(columns), -1)
-    seen = pyvista().PolyData(in_space(places)).sample(grid)
-    off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)
-    if len(off):
-        raise InputError("points", places[off[0]].tolist(), "on the mesh")
-    return time, np.moveaxis(np.asarray(seen["stress"]).reshape(len(places), len(time), -1), 0, 1)
+        time = np.linspace(0.0, result.period, 128, endpoint=False)
+        displacement = result.displacement_field(time)
+    nodal_stresses = nodal_stress(mesh, mesh.nodal_vectors(displacement), run.scene.material)
+    grid, stress_by_node = make_grid_at_rest(mesh), np.moveaxis(nodal_stresses, -2, 0)
+    grid["stress"] = stress_by_node.reshape(len(stress_by_node), -1)
+    sampled_points = import_pyvista().PolyData(pad_to_space(stress_points)).sample(grid)
+    outside_indices = np.flatnonzero(np.asarray(sampled_points["vtkValidPointMask"]) == 0)
+    if len(outside_indices):
+        raise InputError("points", stress_points[outside_indices[0]].tolist(), "on the mesh")
+    point_stresses = np.reshape(sampled_points["stress"], (len(stress_points), len(time), -1))
+    return time, np.moveaxis(point_stresses, 0, 1)
 
 
 # --- files for ParaView ---------------------------------------------------------------------------
@@ -254,14 +309,14 @@ def stress_at(
 def write_modes(modes: Modes, path: str | Path) -> None:
     """Write mode shapes as vector fields of one .vtu file (collective).
 
-    The fields are called ``mode 1: 2302.9 rad/s`` and so on. Their largest displacement is a tenth
-    of the structure's size, ready for ParaView's Warp By Vector; the field data ``magnification of
-    mode 1`` is that displacement over the shape's own.
+    The fields have names such as ``mode 1: 2302.9 rad/s``. Their largest displacement is a tenth
+    of the structure's size, ready for ParaView's Warp By Vector. The field data ``magnification of
+    mode 1`` is the written displacement over the mode shape.
 
     Parameters
     ----------
     modes : Modes
-        Of a structure with a mesh.
+        Modes of a structure with a mesh.
     path : str or Path
         The .vtu file.
 
@@ -277,37 +332,36 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     mesh = NodalMesh(modes.structure)
     shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
 
-    def write() -> None:
-        grid = grid_at_rest(mesh)
-        for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
-            factor = tenth(shape, mesh.size)
-            moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
-            grid.point_data[name] = moved
-            grid.field_data[f"magnification of mode {number}"] = [factor]
-        write_file_whole(path, _vtu(grid))
+    def write_file() -> None:
+        grid = make_grid_at_rest(mesh)
+        for mode_number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
+            magnification = magnification_to_tenth(shape, mesh.size)
+            field_name = f"mode {mode_number}: {omega:.1f} rad/s"
+            grid.point_data[field_name] = pad_to_space(magnification * shape)
+            grid.field_data[f"magnification of mode {mode_number}"] = [magnification]
+        write_file_whole(path, _format_vtu(grid))
 
-    on_root(mesh.structure.comm, write)
+    on_root(mesh.structure.comm, write_file)
 
 
 def write_fronts(found: StressIntensity, path: str | Path) -> None:
-    """Write stress intensities along the fronts of a solid's cracks as lines of one .vtu file
-    (collective).
+    """Write stress intensities along crack fronts as lines of one .vtu file (collective).
 
     Parameters
     ----------
     found : StressIntensity
-        Of a solid.
+        Stress intensities of a solid.
     path : str or Path
         The .vtu file.
 
     Raises
     ------
     InputError
-        It is of a plate.
+        The stress intensities are of a plate.
 
     Notes
     -----
-    Fields of the stations: :attr:`StressIntensity.numbers` and ``K_I while closed`` [Pa m^0.5], and
+    Each front station has :attr:`StressIntensity.numbers`, ``K_I while closed`` [Pa m^0.5], and
     ``ahead``, the direction in which the crack would grow straight on.
 
     Examples
@@ -318,55 +372,58 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
     if found.three is None:
         raise InputError("found", "of a plate", "of a solid, whose cracks have fronts")
 
-    def write() -> None:
-        lines = [pair for its in found.fronts.values() for pair in itertools.pairwise(its)]
-        grid = _grid_of(found.points, np.array(lines, dtype=int).reshape(-1, 2), VTK_LINE)
+    def write_file() -> None:
+        front_edges = [
+            edge for stations in found.fronts.values() for edge in itertools.pairwise(stations)
+        ]
+        grid = _make_grid(found.points, np.array(front_edges, dtype=int).reshape(-1, 2), VTK_LINE)
         for name, values in {**found.numbers, "K_I while closed": found.closed}.items():
             grid.point_data[name] = values
         grid.point_data["ahead"] = found.ahead
-        write_file_whole(path, _vtu(grid))
+        write_file_whole(path, _format_vtu(grid))
 
-    on_root(found.comm, write)
+    on_root(found.comm, write_file)
 
 
 class PeriodFields:
-    """Nodal fields of a vibration at n instants of one period, on every rank (collective to make).
+    """Nodal fields of a vibration at n instants of one period.
 
-    Parameters are those of :func:`write_period`.
+    Making them is collective, and every rank has all of them. Parameters are those of
+    :func:`write_period`, ``n_frames`` its ``frames``.
 
     Attributes
     ----------
     mesh : NodalMesh
-        The whole mesh.
+        Mesh of the whole structure.
     time : (n,) [s]
-        Equally spaced from 0; the period itself is left out.
-    displacement, load : (n, n_nodes, d) [m], [N]
-        True to scale.
-    force, areas : (n, n_pairs) [N], (n_pairs,) [m^2]
-        Of the contact, and of one face.
-    pair_nodes : (n_nodes, n_pairs)
-        What a pair's unit force is at a node, 1 at the two nodes of a pair; of a solid's patch 1 at
-        the two nodes in its middle.
-    shares : (n_nodes, n_pairs)
-        Of the pairs' pressures that at a node.
+        Instants, equally spaced from 0, without the end of the period.
+    displacement, nodal_loads : (n, n_nodes, d) [m], [N]
+        Displacements, not magnified, and loads at the nodes.
+    contact_forces, pair_areas : (n, n_pairs) [N], (n_pairs,) [m^2]
+        Normal forces on the contact pairs, and the pairs' areas on one crack face.
+    nodal_pair_forces : (n_nodes, n_pairs)
+        Force at each node by a unit force on each pair: 1 at the pair's two nodes, or at the two
+        nodes in the middle of a solid's patch.
+    pressure_weights : (n_nodes, n_pairs)
+        Weight of each pair's pressure in each node's pressure.
     magnification : float
-        Of the displacement in pictures.
+        Factor by which pictures magnify the displacement.
     material : Material or None
-        For stresses.
+        Material for stresses.
     has_one_load : bool
-        True if there is a load of which one arrow says something: not one on each blade.
-    colour : (str, str)
-        Name and unit of the field to colour by: with a material the von Mises stress.
+        True if there is a load that one arrow can show, not a load on each blade.
+    colour_name_and_unit : (str, str)
+        Field of the colours: von Mises stress with a material, otherwise displacement.
     """
 
     def __init__(
         self,
         solution: PeriodicSolution,
-        frames: int = 36,
+        n_frames: int = 36,
         magnification: float | None = None,
         material: Material | None = None,
     ) -> None:
-        check_count("frames", frames, 1)
+        check_count("frames", n_frames, 1)
         if magnification is not None:
             check_number("magnification", magnification, 0.0, excludes_bound=True)
         if material is not None and not isinstance(material, Material):
@@ -374,77 +431,92 @@ class PeriodFields:
         structure = solution.structure.whole
         self.mesh, self.material = NodalMesh(structure), material
         assert structure.pair_areas is not None
-        self.time = np.arange(frames) * solution.period / frames
+        self.time = np.arange(n_frames) * solution.period / n_frames
         self.displacement = self.mesh.nodal_vectors(solution.displacement_field(self.time))
-        self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
-        self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
-        parts = self.mesh.nodal_vectors(structure.force).reshape(len(structure.force), -1)
-        self.load = evaluate(parts, solution.omega, self.time).reshape(self.displacement.shape)
-        one_frame = structure.nodes is None or structure.nodes.frames is None
-        self.has_one_load = bool(np.any(self.load)) and one_frame
-        self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")
+        self.magnification = float(
+            magnification or magnification_to_tenth(self.displacement, self.mesh.size)
+        )
+        self.contact_forces = solution.contact_force(self.time)
+        self.pair_areas = structure.pair_areas
+        load_harmonics = self.mesh.nodal_vectors(structure.force).reshape(len(structure.force), -1)
+        self.nodal_loads = evaluate(load_harmonics, solution.omega, self.time).reshape(
+            self.displacement.shape
+        )
+        has_one_frame = structure.nodes is None or structure.nodes.frames is None
+        self.has_one_load = bool(np.any(self.nodal_loads)) and has_one_frame
+        self.colour_name_and_unit = (
+            ("von Mises stress", "Pa") if material else ("displacement", "m")
+        )
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.pair_nodes, self.shares = self.mesh.centre_and_pressure_functions
+            self.nodal_pair_forces, self.pressure_weights = self.mesh.centre_and_pressure_functions
         else:
-            self.pair_nodes = _nodes_of_pairs(structure)
-            self.shares = self.pair_nodes * self.areas
-            of_node = self.shares.sum(axis=1, keepdims=True)
-            of_node[of_node <= 1e-9 * of_node.max(initial=0.0)] = np.inf  # rounding at tips
-            self.shares /= of_node
+            self.nodal_pair_forces = _make_nodal_pair_forces(structure)
+            self.pressure_weights = self.nodal_pair_forces * self.pair_areas
+            nodal_area_sums = self.pressure_weights.sum(axis=1, keepdims=True)
+            is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)  # at tips
+            nodal_area_sums[is_rounding] = np.inf
+            self.pressure_weights /= nodal_area_sums
 
     @property
-    def cracked(self) -> bool:
-        """True if there are crack faces."""
+    def has_cracks(self) -> bool:
+        """True if the mesh has crack faces."""
         return len(self.mesh.crack_face_sides) > 0
 
     @cached_property
-    def moved(self) -> np.ndarray:
-        """Places of the nodes by the magnified displacement: (n, n_nodes, d) [m]."""
+    def magnified_points(self) -> np.ndarray:
+        """Positions of the nodes with magnified displacement: (n, n_nodes, d) [m]."""
         return self.mesh.points + self.magnification * self.displacement
 
     @cached_property
     def colour_values(self) -> np.ndarray:
-        """Values of that field, or the length of its vectors: (n, n_nodes)."""
+        """Von Mises stress [Pa], or size of the displacement [m]: (n, n_nodes)."""
         if self.material is None:
             return np.linalg.norm(self.displacement, axis=2)
         return von_mises(self.stress)
 
     @property
-    def colour_end(self) -> float:
-        """End of the colour scale of the whole period, which begins at 0.
+    def colour_scale_end(self) -> float:
+        """End of the colour scale for the whole period, [Pa] or [m]; the scale begins at 0.
 
-        The stresses of one node in 50 lie beyond: at the tip and under the load they are unbounded.
+        The largest stresses of one node in 50 lie beyond it, since stresses are unbounded at the
+        tip and under the load.
         """
-        largest = self.colour_values.max(axis=0)
-        end = largest.max() if self.material is None else np.quantile(largest, 0.98)
-        return float(end) if end > 0.0 else 1.0
+        largest_nodal_values = self.colour_values.max(axis=0)
+        scale_end = (
+            largest_nodal_values.max()
+            if self.material is None
+            else np.quantile(largest_nodal_values, 0.98)
+        )
+        return float(scale_end) if scale_end > 0.0 else 1.0
 
     @cached_property
     def stress(self) -> np.ndarray:
-        """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]; of a solid xx, yy, zz, xy, yz, xz."""
+        """Stresses from :func:`nodal_stress`: (n, n_nodes, 3), or of a solid (..., 6), [Pa]."""
         assert self.material is not None
         return nodal_stress(self.mesh, self.displacement, self.material)
 
-    def grid(self, frame: int) -> Any:
-        """Return the mesh at rest with the point fields of :func:`write_period` in a frame."""
-        force, displacement = self.force[frame], self.displacement[frame]
-        grid = grid_at_rest(self.mesh)
-        # Half-way between two pairs a node is closed where both are.
-        closed, seen = self.shares @ (force > 0.0), self.shares.sum(axis=1)
-        fields = {
-            "displacement": in_space(displacement),
-            "contact state": np.where(seen > 0.0, 1.0 * (closed > 0.501 * seen), -1.0),
-            "contact force": self.pair_nodes @ force,
-            "contact pressure": self.shares @ (force / self.areas),
+    def make_frame_grid(self, frame_index: int) -> Any:
+        """Make the grid at rest with the point fields of :func:`write_period` in a frame."""
+        pair_forces, displacement = self.contact_forces[frame_index], self.displacement[frame_index]
+        grid = make_grid_at_rest(self.mesh)
+        # A node half-way between two pairs is closed if both are closed.
+        weight_sums = self.pressure_weights.sum(axis=1)
+        is_closed = self.pressure_weights @ (pair_forces > 0.0) > 0.501 * weight_sums
+        point_fields = {
+            "displacement": pad_to_space(displacement),
+            "contact state": np.where(weight_sums > 0.0, 1.0 * is_closed, -1.0),
+            "contact force": self.nodal_pair_forces @ pair_forces,
+            "contact pressure": self.pressure_weights @ (pair_forces / self.pair_areas),
         }
         if self.material is not None:
-            fields["stress"] = self.stress[frame]
-            fields["von Mises stress"] = von_mises(self.stress[frame])
-        for name, values in fields.items():
+            point_fields["stress"] = self.stress[frame_index]
+            point_fields["von Mises stress"] = von_mises(self.stress[frame_index])
+        for name, values in point_fields.items():
             grid.point_data[name] = values.astype(np.float32)  # in half the time and space
         stress = grid.GetPointData().GetArray("stress")
-        for component, axes in enumerate(COMPONENTS[self.mesh.dimension] if self.material else ()):
-            stress.SetComponentName(component, axes)
+        component_names = STRESS_COMPONENTS_BY_DIMENSION[self.mesh.dimension]
+        for component_index, name in enumerate(component_names if self.material else ()):
+            stress.SetComponentName(component_index, name)
         grid.field_data["magnification"] = [self.magnification]
         return grid
 
@@ -460,23 +532,24 @@ def write_period(
     """Write one period of a vibration as a time series for ParaView (collective).
 
     The points of all frames are those at rest: ParaView's Warp By Vector moves them by
-    ``displacement``. A script beside it, ``paraview --script=NAME_paraview.py``, does so with the
-    magnification, shows the plate from the front, coloured by stress or displacement, and plays the
-    period once. Each frame has the ``magnification`` in its field data.
+    ``displacement``. A script in the same folder, ``paraview --script=NAME_paraview.py``, does so
+    with the magnification. It shows a plate from the front and a solid from a corner, coloured by
+    stress or displacement, and plays the period once. Each frame has the ``magnification`` in its
+    field data.
 
     Parameters
     ----------
     solution : PeriodicSolution
         Result to show.
     path : str or Path
-        The .pvd file to open in ParaView; the frames (.vtu) go into a folder beside it.
+        The .pvd file to open in ParaView; a folder of the same name gets the frames (.vtu).
     frames : int
-        Instants in the period.
+        Number of instants in the period.
     magnification : float, optional
         Scale factor of Warp By Vector in the script; default: the largest displacement becomes a
         tenth of the structure's size.
     material : Material, optional
-        Of the scene, for stresses.
+        Material of the scene, for stresses.
 
     Returns
     -------
@@ -490,13 +563,16 @@ def write_period(
 
     Notes
     -----
-    Point fields, in single precision: ``displacement`` [m], true to scale; ``contact state``: 1 on
-    a closed pair of face nodes, 0 on an open one, -1 away from the crack faces; ``contact force``
-    [N] on each node of a pair (of a solid's patch on the two in its middle), and ``contact
-    pressure`` [Pa], that force over the pair's area, and between the pairs that are patches: smooth
-    along the crack faces if the contact stiffness is given per area. With a material: ``stress``
-    (xx, yy, xy; of a solid xx, yy, zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the tip and
-    under the point load they grow without bound as the mesh is refined.
+    Point fields, in single precision:
+
+    - ``displacement`` [m], not magnified,
+    - ``contact state``: 1 on a closed pair of face nodes, 0 on an open one, -1 off the crack faces,
+    - ``contact force`` [N] on each node of a pair, or on the two middle nodes of a solid's patch,
+    - ``contact pressure`` [Pa]: the force over the pair's area, interpolated between patches. It is
+      smooth along the crack faces if the contact stiffness is given per area.
+    - with a material ``stress`` (xx, yy, xy; in a solid xx, yy, zz, xy, yz, xz) and ``von Mises
+      stress`` [Pa]. At the tip and under a point load, both grow without bound as the mesh is
+      refined.
 
     Examples
     --------
@@ -504,53 +580,81 @@ def write_period(
     """
     begin_stage(Path(path).name)
     fields = PeriodFields(solution, frames, magnification, material)
-    target = Path(path)
+    collection_path = Path(path)
 
-    def write() -> None:
-        check_inner_folder(target.with_name(target.stem))
-        names = [f"{target.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))]
-        lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
-        for instant, name in zip(fields.time, names, strict=True):
-            lines.append(f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>')
-        series = "\n".join([*lines, "  </Collection>", "</VTKFile>", ""])
-        field, unit = fields.colour
-        script = target.with_name(f"{target.stem}_paraview.py")
-        words = {"script": script.name, "folder": str(target.parent.resolve()), "pvd": target.name}
-        colours = {"field": field, "title": f"{field} [{unit}]", "end": fields.colour_end}
-        colours["mode"] = f"{fields.mesh.dimension}D"
-        colours["camera"] = CAMERAS[fields.mesh.dimension]
-        colours["caption"] = f"displacement x {fields.magnification:.3g}"
-        colours["factor"] = fields.magnification
-        state = packaged("draw/paraview_state.txt")
-        about = [(target, series), (script, state.format(**words, **colours))]
-        frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))
-        write_files_together(itertools.chain(about, frames))
+    def write_files() -> None:
+        check_inner_folder(collection_path.with_name(collection_path.stem))
+        frame_names = [
+            f"{collection_path.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))
+        ]
+        collection_lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+        for instant, frame_name in zip(fields.time, frame_names, strict=True):
+            collection_lines.append(
+                f'    <DataSet timestep="{instant:.12g}" file={quoteattr(frame_name)}/>'
+            )
+        collection_text = "\n".join([*collection_lines, "  </Collection>", "</VTKFile>", ""])
+        colour_name, colour_unit = fields.colour_name_and_unit
+        script_path = collection_path.with_name(f"{collection_path.stem}_paraview.py")
+        path_texts = {
+            "script": script_path.name,
+            "folder": str(collection_path.parent.resolve()),
+            "pvd": collection_path.name,
+        }
+        view_settings = {
+            "field": colour_name,
+            "title": f"{colour_name} [{colour_unit}]",
+            "end": fields.colour_scale_end,
+            "mode": f"{fields.mesh.dimension}D",
+            "camera": VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
+            "caption": f"displacement x {fields.magnification:.3g}",
+            "factor": fields.magnification,
+        }
+        script_template = packaged("draw/paraview_state.txt")
+        script_text = script_template.format(**path_texts, **view_settings)
+        first_files = [(collection_path, collection_text), (script_path, script_text)]
+        frame_files = (
+            (collection_path.parent / frame_name, _format_vtu(fields.make_frame_grid(frame)))
+            for frame, frame_name in enumerate(frame_names)
+        )
+        write_files_together(itertools.chain(first_files, frame_files))
 
-    on_root(fields.mesh.structure.comm, write)
+    on_root(fields.mesh.structure.comm, write_files)
     return fields.magnification
 
 
-CAMERAS = {2: "view.ResetActiveCameraToNegativeZ()", 3: "view.ApplyIsometricView()"}
-"""ParaView's view of a plate and of a solid."""
+VIEW_COMMANDS_BY_DIMENSION = {
+    2: "view.ResetActiveCameraToNegativeZ()",
+    3: "view.ApplyIsometricView()",
+}
+"""ParaView's commands to look at a plate and at a solid."""
 
 
-def _vtu(grid: Any) -> str:
-    """The text of a .vtu file; VTK itself says nothing of a file that it cannot finish."""
-    fields, writer = grid.GetPointData(), vtkXMLUnstructuredGridWriter()
-    fields.SetActiveScalars(fields.GetArrayName(0))  # what is coloured by at first
+def _format_vtu(grid: Any) -> str:
+    """Return the text of a .vtu file; VTK would not report a file that it cannot finish."""
+    point_data, writer = grid.GetPointData(), vtkXMLUnstructuredGridWriter()
+    point_data.SetActiveScalars(point_data.GetArrayName(0))  # ParaView's first colours
     writer.SetInputData(grid)
     writer.SetDataModeToBinary()
-    writer.SetCompressionLevel(1)  # three times as quick, a hundredth larger; LZ4 not all read
+    writer.SetCompressionLevel(1)  # 3 times faster, 1 % larger; not all readers know LZ4
     writer.WriteToOutputStringOn()
     writer.Write()
     return str(writer.GetOutputString())
 
 
-def _nodes_of_pairs(structure: Structure) -> np.ndarray:
-    """Forces of nodes by unit forces on pairs: (n_nodes, n_pairs) on every rank (collective)."""
+def _make_nodal_pair_forces(structure: Structure) -> np.ndarray:
+    """Return the size of the force at each node by a unit force on each pair (collective).
+
+    Returns
+    -------
+    (n_nodes, n_pairs)
+        The same on every rank.
+    """
     assert structure.nodes is not None
-    dofs, gap = structure.nodes.dofs, structure.gap
-    moving = np.nonzero(dofs >= 0)
-    entries = np.ones(len(moving[0])), (moving[0], dofs[moving] - structure.first_dof)
-    sums = csr_matrix(entries, (len(dofs), structure.n_local))
-    return gather_rows(structure.comm, np.sqrt((sums @ gap.multiply(gap)).toarray()))
+    dofs, gap_matrix = structure.nodes.dofs, structure.gap
+    free_entries = np.nonzero(dofs >= 0)
+    free_nodes, local_dofs = free_entries[0], dofs[free_entries] - structure.first_dof
+    matrix_entries = np.ones(len(free_nodes)), (free_nodes, local_dofs)
+    node_dof_matrix = csr_matrix(matrix_entries, (len(dofs), structure.n_local))
+    return gather_rows(
+        structure.comm, np.sqrt((node_dof_matrix @ gap_matrix.multiply(gap_matrix)).toarray())
+    )

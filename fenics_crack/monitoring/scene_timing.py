@@ -364,7 +364,7 @@ def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[
         )
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
         if is_disk or rotation is None:  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
-            turn_matrix, rotation_center = structure.sector.turn, structure.sector.center
+            turn_matrix, rotation_center = structure.sector.rotation, structure.sector.center
             find_tip_factors = (turn_matrix - turn_matrix.T) @ (
                 node_points[node_index] - rotation_center
             )

@@ -359,16 +359,16 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     over all ranks and includes the memory held already.
     """
     sector = wheel.sector
-    n_real_dofs, n_dofs = 2 * len(sector.dofs.own_members), sector.structure.n_dofs
+    n_real_dofs, n_dofs = 2 * len(sector.dof_numbering.own_members), sector.structure.n_dofs
     is_solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
     solver_bytes = 2.0 * factor_memory(
         n_real_dofs, solid=is_solid
     ) + 16.0 * n_real_dofs * krylov_size(n_families)
-    mode_bytes = 16.0 * len(sector.diameters) * n_dofs * n_families
+    mode_bytes = 16.0 * len(sector.nodal_diameters) * n_dofs * n_families
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
-    n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dofs.upper_members))
-    opening_bytes = 32.0 * sector.count * n_dofs * n_columns
+    n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))
+    opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_columns
     return _measure_held_memory(wheel) + wheel.comm.size * (
         solver_bytes + mode_bytes + opening_bytes
     )

@@ -25,7 +25,7 @@ def grid(columns: int, rows: int) -> dict[str, Any]:
 
 def of_wheel(found: CyclicModes) -> np.ndarray:
     """The frequencies of the modes of the wheel, ascending."""
-    single = [found.sector.is_single(n) for n in found.sector.diameters]
+    single = [found.sector.has_single_wave(n) for n in found.sector.nodal_diameters]
     parts = zip(found.omega, single, strict=True)
     return np.sort(np.concatenate([np.repeat(own, 1 if one else 2) for own, one in parts]))
 
@@ -132,7 +132,7 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     wheel = wheel_of(ring(**without, disk__families=6))
     sector, order, omega = wheel.sector, wheel.order, 2.0 * np.pi * 990.0
     with sector.factor_stiffness() as still:
-        ties = still.at_diameter(order).ties.toarray()
+        ties = still.at_diameter(order).tie_matrix.toarray()
     dynamic = (sector.stiffness - omega**2 * sector.mass) @ ties
     force = sector.structure.force
     pull = ties.conj().T @ (force[1] - 1j * force[2])
@@ -140,5 +140,5 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     undamped = fc.reduce_wheel(wheel.damped(None))
     _, own = wheel.blade_of(wheel.watched_dof)
     found = _response(undamped, omega, wheel.dofs_of_blades(wheel.watched_dof))
-    turned = np.exp(2j * np.pi * order * np.arange(sector.count) / sector.count)
+    turned = np.exp(2j * np.pi * order * np.arange(sector.n_sectors) / sector.n_sectors)
     assert found == pytest.approx(exact[own] * turned, rel=1e-5)

@@ -64,7 +64,7 @@ def write_whole(wheel: Wheel, path: Path) -> None:
     number = np.full(len(nodes.points), -1)
     number[used] = np.arange(len(used))
     points, cells = [], []
-    for place in range(wheel.sector.count):
+    for place in range(wheel.sector.n_sectors):
         moved = wheel.sector.place_points(nodes.points[used], place)
         cells.append(number[nodes.cells[:, :corners]] + len(used) * place)
         points.append(moved)

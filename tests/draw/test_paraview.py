@@ -10,7 +10,7 @@ import pyvista
 from helpers import log_slope, relative
 
 import fenics_crack as fc
-from fenics_crack.draw.vtk import PeriodFields, grid_at_rest, nodal_stress, von_mises
+from fenics_crack.draw.vtk import PeriodFields, make_grid_at_rest, nodal_stress, von_mises
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 
@@ -82,17 +82,19 @@ def test_patches_of_a_solid() -> None:
     study = fc.prepare(fc.Scene.from_text(SOLID))
     solution = fc.solve_harmonic_balance(study.structure, 3500.0, study.contact, harmonics=5)
     fields = PeriodFields(solution, 8)
-    mesh, force = fields.mesh, fields.force
+    mesh, force = fields.mesh, fields.contact_forces
     facets = mesh.crack_face_sides
-    assert len(np.setdiff1d(np.flatnonzero(fields.shares.any(axis=1)), facets))  # of edges
+    assert len(
+        np.setdiff1d(np.flatnonzero(fields.pressure_weights.any(axis=1)), facets)
+    )  # of edges
     one, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
     areas = 0.5 * np.linalg.norm(np.cross(one, two), axis=1)
     assert force.max() > 0.0
     for frame in range(8):
-        grid = pyvista.wrap(fields.grid(frame))
+        grid = pyvista.wrap(fields.make_frame_grid(frame))
         assert grid["contact force"].sum() == pytest.approx(2.0 * force[frame].sum())
         pressure = grid["contact pressure"]
-        assert pressure.max() == pytest.approx((force[frame] / fields.areas).max())
+        assert pressure.max() == pytest.approx((force[frame] / fields.pair_areas).max())
         integral = areas @ pressure[facets].mean(axis=1)
         assert integral == pytest.approx(2.0 * force[frame].sum(), rel=1e-6)
         assert np.all(grid["contact state"][pressure > 0.0] >= 0.0)
@@ -211,7 +213,7 @@ def test_stress_is_not_smeared_across_the_crack(paper_scene: fc.Scene) -> None:
     """One constant stress above the lips and another below: exact on both, though in one place."""
     scene = graded(paper_scene, "quadrilateral", 2)
     mesh = NodalMesh(fc.build_structure(scene))
-    grid = pyvista.wrap(grid_at_rest(mesh))
+    grid = pyvista.wrap(make_grid_at_rest(mesh))
     centres = grid.cell_centers().points
     above = (centres[:, 0] < 0.035) & (centres[:, 1] > 0.05)
     upper = np.zeros(len(mesh.points), dtype=bool)

@@ -115,15 +115,15 @@ def test_pressures_are_drawn_between_middles(scene: Scene) -> None:
     law = fc.UnilateralConstraint()
     solution = fc.solve_harmonic_balance(study.structure, 3500.0, law, harmonics=1)
     fields = PeriodFields(solution, 1)
-    grid = pyvista.wrap(fields.grid(0))
+    grid = pyvista.wrap(fields.make_frame_grid(0))
     shown = np.flatnonzero(grid["contact state"] >= 0.0)
-    whole = shown[fields.shares[shown].sum(axis=1) > 0.9]  # next to the front half of it
+    whole = shown[fields.pressure_weights[shown].sum(axis=1) > 0.9]  # next to the front half of it
     assert grid["contact pressure"][whole] == pytest.approx(STRESS, rel=1e-4)
     assert np.all(grid["contact state"][shown] == 1.0)
     places = fields.mesh.points[shown]
     assert places[:, 1] == pytest.approx(scene.crack.height)  # type: ignore[union-attr]
     assert len(shown) == 2 * 24 if scene.dimension == 2 else len(whole) > 2 * 4
-    grid = fields.pair_nodes.sum(axis=0)
+    grid = fields.nodal_pair_forces.sum(axis=0)
     assert grid[:-1] == pytest.approx(2.0) and 1.0 < grid[-1] <= 2.0  # without the tip's part
     values = [np.max(x.get_array()) for x in fc.draw_contact_map(solution).axes[0].collections]
     assert max(values) == pytest.approx(1e-6 * STRESS, rel=1e-4)

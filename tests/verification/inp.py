@@ -91,14 +91,14 @@ def _nodes(points: np.ndarray, used: np.ndarray, shift: int, z: float) -> list[s
 
 def sector_lines(sector: Sector, scene: fc.Scene) -> list[str]:
     """Those of a sector of a bladed disk of C3D10, and the symmetry by which its sides match."""
-    left, right = sector.sides
+    left, right = sector.side_nodes
     lines = mesh_lines(sector.structure, scene, "C3D10", right)
     for name, nodes in (("LEFT", left), ("RIGHT", right)):
         lines += [f"*SURFACE, NAME={name}, TYPE=NODE", *(str(node + 1) for node in nodes)]
     lines += ["*TIE, NAME=SIDES, CYCLIC SYMMETRY", "RIGHT, LEFT"]  # the right one follows
     center, axis = scene.axis
     ends = ", ".join(f"{x:.13e}" for x in (*center, *(center + axis)))
-    return [*lines, f"*CYCLIC SYMMETRY MODEL, N={sector.count}, TIE=SIDES", ends]
+    return [*lines, f"*CYCLIC SYMMETRY MODEL, N={sector.n_sectors}, TIE=SIDES", ends]
 
 
 def ties(structure: fc.Structure) -> list[str]:
