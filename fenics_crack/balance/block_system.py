@@ -313,7 +313,10 @@ class BlockSystem(Snes):
 
 @dataclass(frozen=True)
 class BlockSolver(Solver):
-    """Solver of a problem by the block system.
+    """Solver for all displacement coefficients at once, by PETSc's SNES.
+
+    Its block system has a block row for each harmonic: dynamic stiffness times displacement plus
+    contact force less load. :meth:`solve` returns the same solutions as the condensed solver.
 
     Raises
     ------

@@ -456,7 +456,11 @@ class ModalCompliance:
         )
 
     def _negative_modal_displacement_by_omega(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return the derivative of modal displacements by the base frequency: (H+1, n_modes)."""
+        """Return minus the derivative of modal displacements by the base frequency.
+
+        ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
+        complex ones.
+        """
         harmonic_orders, negative_modal_displacement = (
             self._harmonic_orders[:, None],
             self._negative_modal_displacement(contact_force),

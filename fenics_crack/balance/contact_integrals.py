@@ -423,7 +423,8 @@ class CoupledIntegrals(ContactIntegrals):
     samples : int or None
         Instants per period; None: exact integrals.
     shared_set_solver : ActiveSetSolver or None
-        Solver of other integrals with the same law and R_inf, with the inverses of its sets.
+        Solver of other integrals with the same law and R_inf, whose factored matrices for sets of
+        touching pairs are used again.
     """
 
     samples: int | None = None

@@ -488,7 +488,11 @@ class Wave:
     def _basis_gaps_and_forces_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the basis, gaps [m] and contact forces [N] (n, n_rows) at its phases."""
+        """Return the given Fourier basis with gaps [m] and contact forces [N] at the phases.
+
+        ``basis`` (n, 2H+1) has a row for each load phase in ``phase`` (n,) [rad]; gaps and forces
+        are (n, n_rows).
+        """
         contact_law = self.contact
         slow_gap_at_phases = basis @ self.slow_gap_coefficients
         if contact_law is None:
@@ -667,7 +671,9 @@ class CompiledEquations(Equations):
         self.function_table = kernel.equations_of_contact(self._point_handle)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        """Return residual F and Jacobian at a slow gap s = ``unknown`` and a parameter p."""
+        """Return residual F of the balance and its Jacobian at s = ``unknown`` and a parameter p.
+
+        The slow gap s = g + R_inf lambda is the gap without its quasi-static response."""
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def function_table_at(self, point: CompiledPoint) -> Any:

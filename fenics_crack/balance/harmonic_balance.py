@@ -332,7 +332,7 @@ MAX_HARMONICS = 500
 def mode_counts(
     structure: Structure, first_modes: int = FIRST_MODES, max_modes: int = MAX_MODES_FOR_MONODROMY
 ) -> list[int]:
-    """Return ascending numbers of modes for a large structure, doubled each time."""
+    """Return the numbers of modes to try one after the other: ``first_modes``, then doubled."""
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
     return [

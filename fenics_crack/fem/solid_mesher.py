@@ -107,7 +107,7 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
 
 
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
-    """Mesh a part, or only its faces, as :func:`read` does."""
+    """Mesh a CAD part, or only its faces; ``request`` and the result are those of :func:`read`."""
     solid_dim_tags = _import_part(path, request["unit"])
     triangles, owners = mesh_faces()
     if "size" not in request:

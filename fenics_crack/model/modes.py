@@ -427,7 +427,8 @@ def _solve_near_shift(
 def count_below(structure: Structure, square: float, ties: Any = None) -> int:
     """Return the number of modes with omega^2 < square (collective).
 
-    These are the negative pivots of K - square M (Sylvester).
+    These are the negative pivots of K - square M (Sylvester). ``ties`` is a matrix of constraints
+    that keep contact pairs closed, or None.
     """
     with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
         return int(factor.n_negative_pivots)

@@ -396,6 +396,12 @@ class MasslessStructure(QuasiStaticReduction):
         ----------
         displacement : (m, n_dofs)
             Coordinates, as in :meth:`expand`.
+        dofs : sequence of int or None
+            None, as for a dof of a held node, gives a displacement of 0.
+
+        Returns
+        -------
+        (m, n) [m]
         """
         if self._source.whole is not self._source:  # it is reduced itself
             return self._source.values_at(self._expand_to_source(displacement), dofs)

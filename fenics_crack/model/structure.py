@@ -331,7 +331,7 @@ class Structure(Coordinates):
 
     @cached_property
     def rotation(self) -> Any:
-        """Terms of rotation; their structure at rest is varied like this one."""
+        """Stiffness terms of rotation with load, clearance and damping as here; None without."""
         return self.body.rotation and self.body.rotation.change_rest_structure(self._apply_setting)
 
     @property
@@ -702,7 +702,10 @@ class Structure(Coordinates):
         damping: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> Structure:
-        """Make a structure from its matrices.
+        """Make a structure from its matrices: M u'' + C u' + K u + B lambda(g) = f, g = B^T u - g0.
+
+        Crack faces touch where g > 0: a column of B has 1 at the dof that moves towards the other
+        face, -1 at the other face's.
 
         Parameters
         ----------

@@ -186,7 +186,7 @@ class Equations(ABC):
 
     @property
     def compiled_equations(self) -> Equations | None:
-        """Return the equations themselves, which the kernel's loops can run."""
+        """Return self if the kernel's compiled loops can run the equations, else None."""
         return self
 
     @abstractmethod

@@ -558,7 +558,8 @@ def correction_struct(
 ) -> Struct:
     """Return options of :func:`solve_in_plane` as the C struct ``correction``.
 
-    Along a path ``max_parameter_change`` is measured in steps.
+    Along a path ``max_parameter_change`` is a multiple of the step length. Newton's method ends
+    when ``max_stalled_steps`` steps together do not halve the residual; 0: it goes on.
     """
     return Struct(
         "correction", tolerance=tolerance, max_parameter_change=max_parameter_change,
