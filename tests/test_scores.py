@@ -22,6 +22,17 @@ OTHER_ORBITS = {"chain-20"}
 """Cases of which this package answers an orbit that they do not have."""
 
 
+def test_the_table_is_the_record() -> None:
+    """The table of docs/the_paper.md follows from the kept rows, program by program."""
+    record = json.loads((ORBITS / "scores.json").read_text())
+    page = (ORBITS.parents[1] / "docs" / "the_paper.md").read_text()
+    for program, rows in record["rows_by_program"].items():
+        numbers = " | ".join(score.line(program, rows)[1:])
+        lines = [line for line in page.splitlines() if line.lower().startswith(f"| {program}")]
+        assert len(lines) == 1 and lines[0].endswith(f" | {numbers} |"), numbers
+    assert record["commit"] in page and record["date"] in page
+
+
 def case_of(name: str) -> dict[str, Any]:
     """A case of the benchmark."""
     return check.read(ORBITS / "cases" / f"{name}.json")

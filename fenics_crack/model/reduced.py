@@ -397,7 +397,7 @@ class MasslessStructure(QuasiStaticReduction):
         displacement : (m, n_dofs)
             Coordinates, as in :meth:`expand`.
         dofs : sequence of int or None
-            None, as for a dof of a held node, gives a displacement of 0.
+            None stands for the watched dof.
 
         Returns
         -------
