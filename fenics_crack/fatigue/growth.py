@@ -43,6 +43,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
 from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
+from fenics_crack.fem.solid import section_ends
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
@@ -372,7 +373,7 @@ def _grow_ellipse(
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": SHAPE_MODES})
     ends = 1 if crack.edge else 2
-    most = _longest(scene)
+    most = on_root(comm, lambda: _longest(scene))
     if crack.given("length") >= most:
         raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
     over = {
@@ -411,15 +412,14 @@ def _grow_ellipse(
 
 
 def _longest(scene: Scene) -> float:
-    """Largest length of a half-ellipse for which stress intensities are found [m]; around a point,
-    whose room is not known, that of one which grows three times as fast along the face."""
-    crack, law = scene.given("crack"), scene.given("growth")
-    if crack.point is not None:
-        return float(crack.given("length") * (law.until / crack.given("depth")) ** 3)
-    room = scene.geometry.sides[0]
-    if crack.edge is None:
-        room = 2.0 * min(crack.given("center"), room - crack.given("center"))
-    return WIDEST * room
+    """Return the largest length of a half-ellipse in the table [m].
+
+    Around a point it is at most that of one which grows three times as fast along the face.
+    """
+    crack, law, sides = scene.given("crack"), scene.given("growth"), section_ends(scene)
+    room = WIDEST * (max(sides) if crack.edge else 2.0 * min(sides))
+    longest = crack.given("length") * (law.until / crack.given("depth")) ** 3
+    return room if crack.point is None else min(room, longest)
 
 
 def missed_by(table: EllipseTable, path: EllipsePath, law: Law, ends: int) -> float:

@@ -165,13 +165,10 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
         gmsh.model.mesh.generate(2)
     except Exception as error:
         raise Refusal("geometry.file", f"a part whose faces gmsh can mesh ({error})") from None
-    triangles, owners = [], []
-    for _, tag in gmsh.model.getEntities(2):
-        face_triangles = _face_triangles(tag)
-        triangles.append(face_triangles)
-        owners += [tag] * len(face_triangles)
+    tags = [tag for _, tag in gmsh.model.getEntities(2)]
+    triangles = [_face_triangles(tag) for tag in tags]
     gmsh.model.mesh.clear()
-    return np.concatenate(triangles), np.array(owners)
+    return np.concatenate(triangles), np.repeat(tags, [len(corners) for corners in triangles])
 
 
 def _face_triangles(tag: int) -> np.ndarray:
@@ -292,10 +289,11 @@ def insert_cracks(
     for crack in cracks:
         if crack["half"] is None:
             crack["half"] = [2.0 * np.ptp(triangles.reshape(-1, 3), axis=0).max()] * 2
-        inner_faces = occ.intersect(
-            _draw_crack_face(crack), solid_tags, removeObject=True, removeTool=False
-        )[0]
-        inner_faces = [inner_face for inner_face in inner_faces if inner_face[0] == 2]
+        inner_faces = [
+            entity
+            for entity in occ.intersect(_draw_crack_face(crack), solid_tags, removeTool=False)[0]
+            if entity[0] == 2
+        ]
         if len(inner_faces) != 1:
             centres = np.reshape([occ.getCenterOfMass(*face) for face in inner_faces], (-1, 3))
             is_in_face = triangle_distances(centres, triangles) < 1e-6 * np.ptp(triangles)
@@ -488,11 +486,11 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
                 "InField": distance_field,
                 "SizeMin": shortest_length,
                 "SizeMax": size,
+                "DistMin": 0.0,
                 "DistMax": graded_distance,
             }
             for name, value in threshold_options.items():
                 fields.setNumber(threshold_field, name, value)
-            fields.setNumber(threshold_field, "DistMin", 0.0)
             graded_fields.append(threshold_field)
     if graded_fields:
         minimum_field = fields.add("Min")
