@@ -48,6 +48,7 @@ from fenics_crack.fatigue.ellipse import (
     integrate_ellipse_growth,
 )
 from fenics_crack.fem.build import with_crack_length
+from fenics_crack.fem.solid import find_section_reaches
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
@@ -486,7 +487,7 @@ def _grow_ellipse(
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
-    max_length = _find_max_ellipse_length(scene)
+    max_length = on_root(comm, lambda: _find_max_ellipse_length(scene))
     if crack.given("length") >= max_length:
         raise InputError(
             "crack.length", crack.length, f"below {max_length:g} with [growth]: the sides"
@@ -582,18 +583,15 @@ def _collect_ellipse_remarks(
 def _find_max_ellipse_length(scene: Scene) -> float:
     """Find the maximum length [m] for half-ellipses in the table.
 
-    Around a point the distance to the sides is unknown. There the length is a crack's with three
-    times the relative growth along the face.
+    Around a point it is at most the length of a crack with three times the relative growth along
+    the face.
     """
-    crack, law = scene.given("crack"), scene.given("growth")
-    if crack.point is not None:
-        return float(crack.given("length") * (law.until / crack.given("depth")) ** 3)
-    available_length = scene.geometry.sides[0]
-    if crack.edge is None:
-        available_length = 2.0 * min(
-            crack.given("center"), available_length - crack.given("center")
-        )
-    return MAX_ELLIPSE_LENGTH_FRACTION * available_length
+    crack, law, reaches = scene.given("crack"), scene.given("growth"), find_section_reaches(scene)
+    available_length = max(reaches) if crack.edge else 2.0 * min(reaches)
+    max_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
+    if crack.point is None:
+        return max_length
+    return min(max_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
 
 
 def estimate_ellipse_life_error(

@@ -15,6 +15,7 @@ the mesh. A part's file may be untrusted, so a part is meshed in a separate proc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +205,24 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distances > 1e-6 * extent)
     return float(distances[is_hit].min(initial=extent))
+
+
+def find_section_reaches(scene: Scene) -> tuple[float, float]:
+    """Find how far a solid reaches along its first crack, backwards and ahead [m].
+
+    Both lengths are measured in the crack's plane from its middle.
+    """
+    crack, geometry = _mesher_cracks(scene, 1.0)[0], scene.geometry
+    triangles = (
+        np.array([*combinations(product(*((0.0, side) for side in geometry.sides)), 3)])
+        if geometry.file is None
+        else read_part_triangles_and_owners(str(geometry.file), geometry.unit)["triangles"]
+    )
+    x, _, height = np.moveaxis((triangles - crack["middle"]) @ np.transpose(crack["frame"]), -1, 0)
+    x_step, height_step = (np.roll(values, -1, axis=1) - values for values in (x, height))
+    is_crossed = (height * (height + height_step) <= 0.0) & (height_step != 0.0)
+    crossings = (x - height * x_step / np.where(is_crossed, height_step, 1.0))[is_crossed]
+    return -float(crossings.min(initial=0.0)), float(crossings.max(initial=0.0))
 
 
 def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:

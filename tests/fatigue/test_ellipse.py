@@ -8,8 +8,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gmsh
 import numpy as np
 import pytest
+from helpers import gmsh_model
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
@@ -298,9 +300,24 @@ def test_ranks_share_the_shapes(on_ranks: Callable[..., Any]) -> None:
     assert on_ranks(lives) == pytest.approx(lives(MPI.COMM_SELF) * 2, rel=1e-8)
 
 
-def test_the_nearer_side_limits_the_length() -> None:
-    """A centre 4 mm from a side leaves 8 mm, of which nine tenths may be cracked."""
-    near_side = scene(**{"crack.center": 0.004, "crack.length": 0.00725})
+@pytest.mark.parametrize("form", ["center", "point", "file"])
+def test_the_nearer_side_limits_the_length(form: str, tmp_path: Path) -> None:
+    """A middle 4 mm from a side leaves 8 mm, of which nine tenths may be cracked: of a box by its
+    center or a point, and of the same box from a STEP file."""
+    changes: dict[str, Any] = {"crack.center": 0.004, "crack.length": 0.00725}
+    if form != "center":
+        changes |= dict.fromkeys(("crack.center", "crack.height", "crack.front"))
+        changes |= {"crack.point": [0.004, 0.03, 0.006], "crack.normal": [0.0, 1.0, 0.0]}
+        changes |= {"crack.direction": [1.0, 0.0, 0.0]}
+    if form == "file":
+        changes |= dict.fromkeys(f"geometry.{side}" for side in ("width", "height", "thickness"))
+        changes |= {"geometry.file": str(tmp_path / "box.step")}
+        changes |= {"geometry.faces": {"clamp": [[0.015, 0.0, 0.003]]}}
+        with gmsh_model() as model:
+            model.occ.addBox(0, 0, 0, 30, 90, 6)
+            model.occ.synchronize()
+            gmsh.write(changes["geometry.file"])
+    near_side = scene(**changes)
     with pytest.raises(fc.InputError, match=r"crack\.length = 0\.00725: .*below 0\.0072 "):
         fc.grow(near_side, comm=MPI.COMM_SELF)
 

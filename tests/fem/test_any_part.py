@@ -11,6 +11,7 @@ from typing import Any
 import gmsh
 import numpy as np
 import pytest
+from fatigue.test_ellipse import newman_raju
 from helpers import gmsh_model
 from mpi4py import MPI
 from scipy.integrate import dblquad
@@ -256,3 +257,21 @@ def test_a_tilted_ellipse_in_a_block(radii: tuple[float, float], angle: float) -
     exact = exact * (sine**2 + (b / a) ** 2 * cosine**2) ** 0.25
     ratio = found.largest / exact
     assert np.sqrt(((ratio - 1.0) ** 2).mean()) < 0.015
+
+
+@pytest.mark.parametrize(
+    "radii", [(0.003, 0.0018), (0.003, 0.003), (0.005, 0.002), (0.002, 0.0025)]
+)
+def test_a_half_ellipse_in_a_pulled_plate(folder: Path, radii: tuple[float, float]) -> None:
+    """K_I of a STEP plate's half ellipse at all stations but the ends: Newman's and Raju's
+    to 5 %."""
+    plate = dict.fromkeys(f"geometry.{side}" for side in ("width", "height", "thickness"))
+    plate |= {"geometry.file": str(folder / "box.step"), "mesh.size": 0.006}
+    plate |= {"geometry.faces": {"clamp": [[0.015, 0.0, 0.003]], "top": [[0.015, 0.09, 0.003]]}}
+    crack = {"crack.point": [0.015, 0.045, 0.006], "crack.normal": Y, "crack.direction": X}
+    scene = fc.Scene.from_text(BLOCK).replace(plate | crack | {"crack.radii": list(radii)})
+    solution = fc.stress_intensity(fc.solve(scene, MPI.COMM_SELF))
+    half_length, depth = map(np.array, radii)
+    sines = [(0.006 - point[2]) / depth for point in solution.points[1:-1]]
+    expected = [newman_raju(depth, half_length, sine, PULL, 0.0) for sine in sines]
+    np.testing.assert_allclose(solution.largest[1:-1], expected, rtol=0.05)
