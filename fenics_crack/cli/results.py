@@ -109,8 +109,8 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
     if table.columns[0] != "name":
         return Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
     report_fields |= {
-        "shown": account.select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
-        "tables": _number_tables_by_heading(run, table),
+        "printed_table": account.select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
+        "page_tables": _number_tables_by_heading(run, table),
     }
     report = Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
     conclusion_row = [
@@ -204,12 +204,12 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     return _make_report(
         run,
         table,
-        rows=_tabulate_waveforms(run, sample_waveforms(run)),
+        csv_table=_tabulate_waveforms(run, sample_waveforms(run)),
         notes=note_texts,
         warnings=warning_texts,
-        further=_blade_tables_by_heading(run, "Blades") | _front_tables_by_heading(run),
-        done=solution.converged,
-        missed=is_tolerance_missed or bool(explain_unknown_solution_error(run)),
+        further_tables=_blade_tables_by_heading(run, "Blades") | _front_tables_by_heading(run),
+        has_converged=solution.converged,
+        misses_tolerance=is_tolerance_missed or bool(explain_unknown_solution_error(run)),
     )
 
 
@@ -349,9 +349,9 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     return _make_report(
         run,
         table,
-        rows=_tabulate_waveforms(run, waveforms),
+        csv_table=_tabulate_waveforms(run, waveforms),
         warnings=warning_texts,
-        done=is_finished,
+        has_converged=is_finished,
     )
 
 
@@ -582,18 +582,20 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     return _make_report(
         run,
         special_point_table,
-        rows=tabulate_curve_points(run, indicator_columns),
-        shown=account.select_printed_quantities(shortened_table, scene, IN_SPECIAL_POINTS_TABLE),
+        csv_table=tabulate_curve_points(run, indicator_columns),
+        printed_table=account.select_printed_quantities(
+            shortened_table, scene, IN_SPECIAL_POINTS_TABLE
+        ),
         notes=note_texts,
         warnings=warning_texts,
-        tables={
+        page_tables={
             "Special points": account.select_printed_quantities(
                 special_point_table, scene, IN_SPECIAL_POINTS_TABLE
             )
         },
-        further=_blade_tables_by_heading(run, "Blades, each at its largest response"),
-        done=bool(curve.complete) and curve.status != INTERRUPTED_STATUS,
-        missed=bool(explain_unknown_error(run)),
+        further_tables=_blade_tables_by_heading(run, "Blades, each at its largest response"),
+        has_converged=bool(curve.complete) and curve.status != INTERRUPTED_STATUS,
+        misses_tolerance=bool(explain_unknown_error(run)),
     )
 
 
