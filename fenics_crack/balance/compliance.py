@@ -223,28 +223,32 @@ class ModalCompliance:
             else None
         )
         self._harmonic_orders = np.arange(len(load_rows) // 2 + 1.0)
-        self._modal_load_per_load = to_complex(load_rows @ self._all_modes.shapes)
+        self._modal_load_at_unit_factor = to_complex(load_rows @ self._all_modes.shapes)
         self.gap_shape: tuple[int, ...] = len(load_rows), structure.n_pairs
-        self._massless_displacement_per_load, self._massless_gap_per_load = (
+        self._massless_displacement_at_unit_factor, self._massless_gap_at_unit_factor = (
             None,
             np.zeros(self.gap_shape),
         )
         if self._all_modes.massless_flexibility is not None:
-            self._massless_displacement_per_load = load_rows @ self._all_modes.massless_flexibility
-            self._massless_gap_per_load = structure.apply_bt(self._massless_displacement_per_load)
+            self._massless_displacement_at_unit_factor = (
+                load_rows @ self._all_modes.massless_flexibility
+            )
+            self._massless_gap_at_unit_factor = structure.apply_bt(
+                self._massless_displacement_at_unit_factor
+            )
         self._set_parameters(base_omega, 1.0, 1.0, 0.0)
 
     def _set_parameters(
         self, base_omega: float, load_factor: float, damping_factor: float, added_clearance: float
     ) -> None:
         self._base_omega, self._damping_factor = base_omega, damping_factor
-        is_mode_loaded = self._modal_load_per_load != 0.0
+        is_mode_loaded = self._modal_load_at_unit_factor != 0.0
         self._receptance = self._all_modes.modal_receptances(
             base_omega * self._harmonic_orders, damping_factor, is_mode_loaded
         )
-        self._modal_load = load_factor * self._modal_load_per_load
+        self._modal_load = load_factor * self._modal_load_at_unit_factor
         self._load_factor = load_factor
-        self.gap_without_modes = load_factor * self._massless_gap_per_load
+        self.gap_without_modes = load_factor * self._massless_gap_at_unit_factor
         self.gap_without_modes[0] -= self._pair_clearances + added_clearance
 
     @cached_property
@@ -292,21 +296,21 @@ class ModalCompliance:
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        displacement = from_complex(
+        displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force) @ self._all_modes.shapes.T
         )
         return (
-            displacement
-            if self._massless_displacement_per_load is None
-            else displacement + self._massless_displacement(contact_force)
+            displacement_of_modes
+            if self._massless_displacement_at_unit_factor is None
+            else displacement_of_modes + self._massless_displacement(contact_force)
         )
 
-    def displacements(self, base_omega: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
+    def displacements(self, base_omegas: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
         ----------
-        base_omega : (n,) [rad/s]
+        base_omegas : (n,) [rad/s]
         contact_force : (2H+1, n, n_pairs) [N]
             Contact forces at each frequency.
 
@@ -314,26 +318,28 @@ class ModalCompliance:
         -------
         (2H+1, n, n_local) [m]
         """
-        modes, harmonic_omegas = (
+        modes, omega_by_harmonic_and_base = (
             self._all_modes,
-            np.multiply.outer(self._harmonic_orders, base_omega),
+            np.multiply.outer(self._harmonic_orders, base_omegas),
         )
-        is_mode_loaded = np.repeat(self._modal_load_per_load != 0.0, len(base_omega), axis=0)
+        is_mode_loaded = np.repeat(self._modal_load_at_unit_factor != 0.0, len(base_omegas), axis=0)
         modal_receptance = modes.modal_receptances(
-            harmonic_omegas.ravel(), self._damping_factor, is_mode_loaded
+            omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
         modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.pairs.T
         modal_displacement = modes.respond(
-            modal_receptance.reshape(*harmonic_omegas.shape, *modal_receptance.shape[1:]),
+            modal_receptance.reshape(
+                *omega_by_harmonic_and_base.shape, *modal_receptance.shape[1:]
+            ),
             modal_force,
         )
-        displacement = from_complex(modal_displacement @ modes.shapes.T)
-        if self._massless_displacement_per_load is None:
-            return displacement
+        displacement_of_modes = from_complex(modal_displacement @ modes.shapes.T)
+        if self._massless_displacement_at_unit_factor is None:
+            return displacement_of_modes
         assert modes.massless_pair_responses is not None
         return (
-            displacement
-            + self._load_factor * self._massless_displacement_per_load[:, None]
+            displacement_of_modes
+            + self._load_factor * self._massless_displacement_at_unit_factor[:, None]
             - contact_force @ modes.massless_pair_responses.T
         )
 
@@ -344,24 +350,25 @@ class ModalCompliance:
 
         Returns ``selection_rows`` (m, n_local) times the displacement.
         """
-        displacement = from_complex(
+        displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force)
             @ (selection_rows @ self._all_modes.shapes).T
         )
         return (
-            displacement
-            if self._massless_displacement_per_load is None
-            else displacement + self._massless_displacement(contact_force) @ selection_rows.T
+            displacement_of_modes
+            if self._massless_displacement_at_unit_factor is None
+            else displacement_of_modes
+            + self._massless_displacement(contact_force) @ selection_rows.T
         )
 
     def _massless_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
         assert (
             self._all_modes.massless_pair_responses is not None
-            and self._massless_displacement_per_load is not None
+            and self._massless_displacement_at_unit_factor is not None
         )
         return (
-            self._load_factor * self._massless_displacement_per_load
+            self._load_factor * self._massless_displacement_at_unit_factor
             - contact_force @ self._all_modes.massless_pair_responses.T
         )
 
@@ -407,7 +414,7 @@ class ModalCompliance:
             "modal_damping": require_shape(modes.damping, n_modes),
             "shapes": require_shape(modes.pairs, n_modes, self.gap_shape[1]),
             "load": require_shape(
-                self._load_factor * self._modal_load_per_load,
+                self._load_factor * self._modal_load_at_unit_factor,
                 len(self._harmonic_orders),
                 n_modes,
                 kind=complex,
@@ -433,7 +440,10 @@ class ModalCompliance:
             clearance_derivative[0] = 1.0
             return clearance_derivative
         if parameter_name == "load":
-            return -self._gap_response(self._modal_load_per_load) - self._massless_gap_per_load
+            return (
+                -self._gap_response(self._modal_load_at_unit_factor)
+                - self._massless_gap_at_unit_factor
+            )
         if parameter_name == "damping":
             damping_force_per_omega = 1j * self._all_modes.damping_force(
                 self._negative_modal_displacement(contact_force)
@@ -531,11 +541,13 @@ class FactoredCompliance:
         static_compliance_rest = (
             self.matrices[0].real - (pair_shapes.T / natural_omegas**2) @ pair_shapes
         )
-        harmonic_omegas = (
+        higher_harmonic_omegas = (
             self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
         )
         modal_receptance = 1.0 / (
-            natural_omegas**2 - harmonic_omegas**2 + 1j * harmonic_omegas * modal_damping_rates
+            natural_omegas**2
+            - higher_harmonic_omegas**2
+            + 1j * higher_harmonic_omegas * modal_damping_rates
         )
         return static_compliance_rest + np.matmul(
             pair_shapes.T * modal_receptance[:, None, :], pair_shapes

@@ -167,13 +167,13 @@ def estimate_errors(
     def relative_gap_size(change: np.ndarray) -> float:
         return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
-    relative_residual, relative_penetration = (
+    relative_residual, relative_rms_penetration = (
         relative_gap_size(point.residual),
         relative_gap_size(_rms_penetration(point, problem)),
     )
     if not has_converged:
         return ErrorReport(
-            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_penetration, UNKNOWN_ERROR
+            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_rms_penetration, UNKNOWN_ERROR
         )
     finer_integrals, sampling_error = point.system.integrals.exact_or_finer(), 0.0
     if finer_integrals is not None:
@@ -212,7 +212,7 @@ def estimate_errors(
         truncation=truncation_error,
         sampling=sampling_error,
         reduction=modal_errors[0],
-        penetration=relative_penetration,
+        penetration=relative_rms_penetration,
         displacement=min(load_error + modal_errors[1], UNKNOWN_ERROR),
         confirmed=not (assessment.can_search_orbit and search)
         or assessment.nearest_orbit is not None,
@@ -347,37 +347,37 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    reference_structure, residual_compliance = (
+    more_modes_structure, residual_compliance = (
         reference_structure_of(wave),
         point.system.residual_compliance,
     )
-    if reference_structure is None:
+    if more_modes_structure is None:
         return 0.0, 0.0
     cutoff = np.inf if residual_compliance is None else problem.cutoff
-    reference_problem, start_slow_gap = (
-        replace(problem, structure=reference_structure, static_above=cutoff),
+    more_modes_problem, start_slow_gap = (
+        replace(problem, structure=more_modes_structure, static_above=cutoff),
         point.gap,
     )
     if point.system.integrals.has_coupled_pairs:
         assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
-            all_modes(reference_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
+            all_modes(more_modes_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
             rigid_penalty_stiffness = len(residual_compliance) / (
                 REGULAR_EIGENVALUE_RATIO * np.trace(residual_compliance)
             )
-            reference_problem = replace(
-                reference_problem,
+            more_modes_problem = replace(
+                more_modes_problem,
                 contact=with_penalty(problem.contact, float(rigid_penalty_stiffness)),
             )
-    reference_system = reference_problem.system(reference_problem.compliance())
+    reference_system = more_modes_problem.system(more_modes_problem.compliance())
     if reference_system.residual_compliance is not None:
         start_slow_gap = start_slow_gap + point.force @ reference_system.residual_compliance
     return modal_truncation_errors(
         problem.structure,
         _change_by_better_system(
-            point, wave, reference_system, start_slow_gap, reference_structure
+            point, wave, reference_system, start_slow_gap, more_modes_structure
         ),
     )
 

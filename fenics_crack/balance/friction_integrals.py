@@ -23,7 +23,12 @@ import numpy as np
 
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledForces, CoupledIntegrals
 from fenics_crack.kernel import kernel, pointer
-from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, spring_compliances
+from fenics_crack.model.contact import (
+    ContactLaw,
+    FrictionContactSolver,
+    friction_of,
+    spring_compliances,
+)
 from fenics_crack.numerics.fourier import (
     evaluate,
     fourier_basis,
@@ -73,12 +78,12 @@ class FrictionIntegrals(ContactIntegrals):
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
-    def set_solver(self) -> FrictionSets:
+    def set_solver(self) -> FrictionContactSolver:
         """Return the solver by sets of closed and sliding pairs, for D."""
         friction_law = friction_of(self.law)
         assert friction_law is not None
         scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
-        return FrictionSets(self.compliance, scaled_coefficient)
+        return FrictionContactSolver(self.compliance, scaled_coefficient)
 
     @cached_property
     def compliance(self) -> np.ndarray:
@@ -108,7 +113,7 @@ class FrictionIntegrals(ContactIntegrals):
 
         ``gap_samples`` is (n, 2 n_pairs) [m].
 
-        Raises as :meth:`FrictionSets.solve`.
+        Raises as :meth:`FrictionContactSolver.solve`.
 
         Returns
         -------

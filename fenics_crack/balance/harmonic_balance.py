@@ -181,11 +181,11 @@ def linear_response(
             compliance = ModalCompliance(structure, float(load_omega), load_rows)
             bonding_force = np.zeros_like(compliance.linear_gap)
             if lips == "tied" and structure.n_pairs:
-                complex_gap = to_complex(compliance.linear_gap)
-                complex_gap[1] = np.linalg.lstsq(
-                    compliance.matrices[1], complex_gap[1], rcond=None
+                complex_linear_gap = to_complex(compliance.linear_gap)[1]
+                complex_bonding_force = np.linalg.lstsq(
+                    compliance.matrices[1], complex_linear_gap, rcond=None
                 )[0]
-                bonding_force[1:] = from_complex(complex_gap)[1:]
+                bonding_force[1:] = complex_bonding_force.real, -complex_bonding_force.imag
             amplitudes[index] = np.hypot(
                 *compliance.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
             )
@@ -615,7 +615,7 @@ def solution_of_orbit(
     )
     more_modes: MoreModes | None = None
 
-    def solution_with(harmonics: int) -> PeriodicSolution:
+    def solution_with_harmonics(harmonics: int) -> PeriodicSolution:
         nonlocal coefficients
         if 2 * harmonics + 1 > len(coefficients.gap):
             coefficients = orbit.coefficients(harmonics)
@@ -623,7 +623,7 @@ def solution_of_orbit(
             problem.with_harmonics(harmonics), orbit, coefficients, more_modes
         )
 
-    more_modes = solution_with(
+    more_modes = solution_with_harmonics(
         problem.response_harmonics(SearchOptions.guess_harmonic_counts[0])
     ).assessment.more_modes
     if more_modes and initial and initial.structure is problem.structure:
@@ -634,20 +634,22 @@ def solution_of_orbit(
             if initial_more_modes
             else None,
         )
-    reduction_error, load_error = _modal_truncation_errors(problem, solution_with, more_modes)
+    reduction_error, load_error = _modal_truncation_errors(
+        problem, solution_with_harmonics, more_modes
+    )
     error_goal = _error_goal(tolerance, reduction_error)
-    n_insufficient_harmonics, solution = 0, solution_with(problem.harmonics)
+    n_insufficient_harmonics, solution = 0, solution_with_harmonics(problem.harmonics)
     while not solution.assessment.distance <= error_goal and solution.harmonics < max_harmonics:
         n_insufficient_harmonics = solution.harmonics
-        solution = solution_with(min(2 * solution.harmonics, max_harmonics))
+        solution = solution_with_harmonics(min(2 * solution.harmonics, max_harmonics))
     if n_insufficient_harmonics:
         harmonics = bisect_left(
             range(solution.harmonics),
             True,
             n_insufficient_harmonics + 1,
-            key=lambda count: solution_with(count).assessment.distance <= error_goal,
+            key=lambda count: solution_with_harmonics(count).assessment.distance <= error_goal,
         )
-        solution = solution_with(harmonics)
+        solution = solution_with_harmonics(harmonics)
     gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.errors()
     gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
@@ -677,12 +679,14 @@ def truncated_orbit_solution(
 
 
 def _modal_truncation_errors(
-    problem: Problem, solution_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
+    problem: Problem,
+    solution_with_harmonics: Callable[[int], PeriodicSolution],
+    more_modes: MoreModes | None,
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
     They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
-    computes them, from ``solution_with``, the orbit's motion with a given number of harmonics.
+    computes them, from ``solution_with_harmonics``, the orbit's motion with a given number of harmonics.
 
     Returns
     -------
@@ -696,7 +700,7 @@ def _modal_truncation_errors(
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
         balance_solver = Solver(problem.with_harmonics(n_harmonics))
         balanced_solution = balance_solver.search_and_solution(
-            solution_with(n_harmonics), with_whole_budget=False, more_modes=more_modes
+            solution_with_harmonics(n_harmonics), with_whole_budget=False, more_modes=more_modes
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement

@@ -43,7 +43,7 @@ from fenics_crack.numerics.newton import relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
 """Nearest cases searched for neighbours, and neighbours that a fitted plane uses."""
-MIN_SAMPLES = 256
+MIN_INSTANTS_OF_ORBIT = 256
 """Least instants per period for an orbit's numbers.
 
 A coefficient of order 20 is then accurate to a hundredth.
@@ -332,7 +332,10 @@ def _table_entries_of_orbit(
 
     ``watched_dof_row`` (1, n_dofs) selects the watched dof.
     """
-    n_instants, contact_track = max(MIN_SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
+    n_instants, contact_track = (
+        max(MIN_INSTANTS_OF_ORBIT, 4 * problem.harmonics + 4),
+        orbit.motion.track,
+    )
     orbit_samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
     displacement_gaps_forces = orbit_samples.displacement, orbit_samples.gaps, orbit_samples.forces
     wave = problem.wave_of(

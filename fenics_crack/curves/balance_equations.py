@@ -282,7 +282,7 @@ class BalanceAlongLoad(_BalanceOfVariedStructure):
             raise InputError("parameter", "load", parameter_requirement)
 
 
-class BalanceAlongDamping(_BalanceOfVariedStructure):
+class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
     """Equations along v: factor for the damping."""
 
     name = "damping"
@@ -430,7 +430,7 @@ BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
         BalanceAlongFrequency,
         BalanceAlongLoad,
         BalanceAlongContactStiffness,
-        BalanceAlongDamping,
+        BalanceAlongDampingFactor,
         BalanceAlongClearance,
         BalanceAlongFriction,
         BalanceAlongSpeed,

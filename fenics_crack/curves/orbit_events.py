@@ -164,7 +164,7 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
     return severities
 
 
-class MultiplierControl(StepControl):
+class MultiplierStepControl(StepControl):
     """Reject steps over which the Floquet multipliers change too much.
 
     A step is rejected if

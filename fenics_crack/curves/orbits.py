@@ -39,12 +39,12 @@ from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbit_events import (
-    MultiplierControl,
+    MultiplierStepControl,
     NeimarkSacker,
     PeriodDoubling,
     leading_multipliers_and_counts,
 )
-from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow_or_error
+from fenics_crack.motion.flow import ContactFlow, IntegratedMotion, as_doubles, exact_flow_or_error
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
@@ -115,8 +115,8 @@ class Orbits(CurveSystem):
         # and a few large matrices outweigh the time between calls.
         return 2**13 // self.n_record_entries
 
-    def make_step_control(self, longest_step: float) -> MultiplierControl:
-        return MultiplierControl(longest_step)
+    def make_step_control(self, longest_step: float) -> MultiplierStepControl:
+        return MultiplierStepControl(longest_step)
 
     @cached_property
     def _scaled_rest_and_change(self) -> np.ndarray:
@@ -166,7 +166,7 @@ class Orbits(CurveSystem):
 
     def _advance_motion(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
-    ) -> Motion:
+    ) -> IntegratedMotion:
         """Return the motion over a fraction of the period."""
         value = self.value(parameter)
         omega, start_state = self.omega(value), self.state(unknown, value)

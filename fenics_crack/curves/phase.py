@@ -63,7 +63,7 @@ class Drive:
 
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""
-        work_coefficients = compliance_model_of(point).selected_displacement(
+        work_coefficients = modal_compliance_of(point).selected_displacement(
             self.cosine_and_sine_load, point.force if force is None else force
         )
         return self._complex_work_of(work_coefficients)
@@ -71,7 +71,7 @@ class Drive:
     def complex_work_by_omega(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
         return self._complex_work_of(
-            compliance_model_of(point).selected_displacement_by_omega(
+            modal_compliance_of(point).selected_displacement_by_omega(
                 self.cosine_and_sine_load, point.force
             )
         )
@@ -86,7 +86,7 @@ class Drive:
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])
 
 
-def compliance_model_of(point: ContactPoint) -> ModalCompliance:
+def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
     """Return the model of a small structure's dynamic compliance at a point."""
     assert isinstance(point.system.compliance, ModalCompliance)
     return point.system.compliance
@@ -161,7 +161,7 @@ class PhasePoint(Linearisation):
     @cached_property
     def unknown_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
-            compliance_model_of(self.contact_point).residual_derivative(
+            modal_compliance_of(self.contact_point).residual_derivative(
                 "omega", self.contact_point.force
             )
         )

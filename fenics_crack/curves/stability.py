@@ -60,7 +60,7 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     eigenvalues,
     find_orbit,
-    is_same_orbit,
+    is_same_orbit_in_phase,
 )
 from fenics_crack.motion.search import ORBIT_STARTS_BY_NAME, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbits
@@ -159,7 +159,7 @@ def _multiply_steps(
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in kicks_of_stretches.swapaxes(0, 1):
             states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
-            states = _advance_without_contact(modes, transition, states)
+            states = _step_without_contact_forces(modes, transition, states)
         product = states[0]
         for stretch_product in states[1:]:
             product = stretch_product @ product
@@ -181,7 +181,7 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
     return np.asarray(modes.pairs @ pair_impulse)
 
 
-def _advance_without_contact(
+def _step_without_contact_forces(
     modes: AllModes, transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
     """Return the states after a step without contact forces.
@@ -382,7 +382,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         orbit_equations.scale[:, None] * nearest_orbit.monodromy / orbit_equations.scale
     )
     leading_index = int(np.abs(multipliers).argmax())
-    mu, start_change = multipliers[leading_index], eigenvectors[:, leading_index].real
+    leading_multiplier, start_change = (
+        multipliers[leading_index],
+        eigenvectors[:, leading_index].real,
+    )
     orbit_states = nearest_orbit.sampled.whole_states
     rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
@@ -391,12 +394,14 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         orbit_equations.start_unknown + start_change,
         orbit_equations.start_unknown - start_change,
     )
-    for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
+    for start_unknown in (
+        start_unknowns if leading_multiplier == abs(leading_multiplier) else start_unknowns[:1]
+    ):
         attractor = find_attractor(orbit_equations, start_unknown)
         if not any(
             attractor.orbit
             and earlier_attractor.orbit
-            and is_same_orbit(attractor.orbit, earlier_attractor.orbit)
+            and is_same_orbit_in_phase(attractor.orbit, earlier_attractor.orbit)
             for earlier_attractor in distinct_attractors
         ):
             distinct_attractors.append(attractor)

@@ -618,4 +618,4 @@ def reduce_wheel(
     reduced_structure = reduce_structure(
         structure, modes=count, method="massless", reference=n_reference
     )
-    return reduced_structure._in_setting(wheel.setting, removed_error_share=share)
+    return reduced_structure._in_setting(wheel.setting, error_share_removed_by_reference=share)

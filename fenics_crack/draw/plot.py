@@ -241,7 +241,7 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     picture = Picture(2 * len(cracks), columns=2, size=(9.0, 3.4 * len(cracks)), **where)
     for panel, (crack, label) in zip(picture, product(cracks, shown), strict=True):
         nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
-        values = mesh.centre_and_pressure_functions[1][nodes] @ shown[label]
+        values = mesh.pair_centre_and_pressure_functions[1][nodes] @ shown[label]
         _over_crack(panel, mesh.points[nodes], corners.reshape(-1, 3), values, label)
         if len(cracks) > 1:
             panel.set_title(f"crack {crack + 1}", fontsize="medium")

@@ -380,7 +380,7 @@ class PeriodFields:
         self.has_one_load = bool(np.any(self.load)) and one_frame
         self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.pair_nodes, self.shares = self.mesh.centre_and_pressure_functions
+            self.pair_nodes, self.shares = self.mesh.pair_centre_and_pressure_functions
         else:
             self.pair_nodes = _nodes_of_pairs(structure)
             self.shares = self.pair_nodes * self.areas

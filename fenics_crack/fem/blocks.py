@@ -77,8 +77,8 @@ class _GradedFace:
     """Element lengths along a crack face, which fall geometrically towards a tip.
 
     The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside, the
-    coarse end is the middle, with half as many. ``length_ratio`` is an element's length over the
-    next element's length, away from the tip.
+    coarse end is the middle, with half as many. ``length_ratio_towards_tip`` is an element's length
+    over the next element's length, away from the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
@@ -86,8 +86,8 @@ class _GradedFace:
         self.coarse_end, self.tip, self.n_elements = coarse_end, tip, mesh.given("lip_elements")
         if coarse_end not in (0.0, plate_width):
             self.n_elements = -(-self.n_elements // 2)
-        self.length_ratio = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
-        relative_lengths = self.length_ratio ** np.arange(self.n_elements)
+        self.length_ratio_towards_tip = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
+        relative_lengths = self.length_ratio_towards_tip ** np.arange(self.n_elements)
         self.tip_size = float(abs(tip - coarse_end) * relative_lengths[-1] / relative_lengths.sum())
         if self.tip_size < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
             requirement = "smaller, for this crack: the element at its tip is only "
@@ -101,7 +101,7 @@ class _GradedFace:
 
     def element_length(self, position: float) -> float:
         """Return the element length at a position on the face."""
-        coarse_length = self.tip_size / self.length_ratio ** (self.n_elements - 1)
+        coarse_length = self.tip_size / self.length_ratio_towards_tip ** (self.n_elements - 1)
         fraction = (position - self.tip) / (self.coarse_end - self.tip)
         return self.tip_size + fraction * (coarse_length - self.tip_size)
 
@@ -336,7 +336,9 @@ def _graded_intervals(
             ends = sorted((face.coarse_end, face.tip))
             if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
                 length_ratio = (
-                    face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
+                    face.length_ratio_towards_tip
+                    if face.tip > face.coarse_end
+                    else 1.0 / face.length_ratio_towards_tip
                 )
                 return [Interval(start, stop, face.n_elements, length_ratio)]
         start_length = element_length(start, faces_along)
@@ -423,7 +425,9 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
             get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDES
         )
         rim.set_periodic(0, left_curves, right_curves)
-        _mesh_with_gradings(scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()])
+        _mesh_current_model_with_gradings(
+            scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()]
+        )
         # The mesh is made: end the periodicity.
         gmsh.model.mesh.setPeriodic(1, right_curves, right_curves, np.eye(4).ravel().tolist())
     else:
@@ -471,10 +475,10 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
             [replace(interval, n_elements=0) for interval in intervals]
             for intervals in (columns, rows)
         )
-    for i, column_interval in enumerate(columns):
+    for i, column_division in enumerate(columns):
         for j in range(len(ys)):
             horizontal_curves[i, j] = _add_curve(
-                points[i, j], points[i + 1, j], interval_by_face_block.get((i, j), column_interval)
+                points[i, j], points[i + 1, j], interval_by_face_block.get((i, j), column_division)
             )
     for j, row_interval in enumerate(rows):
         for i in range(len(xs)):
@@ -602,7 +606,9 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
     geo = gmsh.model.geo
     points = (start, end) if center is None else (start, center, end)
     curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
-    if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
+    if (
+        interval.n_elements
+    ):  # else elements have lengths by :func:`_mesh_current_model_with_gradings`
         n_nodes_on_curve, length_ratio = interval.n_elements + 1, interval.length_ratio
         gmsh.model.geo.mesh.setTransfiniteCurve(
             curve, n_nodes_on_curve, "Progression", length_ratio
@@ -612,7 +618,7 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
-CORNER_SIZE_RATIO = 1.0 / 32.0
+BLADE_RIM_CORNER_SIZE_RATIO = 1.0 / 32.0
 """Element length at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDES = ("rim_left", "rim_right")
 """Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
@@ -712,7 +718,7 @@ class DiskRim:
             _Grading(
                 corner_x_positions,
                 self.foot_height(0.0),
-                CORNER_SIZE_RATIO * size,
+                BLADE_RIM_CORNER_SIZE_RATIO * size,
                 size / blade_width,
             )
         ]
@@ -819,7 +825,9 @@ class DiskRim:
 # --- graded sectors -----------------------------------------------------------------------------
 
 
-def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
+def _mesh_current_model_with_gradings(
+    scene: Scene, unit_scene: Scene, gradings: list[_Grading]
+) -> None:
     """Mesh gmsh's current model with elements of ``mesh.size``, or shorter ones.
 
     Each grading limits the element length.

@@ -119,7 +119,7 @@ def pair_crack_faces(
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
     lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
-        plate.crack_geometries, *node_table_by_face
+        plate.crack_paths_or_surfaces, *node_table_by_face
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
@@ -150,7 +150,7 @@ def pair_crack_faces(
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
-                plate.crack_geometries, crack_index[:n_inside], distances_on_crack[:n_inside]
+                plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
             ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
@@ -163,7 +163,8 @@ def pair_crack_faces(
         )
     pairs = Pairs(
         points, areas, crack_index, distances_on_crack,
-        _watched_pair_by_name(plate.crack_geometries, crack_index, distances_on_crack), **fields,
+        _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
+        **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs

@@ -493,20 +493,20 @@ class Cells:
     ----------
     cell_nodes : (n_cells, k) int
         Nodes in gmsh's order: corners first.
-    facets : (n_facets, n) int
+    facet_corner_columns : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
     is_supporting_corner : (k, n_corners) bool
         True for the corners between which a node of a cell lies.
     """
 
     cell_nodes: np.ndarray
-    facets: np.ndarray
+    facet_corner_columns: np.ndarray
     is_supporting_corner: np.ndarray
 
     @property
     def n_corners(self) -> int:
         """Return the number of corners of a cell."""
-        return int(self.facets.max()) + 1
+        return int(self.facet_corner_columns.max()) + 1
 
     @cached_property
     def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -521,14 +521,20 @@ class Cells:
         local_corners : (n, m) int
             Columns of ``cell_nodes`` that hold the corners.
         """
-        corners = self.cell_nodes[:, self.facets].reshape(-1, self.facets.shape[1])
+        corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
+            -1, self.facet_corner_columns.shape[1]
+        )
         corner_order = np.argsort(corners, axis=1)
         local_corners = np.take_along_axis(
-            np.tile(self.facets, (len(self.cell_nodes), 1)), corner_order, axis=1
+            np.tile(self.facet_corner_columns, (len(self.cell_nodes), 1)), corner_order, axis=1
         )
         corners = np.take_along_axis(corners, corner_order, axis=1)
         facet_order = np.lexsort(corners.T[::-1])
-        return corners[facet_order], facet_order // len(self.facets), local_corners[facet_order]
+        return (
+            corners[facet_order],
+            facet_order // len(self.facet_corner_columns),
+            local_corners[facet_order],
+        )
 
     @cached_property
     def is_shared(self) -> np.ndarray:
@@ -601,7 +607,10 @@ def split_cracks(
         A facet is not between two cells. A crack branches, crosses another, has not two sides,
         or has all its nodes on its front.
     """
-    n_corners, facet_word = cells.facets.shape[1], ("edges", "facets")[positions.shape[1] - 2]
+    n_corners, facet_word = (
+        cells.facet_corner_columns.shape[1],
+        ("edges", "facets")[positions.shape[1] - 2],
+    )
     crack_corners, first_facet_index = np.unique(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )

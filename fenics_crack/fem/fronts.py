@@ -309,7 +309,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
     structure_nodes = structure.nodes
     assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_geometries
+    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_paths_or_surfaces
     clamped_points = gather_rows(
         structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
     )
@@ -1176,7 +1176,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         and structure_pairs.pressure_matrix is not None
         and structure_pairs.areas is not None
     )
-    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_geometries[front.crack]  # type: ignore[union-attr]
+    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_paths_or_surfaces[front.crack]  # type: ignore[union-attr]
     crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
@@ -1196,7 +1196,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             (1.0 - corner_fractions) * edge_fractions,
         ]
     )
-    for corners, corner_distances, corner_front_nodes in zip(
+    for triangle_corners, corner_distances, corner_front_nodes in zip(
         crack.triangles[is_near],
         corner_front_distances[is_near],
         nearest_front_nodes[is_near],
@@ -1216,7 +1216,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
                     t_stop + parameter_period * (t_stop < t_start),
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
-            corner_offsets = corners[corner_order[0]] - front.curve(t, 0)
+            corner_offsets = triangle_corners[corner_order[0]] - front.curve(t, 0)
             points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
                 corner_offsets,
@@ -1225,14 +1225,14 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
         else:
-            points, shape_values = rule_points @ corners[corner_order], rule_points
-            triangle_sides = corners[1:] - corners[0]
+            points, shape_values = rule_points @ triangle_corners[corner_order], rule_points
+            triangle_sides = triangle_corners[1:] - triangle_corners[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         domain_radii = front.radius(front.frame_and_curvature(t)[2])
         kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
-        crack_node_index = crack_node_tree.query(corners[corner_order])[1]
+        crack_node_index = crack_node_tree.query(triangle_corners[corner_order])[1]
         factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )

@@ -84,7 +84,7 @@ class Tip:
 def find_tips(dofs: Dofs) -> list[Tip]:
     """Find all crack tips of a plate (collective)."""
     tips: list[Tip] = []
-    cracks = dofs.plate.crack_geometries
+    cracks = dofs.plate.crack_paths_or_surfaces
     boundary_points = gather_rows(dofs.comm, _outer_points(dofs))
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)

@@ -146,7 +146,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     """
     if face_point_pairs := [
         lower_and_upper_point
-        for crack in dofs.plate.crack_geometries
+        for crack in dofs.plate.crack_paths_or_surfaces
         if (lower_and_upper_point := crack.points_beside(point)) is not None
     ]:
         (lower_point, upper_point), *_ = face_point_pairs
@@ -219,9 +219,9 @@ def _require_free_force(
     dofs: Dofs, key: str, place: object, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
     """Return forces; raise InputError if all act on clamped dofs."""
-    all_and_free_forces = nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs]
     has_force, has_free_force = (
-        np.any(gather_rows(dofs.comm, forces.ravel())) for forces in all_and_free_forces
+        np.any(gather_rows(dofs.comm, nodal_forces.ravel()))
+        for nodal_forces in (nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs])
     )
     if has_force and not has_free_force:
         raise InputError(key, place, "where the plate is free to move")

@@ -464,7 +464,7 @@ class _TwinNodes:
         Equal for coincident nodes.
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
-    has_held_twin : (n_nodes,) bool
+    is_in_half_held_pair : (n_nodes,) bool
         True for both of two coincident nodes if only one has dofs. The other is clamped, or tied
         by equations.
     """
@@ -487,8 +487,8 @@ class _TwinNodes:
         )
         self.place_numbers = np.arange(n_model_nodes)
         self.place_numbers[node_pairs[:, 1]] = node_pairs[:, 0]
-        self.has_held_twin = np.zeros(n_model_nodes, dtype=bool)
-        self.has_held_twin[
+        self.is_in_half_held_pair = np.zeros(n_model_nodes, dtype=bool)
+        self.is_in_half_held_pair[
             node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
         ] = True
         self.first_nodes, self.second_nodes = node_pairs[is_pair].T
@@ -638,7 +638,7 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
             == 2
         )
         is_on_crack &= np.any(twins.pair_index[facet_nodes[:, :n_facet_corners]] >= 0, axis=1)
-        is_on_crack &= ~np.any(twins.has_held_twin[facet_nodes] & (facet_nodes >= 0), axis=1)
+        is_on_crack &= ~np.any(twins.is_in_half_held_pair[facet_nodes] & (facet_nodes >= 0), axis=1)
         if np.any(is_on_crack):
             facet_sets.append((facet_nodes[is_on_crack], cell_centres[is_on_crack]))
     return facet_sets
@@ -778,13 +778,15 @@ def _patch_gaps(
         # Axes: facet, pressure, node, direction.
         integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
         rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
-        columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
+        patch_columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
         is_kept_entry = (rows >= 0) & (integrals != 0.0)
-        gap_triplets.append((integrals[is_kept_entry], rows[is_kept_entry], columns[is_kept_entry]))
-    integrals, rows, columns = map(np.concatenate, zip(*gap_triplets, strict=True))
-    gap = sparse.csr_matrix((integrals, (rows, columns)), (twins.n_dofs, len(areas)))
-    integrals, rows, columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
-    overlap_matrix = sparse.csr_matrix((integrals, (rows, columns)), (len(areas), len(areas)))
+        gap_triplets.append(
+            (integrals[is_kept_entry], rows[is_kept_entry], patch_columns[is_kept_entry])
+        )
+    integrals, rows, patch_columns = map(np.concatenate, zip(*gap_triplets, strict=True))
+    gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
+    integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
+    overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
     front_shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)

@@ -139,7 +139,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
             positions[:, :dimension],
         )
     face_corners = [
-        facets_by_name[name][:, : cells.facets.shape[1]]
+        facets_by_name[name][:, : cells.facet_corner_columns.shape[1]]
         for name in CRACK_FACE_NAMES
         if name in facets_by_name
     ]

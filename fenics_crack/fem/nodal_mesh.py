@@ -81,7 +81,7 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
+    def pair_centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns

@@ -143,11 +143,12 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         )
     }
     for crack_front in find_fronts(structure):
-        arc_lengths = np.append(
+        front_node_arc_lengths = np.append(
             0.0, np.linalg.norm(np.diff(crack_front.node_positions, axis=0), axis=1).cumsum()
         )
         is_inner = crack_front.is_closed | (
-            np.abs(arc_lengths / arc_lengths[-1] - 0.5) <= INNER_FRONT_DISTANCE_RATIO
+            np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
+            <= INNER_FRONT_DISTANCE_RATIO
         )
         inner_nodes, inner_node_parameters = (
             crack_front.node_positions[is_inner],
@@ -165,18 +166,21 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             ),
             default=np.nan,
         )
-        is_in_crack_plane = (
+        are_corners_in_crack_plane = (
             np.abs((surface_triangles - crack_front.node_positions[0]) @ crack_front.normals[0])
             < 1e-6 * nodal_mesh.size
         )
         mouth_triangles = surface_triangles[
-            np.any(is_in_crack_plane & np.isin(surface_facets, nodal_mesh.crack_face_sides), axis=1)
+            np.any(
+                are_corners_in_crack_plane & np.isin(surface_facets, nodal_mesh.crack_face_sides),
+                axis=1,
+            )
         ]
         mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
         depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
         text_by_name[crack_front.name] = (
-            f"{quantity(float(arc_lengths[-1]), 'm')} long, {depth_text}"
+            f"{quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
             f"{quantity(ligament, 'm')} from the surface straight ahead at least"
         )
     return text_by_name

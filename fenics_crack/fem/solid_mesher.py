@@ -355,7 +355,7 @@ def insert_cracks(
         }
         for surface_dim_tags in children[1:]
     ]
-    fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
+    fronts = [_make_front_data(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
     if sum(dimension == 3 for dimension, _ in fragments) != 1:
         crack = next(
             (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
@@ -371,7 +371,7 @@ def insert_cracks(
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
         if len(triangles):
-            _check_crack_position(crack, surface_dim_tags[0][1], front, triangles)
+            _check_crack_is_inside(crack, surface_dim_tags[0][1], front, triangles)
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
@@ -425,7 +425,7 @@ def _sample_curve(curve: int) -> np.ndarray:
     return np.reshape(gmsh.model.getValue(1, curve, parameters), (-1, 3))
 
 
-def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
+def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     """Return the front of a crack.
 
     It consists of the rim's curves on the border of the ellipse or rectangle.
@@ -472,8 +472,8 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
     }  # fmt: skip
 
 
-def _check_crack_position(
-    crack: CrackData, surface: int, front: FrontData, triangles: np.ndarray
+def _check_crack_is_inside(
+    crack: CrackData, surface: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
     """Raise Refusal if a crack is in a face, or almost without ligament.
 
@@ -483,7 +483,7 @@ def _check_crack_position(
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
     if (
         not front["curves"]
-        or pairwise_triangle_distances(centre, triangles).min()
+        or pairwise_triangle_distances(centre, part_triangles).min()
         < MIN_LIGAMENT_RATIO * shortest_length
     ):
         problem = "lies in a face of it" if front["curves"] else "has no front in it"
@@ -493,7 +493,7 @@ def _check_crack_position(
         axis=1, initial=np.inf
     )
     points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
-    ligament = pairwise_triangle_distances(points_off_ends, triangles).min(initial=np.inf)
+    ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(initial=np.inf)
     if ligament < MIN_LIGAMENT_RATIO * shortest_length:
         raise Refusal(key, "farther from the surface: of its front some is"
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip

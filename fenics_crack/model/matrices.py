@@ -55,7 +55,7 @@ from fenics_crack.scene.fields import LARGEST
 DIRECTION_NUMBERS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 DIRECTION_NUMBERS |= {str(number): number for number in range(1, 10)}
 """Number of each direction, by Ansys's words and by its digit."""
-MIN_ENTRY_BYTES = {"coordinate": 4, "array": 2}
+MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry with the end of its line."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
 TRANSPOSE_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
@@ -530,7 +530,7 @@ def _read_header_and_sizes(
         n_entries = n_rows * (n_rows + transpose_sign) // 2
     else:
         n_entries = n_rows * n_columns
-    if n_entries * MIN_ENTRY_BYTES[header[0]] > allowed_bytes:
+    if n_entries * MIN_ENTRY_BYTES_BY_FORMAT[header[0]] > allowed_bytes:
         raise ValueError(f"it announces {n_entries} entries, more than it can hold")
     return header, sizes, n_entries
 
@@ -822,7 +822,7 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """
     allowed_columns_by_key = {"force_mean": 1}
     rows_of_parts = [
-        _read_load_columns(key, part, n, allowed_columns_by_key.get(key, MOST_HARMONICS))
+        _read_load_columns_as_rows(key, part, n, allowed_columns_by_key.get(key, MOST_HARMONICS))
         for key, part in load_parts.items()
     ]
     load_coefficients = np.zeros((2 * max(map(len, rows_of_parts)) + 1, n))
@@ -831,7 +831,9 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     return load_coefficients
 
 
-def _read_load_columns(name: str, data: Any, n: int, allowed_columns: int = 1) -> np.ndarray:
+def _read_load_columns_as_rows(
+    name: str, data: Any, n: int, allowed_columns: int = 1
+) -> np.ndarray:
     """Read up to ``allowed_columns`` columns (n, m) as rows (m, n).
 
     None gives one row of zeros. InputError: the shape is another one.
@@ -874,7 +876,7 @@ def add_harmonics(
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
             raise InputError(name, cosine_and_sine, "(cosine, sine), each (n,) or None")
         new_coefficients[2 * order - 1 : 2 * order + 1] += [
-            _read_load_columns(name, part, n)[0, own_rows] for part in cosine_and_sine
+            _read_load_columns_as_rows(name, part, n)[0, own_rows] for part in cosine_and_sine
         ]
     return new_coefficients
 

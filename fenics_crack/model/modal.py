@@ -380,7 +380,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
     gap, modal_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    flexibility_factor = structure.static_root
+    flexibility_factor = structure.truncated_flexibility_root
     pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding
     return AllModes(
         squares,

@@ -172,23 +172,23 @@ def _convert_receptance_to_load(
             new_load_rows,
         ]
     )
-    n_known_rows = len(all_load_rows) - len(new_load_rows)
-    if len(known_receptance.modal) - n_known_rows != sources_of(structure).shape[1] - len(
+    n_known_load_rows = len(all_load_rows) - len(new_load_rows)
+    if len(known_receptance.modal) - n_known_load_rows != sources_of(structure).shape[1] - len(
         new_load_rows
     ):
         return None  # only one of the two has tangents
     gram = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
     load_weights = (
-        np.linalg.pinv(gram[:n_known_rows, :n_known_rows], hermitian=True)
-        @ gram[:n_known_rows, n_known_rows:]
+        np.linalg.pinv(gram[:n_known_load_rows, :n_known_load_rows], hermitian=True)
+        @ gram[:n_known_load_rows, n_known_load_rows:]
     )
     residual_norms_squared = structure.sum_over_ranks(
-        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_rows]) ** 2).sum(axis=1)
+        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_load_rows]) ** 2).sum(axis=1)
     )
-    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_rows:]):
+    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_load_rows:]):
         return None
     source_transformation = scipy.linalg.block_diag(
-        np.eye(len(known_receptance.modal) - n_known_rows), load_weights
+        np.eye(len(known_receptance.modal) - n_known_load_rows), load_weights
     )
     rows_by_dof = {
         dof: (shape_row, residual_row @ source_transformation)

@@ -141,7 +141,9 @@ def reduce_structure(
             own_compliances = structure.sum_over_ranks(
                 (unit_force_rows.T * static_shapes).sum(axis=0)
             )
-            is_rounding = _is_rounding(own_compliances, flexibility.modal_sources.T, squares)
+            is_rounding = _is_residual_flexibility_rounding(
+                own_compliances, flexibility.modal_sources.T, squares
+            )
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
             if not reference:
@@ -173,8 +175,10 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled, allowed_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
-    n_reference = min(n_doubled, allowed_modes) if allowed_modes > modes else original.n_dofs
+    n_doubled, max_reference_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
+    n_reference = (
+        min(n_doubled, max_reference_modes) if max_reference_modes > modes else original.n_dofs
+    )
     if has_given_reference := reference_choice is not True and reference_choice > modes:
         n_reference = int(reference_choice)
     mode_counts = (n_reference, modes) if reference_choice else (modes,)
@@ -186,7 +190,7 @@ def _reduce_massless(
         reference_choice
         and not has_given_reference
         and n_reference < n_doubled
-        and n_reference == allowed_modes
+        and n_reference == max_reference_modes
     ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
@@ -213,7 +217,9 @@ def _reduce_massless(
     for count in mode_counts:
         compliance = largest_receptance.compliance_beyond(count)
         squares = largest_receptance.squares[:count]
-        is_rounding = _is_rounding(np.diag(compliance), modal_sources[:count], squares)
+        is_rounding = _is_residual_flexibility_rounding(
+            np.diag(compliance), modal_sources[:count], squares
+        )
         # forces that the kept modes carry alone
         compliance[is_rounding] = compliance[:, is_rounding] = 0.0
         if not isinstance(damping_rule, DampingRule | None):
@@ -232,7 +238,7 @@ def _reduce_massless(
     return massless_structure._in_setting(structure.setting)
 
 
-def _is_rounding(
+def _is_residual_flexibility_rounding(
     compliance_diagonal: np.ndarray, modal_sources: np.ndarray, squares: np.ndarray
 ) -> np.ndarray:
     """Return True for forces whose residual flexibility is only rounding.

@@ -372,7 +372,7 @@ class RunUpBody(ReducedBody):
 
     speed: float
     shapes: np.ndarray
-    static_root: np.ndarray
+    truncated_flexibility_root: np.ndarray
     ritz: Ritz
     dense_stiffness: np.ndarray
 
@@ -389,14 +389,14 @@ class RunUpStructure(QuasiStaticReduction):
         Rotor speed W [rad/s].
     shapes : (n_dofs, n_modes)
         Mode shapes Phi in the coordinates, mass-normalised.
-    static_root : (n_dofs, n_dofs - n_modes)
+    truncated_flexibility_root : (n_dofs, n_dofs - n_modes)
         Root L of the other modes' flexibility, K^-1 - Phi Lambda^-1 Phi^T = L L^T.
     """
 
     body: RunUpBody
     speed: float = body_property("speed")
     shapes: np.ndarray = body_property("shapes")
-    static_root: np.ndarray = body_property("static_root")
+    truncated_flexibility_root: np.ndarray = body_property("truncated_flexibility_root")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, load_coefficients = ritz.stiffness_and_load(speed)
@@ -419,7 +419,8 @@ class RunUpStructure(QuasiStaticReduction):
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
-            shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],
+            shapes=columns[:, : ritz.modes] * omega,
+            truncated_flexibility_root=columns[:, ritz.modes :],
             dense_stiffness=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)

@@ -104,9 +104,9 @@ class ModalDamping:
     def __str__(self) -> str:
         ratio_percents = 100.0 * np.asarray(self.ratio)
         min_text, max_text = f"{ratio_percents.min():.3g}", f"{ratio_percents.max():.3g}"
-        range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
+        ratio_range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
         modes_text = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {range_text} %{modes_text}"
+        return f"modal damping {ratio_range_text} %{modes_text}"
 
 
 @dataclass(frozen=True)

@@ -169,22 +169,25 @@ class Flow:
         self.load_gap[0] -= self.clearance
 
     def state(
-        self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None
+        self,
+        displacement: np.ndarray,
+        velocity: np.ndarray,
+        sticking_places: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the states (..., size) of displacements and velocities (..., n_dofs).
 
-        ``places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the tangential gaps
-        without contact forces.
+        ``sticking_places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the
+        tangential gaps without contact forces.
         """
         dof_to_mode_matrix, n_pairs = self.modal_model.inverse.T, self.structure.n_pairs
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
         if self.friction_law:
-            if places is None:
-                places = (
+            if sticking_places is None:
+                sticking_places = (
                     state_parts[0] @ self.modal_model.pairs[:, n_pairs:]
                     + self.load_gap[0, n_pairs:]
                 )
-            state_parts.append(places)
+            state_parts.append(sticking_places)
         return np.concatenate(state_parts, axis=-1)
 
     def displacement(
@@ -406,7 +409,7 @@ class ContactFlow(Flow):
         start: float = 0.0,
         instants: np.ndarray | None = None,
         budget: Budget | None = None,
-    ) -> Motion:
+    ) -> IntegratedMotion:
         """Integrate a motion from a state.
 
         Parameters
@@ -451,7 +454,7 @@ class ContactFlow(Flow):
             int(motion_struct.address.n_events),
             int(motion_struct.address.n_pieces),
         )
-        return Motion(end_state, n_events, n_taylor_pieces, track, samples)
+        return IntegratedMotion(end_state, n_events, n_taylor_pieces, track, samples)
 
     def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
@@ -673,7 +676,7 @@ class Samples:
         return np.where(self.is_closed, spring_gaps, -self.forces_and_openings)
 
     @property
-    def places(self) -> np.ndarray:
+    def sticking_places(self) -> np.ndarray:
         """Return tangential gaps h of sticking pairs: (n, n_pairs) [m].
 
         If a pair does not stick, h follows the motion. Without friction: (n, 0).
@@ -683,7 +686,7 @@ class Samples:
     @property
     def whole_states(self) -> np.ndarray:
         """Return the flow's states: q, q' and, with friction, h of all pairs: (n, size)."""
-        return np.hstack([self.states, self.places])
+        return np.hstack([self.states, self.sticking_places])
 
     @property
     def force(self) -> np.ndarray:
@@ -707,7 +710,7 @@ class Samples:
         return flow.combine_displacement(modal_displacement, self.forces, load_basis, rows=rows)
 
 
-class Motion(NamedTuple):
+class IntegratedMotion(NamedTuple):
     """A motion that has been integrated.
 
     Attributes

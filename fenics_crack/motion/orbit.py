@@ -45,7 +45,14 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import Described, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
+from fenics_crack.motion.flow import (
+    Budget,
+    BudgetError,
+    ContactFlow,
+    IntegratedMotion,
+    Samples,
+    Track,
+)
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
     MAX_LOCATION_RESIDUAL,
@@ -123,7 +130,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         Frequency of the load [rad/s].
     subharmonic : int
         Number of load periods in the orbit's period.
-    motion : Motion
+    motion : IntegratedMotion
         Motion over the period.
     state : (flow.size,)
         State z at phase zero of the load: modal displacements q and velocities q', with friction
@@ -135,7 +142,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     flow: ContactFlow
     omega: float
     subharmonic: int
-    motion: Motion
+    motion: IntegratedMotion
     state: np.ndarray
     flows: int
 
@@ -823,7 +830,7 @@ class _Search:
         twice_weighted_step = self._weights**2 * step
         return float(change @ twice_weighted_step / (step @ twice_weighted_step))
 
-    def _follow(self, state: np.ndarray) -> Motion:
+    def _follow(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, on the remaining budget."""
         self.n_integrated_periods += 1
         budget = Budget(pieces=self._remaining_pieces)
@@ -843,7 +850,7 @@ def orbit_from(
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
 
 
-def is_same_orbit(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
+def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
     """Return True if two orbits agree to 1e-6 of their size in the energy norm."""
     energy_distance = orbit.energy_norm(orbit.state - other_orbit.state)
     return energy_distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)

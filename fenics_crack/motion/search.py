@@ -42,7 +42,7 @@ from fenics_crack.motion.orbit import (
     IMinusMSolver,
     PeriodicOrbit,
     find_orbit,
-    is_same_orbit,
+    is_same_orbit_in_phase,
     predict_orbit,
 )
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
@@ -55,7 +55,7 @@ SEGMENTS_PER_PERIOD = 32
 """Multiple-shooting segments per period."""
 SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
 """Samples of an orbit at which its segments begin."""
-PIECES_PER_PERIOD = 200
+MIN_PIECES_CHARGED_PER_PERIOD = 200
 """Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
 one."""
 MAX_RETURN_PERIODS = 8
@@ -84,12 +84,12 @@ class SearchOptions:
     def pieces(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, in pieces with a Taylor series."""
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
-        return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
+        return int(MIN_PIECES_CHARGED_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
     @classmethod
     def periods(cls, flow: ContactFlow) -> int:
         """Return the maximum number of periods for integrating a motion."""
-        return max(cls.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
+        return max(cls.pieces(flow) // (4 * MIN_PIECES_CHARGED_PER_PERIOD), 60)
 
 
 class Start(NamedTuple):
@@ -201,7 +201,7 @@ def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
         orbit = task.find_orbit(guessed_states[0])
         if orbit is None:
             continue
-        if not any(is_same_orbit(orbit, known_orbit) for known_orbit in found_orbits):
+        if not any(is_same_orbit_in_phase(orbit, known_orbit) for known_orbit in found_orbits):
             found_orbits.append(orbit)
         if not task.prefer_stable or orbit.is_stable:
             break
@@ -302,7 +302,7 @@ class Homotopy:
         if self.remaining_pieces <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         orbit_point = self._orbits.linearise(unknown, 1.0)
-        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, PIECES_PER_PERIOD)
+        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, MIN_PIECES_CHARGED_PER_PERIOD)
         return _HomotopyPoint(orbit_point, parameter, self._orbits.start_unknown)
 
 
@@ -357,7 +357,7 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
         remaining_pieces -= (
             MAX_SEARCH_PERIODS
             // 2
-            * max(PIECES_PER_PERIOD, flow_orbits.n_taylor_pieces_in_last_period)
+            * max(MIN_PIECES_CHARGED_PER_PERIOD, flow_orbits.n_taylor_pieces_in_last_period)
         )
 
 
@@ -376,7 +376,7 @@ def follow_periods(orbits: FlowOrbits, state: np.ndarray, max_periods: int) -> I
     The motion ends after ``max_periods`` periods, at a failure, or at 200 Taylor pieces times
     ``max_periods``.
     """
-    remaining_pieces = PIECES_PER_PERIOD * max_periods
+    remaining_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end
         for _ in range(max_periods):
             if remaining_pieces <= 0:

@@ -100,7 +100,7 @@ def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
     For coefficients (2H+1, ...) more than 2H instants are necessary.
     """
     if len(coefficients) * n_instants <= MAX_MATRIX_SIZE:
-        return _multiply_columns(
+        return _multiply_first_axis(
             fourier_basis_over_period(len(coefficients) // 2, n_instants), coefficients
         )
     import scipy.fft  # slow to import, and needed for long series only
@@ -116,7 +116,7 @@ def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
     The n > 2H samples (n, ...) are equally spaced.
     """
     if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_SIZE:
-        return _multiply_columns(_analysis_matrix(harmonics, len(values)), values)
+        return _multiply_first_axis(_analysis_matrix(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -164,7 +164,7 @@ def _analysis_matrix(harmonics: int, n_instants: int) -> np.ndarray:
     return matrix
 
 
-def _multiply_columns(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _multiply_first_axis(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return matrix @ columns for columns of any shape (n, ...)."""
     product: np.ndarray = matrix @ columns.reshape(len(columns), -1)
     return product.reshape(len(matrix), *columns.shape[1:])

@@ -145,14 +145,14 @@ class Snes(ABC):
         needs_default_line_search = not petsc_options.hasName("snes_linesearch_type")
         if needs_default_line_search:
             petsc_options["snes_linesearch_type"] = "basic"
-        self._choose_solver(self._snes.getKSP())
+        self._set_linear_solver_type(self._snes.getKSP())
         self._snes.setFromOptions()
         if needs_default_line_search:
             petsc_options.delValue("snes_linesearch_type")
         self._snes.setConvergenceTest(self._test_convergence)
 
     @abstractmethod
-    def _choose_solver(self, solver: Any) -> None:
+    def _set_linear_solver_type(self, linear_solver: Any) -> None:
         """Set the default linear solver, a KSP."""
 
     @abstractmethod
@@ -233,18 +233,18 @@ class SystemSnes(Snes):
         matrix.setUp()
         super().__init__(matrix, residual_norms)
 
-    def _choose_solver(self, solver: Any) -> None:
+    def _set_linear_solver_type(self, linear_solver: Any) -> None:
         if self.system.matrix_free:
-            solver.setType("gmres")
-            solver.setGMRESRestart(GMRES_RESTART)
-            solver.setTolerances(max_it=GMRES_RESTART)
-            solver.getPC().setType("none")
+            linear_solver.setType("gmres")
+            linear_solver.setGMRESRestart(GMRES_RESTART)
+            linear_solver.setTolerances(max_it=GMRES_RESTART)
+            linear_solver.getPC().setType("none")
             self._snes.setUseEW(True, version=2, rtol_0=FORCING_TERM, rtol_max=FORCING_TERM)
             self._snes.setMaxLinearSolveFailures(1000)  # better an inexact step than none
         else:
-            solver.setType("preonly")
-            solver.getPC().setType("python")
-            solver.getPC().setPythonContext(self)
+            linear_solver.setType("preonly")
+            linear_solver.getPC().setType("python")
+            linear_solver.getPC().setPythonContext(self)
 
     def solve_and_linearise(
         self, start: np.ndarray, parameter: float, tolerance: float, max_iterations: int

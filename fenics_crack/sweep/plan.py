@@ -128,7 +128,7 @@ def _most_pairs(scene: Scene) -> int:
             return 0  # its cases will fail
         if not plate.has_cracks:
             return 0
-        cracks = len(plate.crack_geometries)
+        cracks = len(plate.crack_paths_or_surfaces)
         nodes = len(plate.facets("lower_lip")) * mesh.order + cracks
     else:
         cracks = len(scene.all_cracks)

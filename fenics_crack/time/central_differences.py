@@ -47,7 +47,7 @@ from fenics_crack.kernel import Struct, kernel, pointer
 from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
-    FrictionSets,
+    FrictionContactSolver,
     add_friction_pairs,
     check_law,
     coefficient_of,
@@ -270,7 +270,7 @@ class _ModalDifferences(Scheme):
             springs = _contact_stiffnesses(request.structure, request.contact)
         if (mu := coefficient_of(request.contact)) is not None:
             assert springs is not None
-            self._friction_solver = FrictionSets(np.diag(1.0 / springs), mu)
+            self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
             self._sticking_places, pair_states = (
                 np.zeros(n_rows // 2),
                 np.zeros(n_rows // 2, dtype=np.int8),
@@ -346,16 +346,16 @@ class _ModalDifferences(Scheme):
             load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._modal_displacement
         if not self._request.rigid:
-            acceleration -= modes.pairs @ self._forces(self._gap())
+            acceleration -= modes.pairs @ self._penalty_forces(self._gap())
         return np.asarray(acceleration - modes.damping_force(velocity))
 
-    def _forces(self, gap: np.ndarray) -> np.ndarray:
+    def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N]."""
         if friction_of(self._request.contact) is None:
             return self._request.contact.force(gap)
         return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         modes, request, n_window_steps = self._modes, self._request, len(window.gap)
         n_steps_in_cache = max(1, MODAL_COORDINATES_IN_CACHE // len(modes.squares))
         for first_step in range(0, n_window_steps, n_steps_in_cache):
@@ -419,7 +419,7 @@ class _CentralDifferences(Scheme):
         self._gap_block = structure_with_friction_rows.gap[self._contact_dofs].toarray()
         self._clearance = structure_with_friction_rows.clearance
         if (mu := coefficient_of(request.contact)) is not None:
-            self._friction_solver = FrictionSets(
+            self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
         self._recorded_local_dofs = request.recorded_dofs - structure.first_dof
@@ -465,7 +465,7 @@ class _CentralDifferences(Scheme):
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
         self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         for step in range(len(window.gap)):
             displacement = self.displacement
             self.advance(step)
@@ -486,7 +486,7 @@ class _CentralDifferences(Scheme):
     def advance(self, step: int) -> None:
         """Integrate one step, from instant ``step`` of the period."""
         dt = self.step_size
-        scaled_net_force = dt**2 * self._net_force(step)
+        scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step)
         self.increment = self.increment + self._solve(scaled_net_force, dt * self.increment)
         if self.rigid:
             next_gap = self.gap + self._gap_motion(self.increment)
@@ -496,7 +496,7 @@ class _CentralDifferences(Scheme):
             self.increment -= self._displacement_per_force @ self.contact_force
         self.displacement = self.displacement + self.increment
 
-    def _net_force(self, step: int) -> np.ndarray:
+    def _load_minus_elastic_and_contact_force(self, step: int) -> np.ndarray:
         """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
         ``step`` is the instant in the period. Forces of a constraint are left out: they belong to
@@ -506,11 +506,11 @@ class _CentralDifferences(Scheme):
         net_force = -self._apply(self.structure.stiffness.mult, self.displacement)
         net_force[self.loaded_dofs] += self.load_samples[step]
         if not self.rigid:
-            self.contact_force = self._forces(self.gap)
+            self.contact_force = self._penalty_forces(self.gap)
             net_force[self._contact_dofs] -= self._gap_block @ self.contact_force
         return net_force
 
-    def _forces(self, gap: np.ndarray) -> np.ndarray:
+    def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N].
 
         With friction the tangential gaps at which pairs stick are updated.
@@ -563,7 +563,7 @@ class _CentralDifferences(Scheme):
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
-        force = self._net_force(0) - self._damping_force(velocity)
+        force = self._load_minus_elastic_and_contact_force(0) - self._damping_force(velocity)
         with Factor(self.structure.mass, definite=True) as factored_mass:
             return np.asarray(factored_mass.solve(force[None])[0])
 

@@ -42,7 +42,12 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, require_shape
-from fenics_crack.model.contact import ActiveSetSolver, ContactLaw, FrictionSets, coefficient_of
+from fenics_crack.model.contact import (
+    ActiveSetSolver,
+    ContactLaw,
+    FrictionContactSolver,
+    coefficient_of,
+)
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow_or_error
@@ -168,12 +173,9 @@ def _displacement_and_velocity(
     With friction the sticking places (n_pairs,) [m] follow.
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
-    displacement_and_velocity = displacement.copy(), flow.modal_model.shapes @ modal_velocity
-    return (
-        (*displacement_and_velocity, sticking_places.copy())
-        if flow.friction_law
-        else displacement_and_velocity
-    )
+    velocity = flow.modal_model.shapes @ modal_velocity
+    friction_part = (sticking_places.copy(),) if flow.friction_law else ()
+    return displacement.copy(), velocity, *friction_part
 
 
 class _ByEvents(Scheme):
@@ -188,7 +190,7 @@ class _ByEvents(Scheme):
         self._instants = fractions * self._period
         self._state = self._flow.state(*request.start)
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         request = self._request
         period_motion = self._flow.advance(
             self._state, request.omega, self._period, instants=self._instants
@@ -261,9 +263,9 @@ class ExponentialFlow(Flow):
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
             set_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
-            self._initial_friction_solver = FrictionSets(self.compliance, mu)
+            self._initial_friction_solver = FrictionContactSolver(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
-            self._friction_solver = FrictionSets(step_compliance, mu)
+            self._friction_solver = FrictionContactSolver(step_compliance, mu)
             set_members = {
                 "friction_solver": self._friction_solver.handle,
                 "sticking_places": self._sticking_places,
@@ -393,7 +395,7 @@ class _ByExponentials(Scheme):
         )
         self._energy_input = self._missing_energy = 0.0
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         flow, request = self._flow, self._request
         flow_steps = flow.advance(self._state)
         states, forces = flow_steps.states, flow_steps.forces
@@ -407,8 +409,8 @@ class _ByExponentials(Scheme):
         window.displacement_at_load[:] = displacement_at_load[:-1] * _loaded_coordinate_scales(
             request
         )
-        if number == 0:
-            self._energy_input = self._energy(flow_steps, 0)
+        if period_number == 0:
+            self._energy_input = self._total_energy(flow_steps, 0)
             self._missing_energy = -self._energy_input
         modal_velocity = states[:, len(flow.modal_model.squares) :]
         damping_power = np.einsum(
@@ -421,12 +423,12 @@ class _ByExponentials(Scheme):
         )
         self._missing_energy += flow_steps.friction_loss - load_work
         self.set_created_energy_ratio(
-            self._energy(flow_steps, -1) + self._missing_energy, self._energy_input
+            self._total_energy(flow_steps, -1) + self._missing_energy, self._energy_input
         )
         self._state = flow_steps.end_state
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
-    def _energy(self, flow_steps: Steps, instant_index: int) -> float:
+    def _total_energy(self, flow_steps: Steps, instant_index: int) -> float:
         """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
         displacement = flow.displacement_from_phase_zero(

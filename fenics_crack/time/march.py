@@ -421,8 +421,8 @@ class Scheme(ABC):
     """PETSc objects that are freed after the integration."""
 
     @abstractmethod
-    def fill(self, window: Window, number: int) -> None:
-        """Integrate period ``number``, from 0 on, fill the window, and sum up the energy."""
+    def fill_period(self, window: Window, period_number: int) -> None:
+        """Integrate period ``period_number``, from 0 on, fill the window, and sum up the energy."""
 
     @abstractmethod
     def state(self) -> tuple[np.ndarray, ...]:
@@ -466,16 +466,20 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
         StopRequest() as stop_request,
         reaching(lambda: f"{n_periods} of {request.periods} periods"),
     ):
-        for number in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
-            period_rows = slice(number % n_kept * steps, (number % n_kept + 1) * steps)
+        for period_number in tqdm(
+            range(request.periods), scheme.name, unit="period", disable=is_hidden
+        ):
+            period_rows = slice(
+                period_number % n_kept * steps, (period_number % n_kept + 1) * steps
+            )
             window = Window(
                 gap[period_rows],
                 force[period_rows],
                 recorded_displacement[period_rows],
                 displacement_at_load,
             )
-            scheme.fill(window, number)
-            n_periods = number + 1
+            scheme.fill_period(window, period_number)
+            n_periods = period_number + 1
             gathered_displacement_at_load = np.concatenate(
                 structure.comm.allgather(displacement_at_load), axis=1
             )

@@ -30,7 +30,7 @@ from fenics_crack.curves.branch import branch_start
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
-    MultiplierControl,
+    MultiplierStepControl,
     count_changes,
     leading_multipliers_and_counts,
 )
@@ -209,7 +209,7 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     start = point_on_path(family, stop.points[0].unknown, 0.0)
     seen: list[np.ndarray] = []
 
-    class Watched(MultiplierControl):
+    class Watched(MultiplierStepControl):
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
             seen.append(points.step_control_values[-1])
             return np.zeros(len(points) - 1 - first, dtype=bool)
@@ -233,7 +233,7 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
     kept_at_once: list[int] = []
     step_ratios: list[float] = []
 
-    class ShortBehind(MultiplierControl):
+    class ShortBehind(MultiplierStepControl):
         bound = longest_step
 
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
@@ -270,7 +270,7 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
     family = Orbits(problem, "omega", 0.8, 1.5)
     crossings: list[list[float]] = []
 
-    class OnceBesideCrossing(MultiplierControl):
+    class OnceBesideCrossing(MultiplierStepControl):
         is_done = False
 
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
@@ -477,7 +477,7 @@ def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ..
     points: Any = SimpleNamespace(
         step_control_values=observed, records=records, chord_lengths=np.array(lengths)
     )
-    assert tuple(MultiplierControl(1.0).mark_rejected_steps(points)) == expected
+    assert tuple(MultiplierStepControl(1.0).mark_rejected_steps(points)) == expected
 
 
 def test_several_changes_are_parted_below_the_floor() -> None:
@@ -487,7 +487,7 @@ def test_several_changes_are_parted_below_the_floor() -> None:
     points: Any = SimpleNamespace(
         step_control_values=observed, records=records, chord_lengths=lengths
     )
-    assert MultiplierControl(1.0).mark_rejected_steps(points).tolist() == [True]
+    assert MultiplierStepControl(1.0).mark_rejected_steps(points).tolist() == [True]
 
 
 # --- the linear flow of smooth laws ---------------------------------------------------------------

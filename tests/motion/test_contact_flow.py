@@ -17,7 +17,13 @@ from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.attractors import find_attractor
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, exact_flow_or_none
+from fenics_crack.motion.flow import (
+    Budget,
+    ContactFlow,
+    IntegratedMotion,
+    Track,
+    exact_flow_or_none,
+)
 from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
@@ -52,7 +58,7 @@ def thrown(flow: ContactFlow, seed: int = 0) -> np.ndarray:
     )
 
 
-def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
+def energy(flow: ContactFlow, motion: IntegratedMotion) -> np.ndarray:
     """Of modes, springs and static compliance at the samples."""
     samples = motion.samples
     shape, rate = np.split(samples.states, 2, axis=1)

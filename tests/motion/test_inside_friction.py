@@ -7,7 +7,7 @@ import pytest
 
 import fenics_crack as fc
 from fenics_crack.balance.friction_integrals import FrictionIntegrals
-from fenics_crack.model.contact import CoulombFriction, FrictionSets
+from fenics_crack.model.contact import CoulombFriction, FrictionContactSolver
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.numerics.fourier import sample_period
@@ -187,7 +187,7 @@ def test_marches_of_one_step_or_many() -> None:
     """The forces of instants by one march, and by marches that follow each other, are the same."""
     draw = np.random.default_rng(8)
     root = draw.normal(size=(6, 6))
-    sets = FrictionSets(root @ root.T / 6.0 + np.eye(6), 0.5)
+    sets = FrictionContactSolver(root @ root.T / 6.0 + np.eye(6), 0.5)
     gaps, held = draw.normal(size=(200, 6)), np.zeros(3)
     whole = sets.solve(gaps, held)[:3]
     for instant, gap in enumerate(gaps):
