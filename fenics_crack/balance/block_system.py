@@ -363,7 +363,7 @@ class BlockSolver(Solver):
         min_factor = (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE
             * contact_system.integrals.mean_pair_compliance
-            / np.abs(contact_system.dynamic_part).sum(axis=2).max()
+            / np.abs(contact_system.dynamic_less_static_compliance).sum(axis=2).max()
         )
         displacements_and_factors = [(linear_displacement, min(min_factor, 1.0))]
         if initial is not None:

@@ -169,7 +169,7 @@ class DynamicStiffness:
         self.destroy()
 
 
-def dynamic_compliance(
+def make_compliance_model(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
 ) -> Compliance:
     """Return the gaps' compliance at multiples of ``base_omega`` (collective).

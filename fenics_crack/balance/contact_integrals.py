@@ -44,9 +44,9 @@ from fenics_crack.model.contact import (
     smooth_forces_and_slopes,
 )
 from fenics_crack.numerics.fourier import (
-    count_instants,
     fourier_coefficients,
     from_complex,
+    n_instants_for_products,
     sample_period,
 )
 
@@ -170,7 +170,7 @@ class ContactIntegrals(ABC):
         """Return integrals with another number of harmonics, and enough samples for them."""
         return replace(self, harmonics=harmonics)
 
-    def exact_or_finer(self) -> ContactIntegrals | None:
+    def exact_or_finer_integrals(self) -> ContactIntegrals | None:
         """Return exact integrals, or integrals with more samples; None if exact already."""
         return None
 
@@ -233,7 +233,7 @@ class SampledIntegrals(ContactIntegrals):
         force = fourier_coefficients(law.force(gap_samples), self.harmonics)
         return PairForces(force, np.array(pair_tangents), -force / (1.0 + self.relative_softness))
 
-    def exact_or_finer(self) -> ContactIntegrals:
+    def exact_or_finer_integrals(self) -> ContactIntegrals:
         if is_piecewise_linear(self.law):
             return ExactIntegrals(self.law, self.harmonics)
         return replace(self, samples=max(4 * self.samples, default_samples(self.harmonics)))
@@ -422,19 +422,21 @@ class CoupledIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    shared_set_solver : ActiveSetSolver or None
+    shared_active_set_solver : ActiveSetSolver or None
         Solver of other integrals with the same law and R_inf, with the inverses of its sets.
     """
 
     samples: int | None = None
-    shared_set_solver: ActiveSetSolver | None = field(default=None, repr=False, compare=False)
+    shared_active_set_solver: ActiveSetSolver | None = field(
+        default=None, repr=False, compare=False
+    )
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
     def active_set_solver(self) -> ActiveSetSolver:
         """Return the solver by sets of closed pairs, for R_inf + I/k and the softness."""
-        if self.shared_set_solver is not None:
-            return self.shared_set_solver
+        if self.shared_active_set_solver is not None:
+            return self.shared_active_set_solver
         assert self.residual_compliance is not None
         series_compliance = self.relative_softness * self.mean_pair_compliance + (
             self.spring_compliance if self.is_piecewise else 0.0
@@ -456,10 +458,13 @@ class CoupledIntegrals(ContactIntegrals):
     def with_harmonics(self, harmonics: int) -> Self:
         n_samples = self.samples and max(self.samples, default_samples(harmonics))
         return replace(
-            self, harmonics=harmonics, samples=n_samples, shared_set_solver=self.active_set_solver
+            self,
+            harmonics=harmonics,
+            samples=n_samples,
+            shared_active_set_solver=self.active_set_solver,
         )
 
-    def exact_or_finer(self) -> Self | None:
+    def exact_or_finer_integrals(self) -> Self | None:
         if self.is_exact:
             return None
         n_samples = 4 * (self.samples or default_samples(self.harmonics))
@@ -631,7 +636,7 @@ class _SampledForces(CoupledForces):
             self._stiffness_matrix_samples, 2 * self.harmonics
         )
         self._band_limited_stiffness_samples = sample_period(
-            self._stiffness_matrix_coefficients, count_instants(self.harmonics)
+            self._stiffness_matrix_coefficients, n_instants_for_products(self.harmonics)
         )
         self.force = fourier_coefficients(self._force_samples, self.harmonics)
 

@@ -68,7 +68,7 @@ from fenics_crack.numerics.equations import (
     solve_factored,
 )
 from fenics_crack.numerics.fourier import (
-    evaluate,
+    evaluate_series,
     fourier_basis_for,
     fourier_basis_over_period,
     resize_harmonics,
@@ -145,7 +145,7 @@ class ContactSystem:
         return self.compliance.linear_gap
 
     @cached_property
-    def dynamic_part(self) -> np.ndarray:
+    def dynamic_less_static_compliance(self) -> np.ndarray:
         """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
         compliance_matrices = self.compliance.matrices
         return (
@@ -161,7 +161,9 @@ class ContactSystem:
             return None
         series_compliance = self._start_softness * self.integrals.mean_pair_compliance
         return self.compile(
-            self.linear_gap, self.dynamic_part, start_series_compliance=series_compliance
+            self.linear_gap,
+            self.dynamic_less_static_compliance,
+            start_series_compliance=series_compliance,
         )
 
     def compile(
@@ -195,10 +197,14 @@ class ContactSystem:
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
-    def dynamic_part_in_basis(self) -> np.ndarray:
+    def dynamic_less_static_compliance_in_basis(self) -> np.ndarray:
         """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
         assert self.reachable_gap_basis is not None
-        return self.reachable_gap_basis.T @ self.dynamic_part @ self.reachable_gap_basis
+        return (
+            self.reachable_gap_basis.T
+            @ self.dynamic_less_static_compliance
+            @ self.reachable_gap_basis
+        )
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return the slow gap s = g + R_inf lambda with the system's harmonics.
@@ -243,7 +249,8 @@ class ContactSystem:
             unknown,
             self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
             lambda point: respond(
-                self.dynamic_part, softness_rate * point.linearised_forces.by_softness()
+                self.dynamic_less_static_compliance,
+                softness_rate * point.linearised_forces.by_softness(),
             ),
         )
 
@@ -275,7 +282,7 @@ class ContactSystem:
 
     def system_along_softness(self) -> ContactSystem:
         """Return these equations with p from very soft contact, 0, to the law, 1."""
-        max_row_sum = float(np.abs(self.dynamic_part).sum(axis=2).max())
+        max_row_sum = float(np.abs(self.dynamic_less_static_compliance).sum(axis=2).max())
         start_softness = max_row_sum / (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE * self.integrals.mean_pair_compliance
         )
@@ -321,23 +328,29 @@ class ContactPoint(DenseLinearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         """Return the residual F(s) of the equations: (2H+1, n_pairs) [m]."""
         system = self.system
-        return self.unknown - system.linear_gap + respond(system.dynamic_part, self.force)
+        return (
+            self.unknown
+            - system.linear_gap
+            + respond(system.dynamic_less_static_compliance, self.force)
+        )
 
     @cached_property
     def jacobian(self) -> np.ndarray:
         """Return J = I + (R - R_inf) T, where T is db/ds."""
-        return self.linearised_forces.identity_plus(self.system.dynamic_part)
+        return self.linearised_forces.identity_plus(self.system.dynamic_less_static_compliance)
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
         if system.reachable_gap_basis is not None:
             return self.linearised_forces.identity_plus(
-                system.dynamic_part_in_basis, system.reachable_gap_basis
+                system.dynamic_less_static_compliance_in_basis, system.reachable_gap_basis
             )
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return change + respond(self.system.dynamic_part, self.linearised_forces.apply(change))
+        return change + respond(
+            self.system.dynamic_less_static_compliance, self.linearised_forces.apply(change)
+        )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
@@ -346,7 +359,9 @@ class ContactPoint(DenseLinearisation):
         factors = self._factors
         if system.reachable_gap_basis is not None:
             response_in_basis = (
-                respond(system.dynamic_part, self.linearised_forces.apply(right_side))
+                respond(
+                    system.dynamic_less_static_compliance, self.linearised_forces.apply(right_side)
+                )
                 @ system.reachable_gap_basis
             )
             return (
@@ -370,7 +385,9 @@ class ContactPoint(DenseLinearisation):
 
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
-        unknown_change = self.solve(-respond(self.system.dynamic_part, force_change))
+        unknown_change = self.solve(
+            -respond(self.system.dynamic_less_static_compliance, force_change)
+        )
         return self.system.gap(self.gap_change(unknown_change), force_change)
 
 
@@ -526,7 +543,7 @@ class Wave:
         With a residual flexibility R_inf, g = s(t) - R_inf lambda(s(t)) has kinks in time.
         """
         if self.residual_compliance is None:
-            return evaluate(self.gap_coefficients, self.base_omega, time)
+            return evaluate_series(self.gap_coefficients, self.base_omega, time)
         return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
@@ -744,4 +761,6 @@ class CompiledPoint(Linearisation):
 def residual_by_friction_scale(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
     assert isinstance(point.linearised_forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.linearised_forces.by_friction_scale())
+    return respond(
+        point.system.dynamic_less_static_compliance, point.linearised_forces.by_friction_scale()
+    )

@@ -34,12 +34,8 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import (
-    UNESTIMATED_REPORT,
-    ErrorReport,
-    report_against_reference,
-)
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, reference_structure_of
+from fenics_crack.balance.error_report import UNESTIMATED_REPORT, ErrorReport, report_by_more_modes
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, more_modes_structure_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -109,11 +105,11 @@ def solve_linear(
 
     @cache
     def estimate() -> ErrorReport:
-        reference_structure = reference_structure_of(solution)
-        if reference_structure is None:
+        more_modes_structure = more_modes_structure_of(solution)
+        if more_modes_structure is None:
             return ErrorReport()
-        return report_against_reference(
-            solution, _linear_periodic_solution(reference_structure, omega, harmonics)
+        return report_by_more_modes(
+            solution, _linear_periodic_solution(more_modes_structure, omega, harmonics)
         )
 
     return replace(solution, estimate=estimate)
@@ -650,7 +646,7 @@ def solution_of_orbit(
             key=lambda count: solution_with_harmonics(count).assessment.distance <= error_goal,
         )
         solution = solution_with_harmonics(harmonics)
-    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.errors()
+    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.gap_and_load_errors()
     gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
@@ -686,7 +682,8 @@ def _modal_truncation_errors(
     """Return the modal truncation errors of an orbit.
 
     They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
-    computes them, from ``solution_with_harmonics``, the orbit's motion with a given number of harmonics.
+    computes them, from ``solution_with_harmonics``, the orbit's motion with a given number of
+    harmonics.
 
     Returns
     -------
@@ -704,7 +701,7 @@ def _modal_truncation_errors(
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement
-    return (more_modes and more_modes.errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+    return (more_modes and more_modes.gap_and_load_errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_crack.balance.harmonic_balance import search_initial_orbit
-from fenics_crack.balance.more_modes import is_still
+from fenics_crack.balance.more_modes import are_crack_faces_still
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import Tabular
@@ -348,7 +348,7 @@ def _table_entries_of_orbit(
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
     truncation_error = (
         0.0
-        if is_still(orbit_samples)
+        if are_crack_faces_still(orbit_samples)
         else relative_to_motion(
             gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
         )

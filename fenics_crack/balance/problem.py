@@ -34,8 +34,8 @@ import numpy as np
 
 from fenics_crack.balance.compliance import (
     Compliance,
-    dynamic_compliance,
     load_coefficients,
+    make_compliance_model,
     resized_compliance,
 )
 from fenics_crack.balance.contact_integrals import (
@@ -75,7 +75,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
-from fenics_crack.motion.search import SearchOptions, Start, search_orbit, wave_states
+from fenics_crack.motion.search import SearchOptions, StartStrategy, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
     MACHINE_EPSILON,
@@ -364,7 +364,7 @@ class Problem:
 
         The caller destroys it.
         """
-        return dynamic_compliance(
+        return make_compliance_model(
             self.structure_with_row_pairs, self.base_omega, self.harmonics, self.subharmonic
         )
 
@@ -565,15 +565,17 @@ class Search:
 
     # --- the ladder of starts ---------------------------------------------------------------------
 
-    def _start_strategies(self, neighbour_slow_gaps: Sequence[np.ndarray]) -> Iterator[Start]:
+    def _start_strategies(
+        self, neighbour_slow_gaps: Sequence[np.ndarray]
+    ) -> Iterator[StartStrategy]:
         """Yield starts in the order of attempts."""
         system, problem = self.system, self.problem
         for neighbour_slow_gap in neighbour_slow_gaps:
-            yield Start(
+            yield StartStrategy(
                 "full Newton steps", partial(self._guesses_near, system, neighbour_slow_gap)
             )
         if problem.has_friction:
-            yield Start("from contact without friction", self._guesses_without_friction)
+            yield StartStrategy("from contact without friction", self._guesses_without_friction)
         else:
             is_system_large = (
                 system.residual_compliance is not None or system.size > kernel.MANY_UNKNOWNS
@@ -581,7 +583,7 @@ class Search:
             coarsest_harmonics = problem.least_harmonics if is_system_large else problem.harmonics
             harmonic_counts = halve_harmonics(problem.harmonics, coarsest_harmonics)
             strategy_name = "from fewer harmonics" if is_system_large else "full Newton steps"
-            yield Start(strategy_name, partial(self._guesses_by_harmonics, harmonic_counts))
+            yield StartStrategy(strategy_name, partial(self._guesses_by_harmonics, harmonic_counts))
         continued_quantity_name = (
             "coefficient of friction" if problem.has_friction else "contact compliance"
         )
@@ -589,7 +591,9 @@ class Search:
         later_strategies = (
             []
             if self._is_budget_spent
-            else [Start(f"continuation in the {continued_quantity_name}", path_guess_function)]
+            else [
+                StartStrategy(f"continuation in the {continued_quantity_name}", path_guess_function)
+            ]
         )
         if (
             self.budget_fraction == 1.0
@@ -598,7 +602,7 @@ class Search:
         ):
             flow = exact_flow_or_none(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
-            orbit_strategy = Start("from an exact orbit", self._guesses_from_orbit)
+            orbit_strategy = StartStrategy("from an exact orbit", self._guesses_from_orbit)
             later_strategies.insert(len(later_strategies) * is_orbit_last, orbit_strategy)
         yield from later_strategies
 
@@ -691,7 +695,7 @@ class Search:
         )
         self._simpler_point = system_with_friction.linearise(
             system_with_friction.linear_gap
-            - respond(system_with_friction.dynamic_part, frictionless_force)
+            - respond(system_with_friction.dynamic_less_static_compliance, frictionless_force)
         )
         if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
             yield from self._guesses_from_orbit()

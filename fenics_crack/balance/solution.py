@@ -24,7 +24,7 @@ from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.fourier import evaluate, resize_harmonics, sample_period
+from fenics_crack.numerics.fourier import evaluate_series, resize_harmonics, sample_period
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,7 +175,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         None stands for the watched dof.
         """
         if self.residual_compliance is None:
-            return evaluate(self.coefficients_at(dofs), self.base_omega, time)
+            return evaluate_series(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
 
     def function(self, time: float) -> Any:

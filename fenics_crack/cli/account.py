@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED_TEXT, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, Where, names_of
@@ -113,7 +113,7 @@ def of_error(
         "residual": ("the residual", f"{softer}: it is rounding"),
     }[report.largest_part]
     said = f"the estimated relative error of the gap is {percent(report.total)}{where}"
-    said += f", mostly due to {part}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
+    said += f", mostly due to {part}{'' if report.confirmed else f' ({NOT_CONFIRMED_TEXT})'}"
     if report.unknown:
         said = f"the error is unknown{where}, its estimate for {part} did not converge"
     yield f"{said}; use {wanted}" if report.confirmed or where else said

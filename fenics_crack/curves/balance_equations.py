@@ -176,8 +176,10 @@ class BalanceEquations(CurveSystem):
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)
         else:
-            dynamic_part = self.system(self.value(parameter)).dynamic_part
-            max_compliance_row_sum = float(np.abs(dynamic_part).sum(axis=2).max())
+            dynamic_less_static_compliance = self.system(
+                self.value(parameter)
+            ).dynamic_less_static_compliance
+            max_compliance_row_sum = float(np.abs(dynamic_less_static_compliance).sum(axis=2).max())
         return residual_rounding(4.0 * max_compliance_row_sum * self.max_force_slope)
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
@@ -263,7 +265,9 @@ class _BalanceOfVariedStructure(BalanceEquations):
         )
         linear_gap_rate = -(self.end - self.start) * residual_derivative
         return start_system.compile(
-            start_system.linear_gap, start_system.dynamic_part, linear_gap_rate=linear_gap_rate
+            start_system.linear_gap,
+            start_system.dynamic_less_static_compliance,
+            linear_gap_rate=linear_gap_rate,
         )
 
 
@@ -317,13 +321,17 @@ class BalanceAlongContactStiffness(BalanceEquations):
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         return (
-            respond(point.system.dynamic_part, point.linearised_forces.by_log_stiffness()) / value
+            respond(
+                point.system.dynamic_less_static_compliance,
+                point.linearised_forces.by_log_stiffness(),
+            )
+            / value
         )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(
             start_system.linear_gap,
-            start_system.dynamic_part,
+            start_system.dynamic_less_static_compliance,
             log_stiffness_rate=self.value_rate(1.0),
         )
 
@@ -424,7 +432,7 @@ class BalanceAtResonance(BalanceEquations):
         return replace(problem, structure=problem.structure.varied(load=load_weight_matrix))
 
 
-BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
+EQUATIONS_CLASS_BY_PARAMETER: dict[str, type[BalanceEquations]] = {
     equations_class.name: equations_class
     for equations_class in (
         BalanceAlongFrequency,

@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.curve_system import CurveSystem
-from fenics_crack.curves.orbits import Orbits
+from fenics_crack.curves.orbits import OrbitEquations
 from fenics_crack.numerics.equations import System
 from fenics_crack.numerics.newton import (
     PathPoint,
@@ -77,7 +77,10 @@ class ReturnToParent(Event):
 
 
 def path_points_with_chord(
-    system: BalanceEquations | Orbits, curve: ResponseCurve, first_index: int, last_index: int
+    system: BalanceEquations | OrbitEquations,
+    curve: ResponseCurve,
+    first_index: int,
+    last_index: int,
 ) -> tuple[PathPoint, PathPoint]:
     """Convert two curve points to path points.
 
@@ -94,7 +97,7 @@ def path_points_with_chord(
 
 
 def branch_start(
-    system: BalanceEquations | Orbits,
+    system: BalanceEquations | OrbitEquations,
     bifurcation: Bifurcation,
     longest_step: float,
     parent_curve: ResponseCurve | None = None,
@@ -165,7 +168,7 @@ def branch_start(
 
 
 def _branch_tangent(
-    system: BalanceEquations | Orbits,
+    system: BalanceEquations | OrbitEquations,
     unknown: np.ndarray,
     parameter: float,
     is_doubling: bool,

@@ -36,7 +36,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import counted, in_unit
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
     MIN_ORBIT_HARMONICS,
@@ -394,7 +394,7 @@ class Continuation(GrowingCurve):
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_ORBIT_HARMONICS))
         if parameter in ("omega", "speed"):
-            problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
+            problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, start)
         if not is_small(problem.structure):
             reduced_structure = reduce_structure(problem.structure, method="massless")
             problem = replace(problem, structure=reduced_structure)
@@ -404,7 +404,7 @@ class Continuation(GrowingCurve):
         if self._needs_verdicts and is_rigid(problem.contact):
             exact_flow_or_error(problem.structure, problem.contact)
 
-        start_problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
+        start_problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, start)
         is_branch = isinstance(initial, Bifurcation)
         if not (exact or is_branch):
             if initial is not None:
@@ -484,7 +484,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
     end_frequencies = [
-        BALANCE_EQUATIONS[parameter].vary(problem, value).omega for value in (start, end)
+        EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, value).omega for value in (start, end)
     ]
     return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
@@ -492,12 +492,12 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
     """Raise InputError unless a curve can go from one parameter value to another."""
     structure = problem.structure
-    check_choice("parameter", parameter, BALANCE_EQUATIONS)
+    check_choice("parameter", parameter, EQUATIONS_CLASS_BY_PARAMETER)
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     end_keys = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for end_key, value in zip(end_keys, (start, end), strict=True):
-        BALANCE_EQUATIONS[parameter].check_value(structure, end_key, value)
+        EQUATIONS_CLASS_BY_PARAMETER[parameter].check_value(structure, end_key, value)
     if start == end:
         raise InputError(end_keys[1], end, f"different from {end_keys[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):

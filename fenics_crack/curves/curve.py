@@ -29,11 +29,11 @@ from fenics_crack.basics.tables import (
     with_frequency,
 )
 from fenics_crack.curves.balance_equations import (
-    BALANCE_EQUATIONS,
+    EQUATIONS_CLASS_BY_PARAMETER,
     BalanceAtResonance,
     BalanceEquations,
 )
-from fenics_crack.curves.orbits import Orbits, system_along
+from fenics_crack.curves.orbits import OrbitEquations, system_along
 from fenics_crack.curves.peak import (
     Peak,
     Top,
@@ -287,7 +287,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         )  # fmt: skip
 
     @cached_property
-    def system(self) -> BalanceEquations | Orbits:
+    def system(self) -> BalanceEquations | OrbitEquations:
         """Equations from the first parameter value to the farthest one."""
         farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
         first_and_farthest_values = float(self.values[0]), float(self.values[farthest_index])
@@ -297,7 +297,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
-        return BALANCE_EQUATIONS[self.parameter].vary(self.problem, value)
+        return EQUATIONS_CLASS_BY_PARAMETER[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, with the varied structure."""
@@ -344,7 +344,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """Return the exact orbit at a point; InputError for a harmonic-balance curve."""
-        if not isinstance(self.system, Orbits):
+        if not isinstance(self.system, OrbitEquations):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
@@ -631,8 +631,8 @@ class ResponseCurve(ObservedMotion, Tabular):
             if more_modes_motion is not None:
                 return (
                     UNKNOWN_ERROR
-                    if more_modes_motion.errors is None
-                    else more_modes_motion.errors[1]
+                    if more_modes_motion.gap_and_load_errors is None
+                    else more_modes_motion.gap_and_load_errors[1]
                 )
         return self.solution(index, search=False).report.displacement
 

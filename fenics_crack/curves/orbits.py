@@ -36,7 +36,7 @@ import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER, BalanceEquations
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbit_events import (
     MultiplierStepControl,
@@ -53,7 +53,7 @@ FORWARD_PARAMETER_STEP = math.sqrt(MACHINE_EPSILON)
 """Step in p for forward differences. Truncation and rounding error are then about equal."""
 
 
-class Orbits(CurveSystem):
+class OrbitEquations(CurveSystem):
     """Equations F(x, p) = 0 of periodic orbits along a parameter v (see the module).
 
     An orbit's period is ``subharmonic`` load periods. ``balance_class`` varies the problem: it has
@@ -69,7 +69,7 @@ class Orbits(CurveSystem):
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.balance_class = BALANCE_EQUATIONS[parameter]
+        self.balance_class = EQUATIONS_CLASS_BY_PARAMETER[parameter]
         self.logarithmic, self.subharmonic = self.balance_class.logarithmic, problem.subharmonic
         self._start_flow = self._make_flow(start)
         self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
@@ -261,7 +261,7 @@ class Orbits(CurveSystem):
             rest_change = self._scaled_rest_and_change[1]
             return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
-        n_events, n_pieces = motion.events, motion.n_taylor_pieces
+        n_events, n_pieces = motion.n_events, motion.n_taylor_pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:
@@ -276,8 +276,8 @@ class Orbits(CurveSystem):
 
 def system_along(
     exact: bool, problem: Problem, parameter: str, start: float, end: float
-) -> BalanceEquations | Orbits:
+) -> BalanceEquations | OrbitEquations:
     """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
     if exact:
-        return Orbits(problem, parameter, start, end)
-    return BALANCE_EQUATIONS[parameter](problem, start, end)
+        return OrbitEquations(problem, parameter, start, end)
+    return EQUATIONS_CLASS_BY_PARAMETER[parameter](problem, start, end)

@@ -28,7 +28,7 @@ import numpy as np
 
 from fenics_crack.basics.tables import Described, hertz_of, quantity, with_frequency
 
-RISING_AT_END = "still rising at the end of the range"
+RISING_AT_END_TEXT = "still rising at the end of the range"
 """Description of a largest response that is no peak."""
 
 
@@ -93,7 +93,7 @@ class Peak(Described, Top):
     def _title(self) -> str:
         damping_words = f"damping {self.damping:.3g}"
         if self.at_end:
-            damping_words = RISING_AT_END
+            damping_words = RISING_AT_END_TEXT
         elif math.isnan(self.damping):
             damping_words = "the load's own harmonic has no half-power width"
         error_words = f"error {self.error:.2g}"

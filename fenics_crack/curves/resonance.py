@@ -26,7 +26,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.tables import Described, counted, with_frequency
 from fenics_crack.curves.balance_equations import (
-    BALANCE_EQUATIONS,
+    EQUATIONS_CLASS_BY_PARAMETER,
     BalanceAlongFrequency,
     as_run_up_structure,
 )
@@ -381,7 +381,7 @@ def at_small_load(problem: Problem) -> Problem:
 
     Under a small load a crack stays open or closed if the mean load holds it.
     """
-    return BALANCE_EQUATIONS["resonance"].vary(problem, SMALL_LOAD_FACTOR)
+    return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(
@@ -428,7 +428,7 @@ def follow_resonance(
     check_range(problem, "resonance", start, end)
     (problem, near), problem_at_load_factor = (
         _small_problem_and_start_omega(problem, near, tolerance),
-        BALANCE_EQUATIONS["resonance"].vary,
+        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary,
     )
     if tolerance is not None:
         end_point = _refine_to_tolerance(

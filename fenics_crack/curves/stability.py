@@ -37,7 +37,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.assessment import Assessment, with_twice_the_harmonics
+from fenics_crack.balance.assessment import Assessment, wave_with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.solution import PeriodicSolution, Stability
@@ -63,7 +63,7 @@ from fenics_crack.motion.orbit import (
     is_same_orbit_in_phase,
 )
 from fenics_crack.motion.search import ORBIT_STARTS_BY_NAME, SearchOptions, search_orbit
-from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
 
@@ -256,7 +256,7 @@ def shoot(
     flow = exact_flow_or_error(structure, assessment.wave.contact)
     orbit = None if settle else assessment.nearest_orbit
     if orbit is None:
-        orbit_equations = FlowOrbits(
+        orbit_equations = FlowOrbitEquations(
             flow, solution.omega, assessment.states_over_period[0], subharmonic
         )
         settled_unknown = orbit_equations.start_unknown
@@ -375,7 +375,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
             f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
         )
         raise InputError("solution", solution_verdict, requirement)
-    orbit_equations = FlowOrbits(
+    orbit_equations = FlowOrbitEquations(
         nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
     )
     multipliers, eigenvectors = np.linalg.eig(
@@ -417,8 +417,10 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
-    orbit_equations = FlowOrbits(flow, solution.omega, solution.assessment.states_over_period[0])
-    return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.periods(flow))
+    orbit_equations = FlowOrbitEquations(
+        flow, solution.omega, solution.assessment.states_over_period[0]
+    )
+    return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.max_periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:
@@ -471,7 +473,7 @@ def _stability_by_linear_flow(
         )
         assessed_solution = replace(solution, structure=structure, contact=contact)
         finer_solution = (
-            with_twice_the_harmonics(assessed_solution) if gap_coefficients.size else solution
+            wave_with_twice_the_harmonics(assessed_solution) if gap_coefficients.size else solution
         )
         if finer_solution is not None:
             finer_gap_coefficients = finer_solution.slow_gap_coefficients

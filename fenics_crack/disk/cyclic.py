@@ -656,8 +656,8 @@ def _diameter_loads(sector: Sector, order: int) -> list[np.ndarray]:
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * order, sector.count)
         force = force if diameter == harmonic * order % sector.count else force.conj()
-        force_parts = [force.real, force.imag] if sector.is_single(diameter) else [force]
-        loads[diameter] += [part for part in force_parts if np.any(part)]
+        force_vector_by_part = [force.real, force.imag] if sector.is_single(diameter) else [force]
+        loads[diameter] += [part for part in force_vector_by_part if np.any(part)]
     return [np.array(forces).reshape(-1, sector.structure.n_dofs).T for forces in loads]
 
 
@@ -744,12 +744,12 @@ def _side_forces(sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]])
     modes : sequence of (omega, shapes)
         Frequencies and shapes of some nodal diameters.
     """
-    force_parts, is_right = [], sector.dofs.is_next_sector
+    force_vector_by_part, is_right = [], sector.dofs.is_next_sector
     for omega, shapes in modes:
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_right]
         scaled_force = force / np.maximum(omega, 1e-300) ** 2
-        force_parts += [scaled_force.real, scaled_force.imag]
-    patterns, sizes, _ = np.linalg.svd(np.hstack(force_parts), full_matrices=False)
+        force_vector_by_part += [scaled_force.real, scaled_force.imag]
+    patterns, sizes, _ = np.linalg.svd(np.hstack(force_vector_by_part), full_matrices=False)
     kept_patterns = patterns[:, sizes > MIN_SIDE_PATTERN * sizes[0]]
     side_forces = np.zeros((sector.structure.n_dofs, kept_patterns.shape[1]))
     side_forces[is_right] = kept_patterns

@@ -32,7 +32,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate_series
 from fenics_crack.scene.tables import Material
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import packaged
@@ -375,7 +375,9 @@ class PeriodFields:
         self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
         self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
         parts = self.mesh.nodal_vectors(structure.force).reshape(len(structure.force), -1)
-        self.load = evaluate(parts, solution.omega, self.time).reshape(self.displacement.shape)
+        self.load = evaluate_series(parts, solution.omega, self.time).reshape(
+            self.displacement.shape
+        )
         one_frame = structure.nodes is None or structure.nodes.frames is None
         self.has_one_load = bool(np.any(self.load)) and one_frame
         self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")

@@ -57,7 +57,7 @@ MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
-class Interval:
+class ElementInterval:
     """Part of a plate's side from ``start`` to ``stop``, divided into elements.
 
     ``length_ratio`` is an element's length over the previous element's length.
@@ -113,7 +113,7 @@ class _GradedFace:
         return (stop - start) * math.log(start_length / stop_length) / (start_length - stop_length)
 
 
-def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
+def _plate_blocks(scene: Scene) -> tuple[list[ElementInterval], list[ElementInterval], list[Slit]]:
     """Divide a plate into blocks, and find the cracks among them.
 
     The results are block columns, block rows, and each crack's row and columns.
@@ -191,13 +191,13 @@ def plate_pair_upper_bound(scene: Scene) -> int:
     )
 
 
-def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
+def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[ElementInterval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
     position_by_line = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
     } | {0: 0.0, n_elements: extent}
     return [
-        Interval(
+        ElementInterval(
             position_by_line[first_line], position_by_line[last_line], last_line - first_line, 1.0
         )
         for first_line, last_line in pairwise(sorted(position_by_line))
@@ -258,7 +258,7 @@ def _scale_nodes(unit: float) -> None:
 
 def _graded_columns_and_rows(
     scene: Scene, spans: list[tuple[float, float]], levels: list[float]
-) -> tuple[list[Interval], list[Interval]]:
+) -> tuple[list[ElementInterval], list[ElementInterval]]:
     """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
 
     ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
@@ -266,8 +266,8 @@ def _graded_columns_and_rows(
     (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
         element_counts = [max(1, round(side_length / size)) for side_length in (width, height)]
-        return [Interval(0.0, width, element_counts[0], 1.0)], [
-            Interval(0.0, height, element_counts[1], 1.0)
+        return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
+            ElementInterval(0.0, height, element_counts[1], 1.0)
         ]
     faces: list[_GradedFace] = []
     crack_levels_and_sizes: list[tuple[float, float]] = []
@@ -297,7 +297,7 @@ def _graded_intervals(
     tip_positions_and_sizes: list[tuple[float, float]],
     faces: list[_GradedFace],
     size: float,
-) -> list[Interval]:
+) -> list[ElementInterval]:
     """Divide a side into intervals with given element lengths.
 
     Parameters
@@ -329,7 +329,7 @@ def _graded_intervals(
             + lengths_at_tip(position)
         )
 
-    def make_intervals(start: float, stop: float) -> list[Interval]:
+    def make_intervals(start: float, stop: float) -> list[ElementInterval]:
         """Return one interval between two positions, or two intervals that meet half-way."""
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
@@ -340,7 +340,7 @@ def _graded_intervals(
                     if face.tip > face.coarse_end
                     else 1.0 / face.length_ratio_towards_tip
                 )
-                return [Interval(start, stop, face.n_elements, length_ratio)]
+                return [ElementInterval(start, stop, face.n_elements, length_ratio)]
         start_length = element_length(start, faces_along)
         stop_length = element_length(stop, faces_along)
         if not (lengths_at_tip(start) and lengths_at_tip(stop)):
@@ -366,7 +366,7 @@ def _graded_intervals(
 
 def _graded_interval(
     start: float, stop: float, start_length: float, stop_length: float, faces: list[_GradedFace]
-) -> Interval:
+) -> ElementInterval:
     """Return an interval with enough elements for all crack faces.
 
     Element lengths are about ``start_length`` at its start and ``stop_length`` at its end.
@@ -381,7 +381,7 @@ def _graded_interval(
             n_required_elements,
             (max_length / min_length) ** (1.0 / max(n_required_elements - 1, 1)),
         )
-    return Interval(
+    return ElementInterval(
         start, stop, n_elements, growth_ratio if start_length <= stop_length else 1.0 / growth_ratio
     )
 
@@ -422,7 +422,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
         rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
-            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDES
+            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDE_NAMES
         )
         rim.set_periodic(0, left_curves, right_curves)
         _mesh_current_model_with_gradings(
@@ -601,7 +601,7 @@ def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
     gmsh.model.geo.synchronize()
 
 
-def _add_curve(start: int, end: int, interval: Interval, center: int | None = None) -> int:
+def _add_curve(start: int, end: int, interval: ElementInterval, center: int | None = None) -> int:
     """Add a line, or an arc around a center, divided into elements."""
     geo = gmsh.model.geo
     points = (start, end) if center is None else (start, center, end)
@@ -620,7 +620,7 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
 
 BLADE_RIM_CORNER_SIZE_RATIO = 1.0 / 32.0
 """Element length at the corners between blade and rim, relative to ``mesh.size``."""
-RIM_SIDES = ("rim_left", "rim_right")
+RIM_SIDE_NAMES = ("rim_left", "rim_right")
 """Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
 
 
@@ -732,7 +732,7 @@ class DiskRim:
         radius = math.hypot(offset_across_blade, offset_along_blade)
         angle = math.atan2(offset_across_blade, offset_along_blade)
         if abs(abs(angle) - self.half_angle) < 1e-6:
-            return RIM_SIDES[int(angle > 0.0)]
+            return RIM_SIDE_NAMES[int(angle > 0.0)]
         # The center of mass of the inner arc.
         arc_centroid_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
         return "clamp" if abs(radius - arc_centroid_radius) < 1e-6 * self.outer_radius else "rim"
@@ -756,7 +756,7 @@ class DiskRim:
         self,
         foot_points: list[int],
         foot_curves: list[int],
-        columns: list[Interval],
+        columns: list[ElementInterval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw the rim in blocks below a plate's foot, and append them to ``surfaces``.
@@ -775,7 +775,7 @@ class DiskRim:
             max(1, round(length / size)) if columns[0].n_elements else 0 for length in lengths
         ]
         interval_beside_blade, radial_interval = (
-            Interval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
+            ElementInterval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
         )
         center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
         x_positions = [columns[0].start, *(column_interval.stop for column_interval in columns)]
@@ -817,8 +817,8 @@ class DiskRim:
             surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop_curves)]))
         return {
             "clamp": (1, inner_curves),
-            RIM_SIDES[0]: (1, radial_curves[:1]),
-            RIM_SIDES[1]: (1, radial_curves[-1:]),
+            RIM_SIDE_NAMES[0]: (1, radial_curves[:1]),
+            RIM_SIDE_NAMES[1]: (1, radial_curves[-1:]),
         }
 
 

@@ -56,10 +56,15 @@ from fenics_crack.fem.cracks import (
     distribute_front_pressures,
     locate_on_cracks,
 )
-from fenics_crack.fem.elasticity import assemble_rotation, constants, stress, thickness
+from fenics_crack.fem.elasticity import (
+    assemble_rotation,
+    form_constants,
+    stress_expression,
+    thickness_constant,
+)
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
-from fenics_crack.fem.setting import clearance_of, damping_of
+from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
@@ -465,7 +470,7 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     if scene.structure is not None:
         from fenics_crack.fem.matrix_files import read_structure
 
-        damping_rule = None if scene.damping is None else damping_of(scene.damping)
+        damping_rule = None if scene.damping is None else damping_rule_of(scene.damping)
         return read_structure(scene, damping_rule, comm)
     coarser_file = scene.mesh.coarser
     if coarser_file is not None:  # read last, so check it now
@@ -531,7 +536,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         compat.assembled_petsc_matrix, _matrix_forms(scene, space)
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
-    t, max_patches = thickness(scene, space), scene.mesh.patches
+    t, max_patches = thickness_constant(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(
         dofs, t, mouth_only=mouth_only, max_patches=max_patches
     )
@@ -541,7 +546,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         dofs.restrict_matrix(mass_with_clamped_dofs),
         dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,
         dofs.restrict_to_free(nodal_force_harmonics), clearance_of(scene, pairs),
-        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
+        damping=damping_rule_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
     return Structure(body_with_loads), dofs
@@ -552,10 +557,12 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 
 def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass."""
-    (density,), t = constants(space, scene.material.density), thickness(scene, space)
+    (density,), t = form_constants(space, scene.material.density), thickness_constant(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
-    stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
+    stiffness = (
+        t * ufl.inner(stress_expression(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
+    )
     return stiffness, t * density * ufl.inner(u, v) * ufl.dx
 
 
@@ -601,7 +608,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     return _set_crack_length(scene, find_crack_length(scene, comm))
 
 
-_LAST_LENGTH: list[tuple[str, float]] = []
+_LAST_TABLES_AND_LENGTH: list[tuple[str, float]] = []
 """Crack length found last in this process, after all tables of a scene that determine it."""
 
 
@@ -639,7 +646,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
-    if (known_length := comm.bcast(dict(_LAST_LENGTH).get(tables_text))) is not None:
+    if (known_length := comm.bcast(dict(_LAST_TABLES_AND_LENGTH).get(tables_text))) is not None:
         return float(known_length)
     target_omega, scene_at_rest = crack.first_omega, scene.at_rest()
 
@@ -665,7 +672,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     crack_length_at_target = float(
         scipy.optimize.brentq(excess_frequency, min_length, max_length, xtol=1e-5 * width)
     )
-    _LAST_LENGTH[:] = [(tables_text, crack_length_at_target)]
+    _LAST_TABLES_AND_LENGTH[:] = [(tables_text, crack_length_at_target)]
     return crack_length_at_target
 
 

@@ -33,7 +33,7 @@ POSITION_TOLERANCE = 1e-6
 digits or more."""
 COINCIDENCE_TOLERANCE = 1e-3
 """Distance between coincident nodes, relative to the shortest edge."""
-FACETS = {
+FACET_CORNERS_BY_CORNER_COUNT = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
     8: np.array(
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]

@@ -22,7 +22,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, find_crack_paths, find_crack_surfaces
-from fenics_crack.fem.elasticity import constants
+from fenics_crack.fem.elasticity import form_constants
 from fenics_crack.fem.plate import Dofs, PartMesh
 from fenics_crack.model.structure import DampingRule, Structure
 
@@ -139,7 +139,7 @@ def _assemble_parts_and_places(
     try:
         dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
         gap_matrix, tangential_matrix, pair_places = pair_crack_faces(
-            dofs, constants(space, thickness)[0]
+            dofs, form_constants(space, thickness)[0]
         )
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None

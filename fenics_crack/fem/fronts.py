@@ -534,7 +534,7 @@ def front_functionals(
     force_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_resolved(front)
-        domain = _Domain(scene, front, points, cells)
+        domain = _IntegrationDomain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
             _values_at_free_dofs(nodes, domain.nodes, node_values)
             for node_values in domain.integrate_factors_and_fields(comm)
@@ -702,7 +702,7 @@ TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 """Ends of a tetrahedron's edges, in VTK's order of the nodes on edges."""
 
 
-class _Domain:
+class _IntegrationDomain:
     """Cells near a front, the domain for the interaction integral.
 
     The equations are in the module's text. Rows are numbered mode after mode, K_I, K_II, K_III,
@@ -771,7 +771,7 @@ class _Domain:
         inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
             1, 2
         )  # rows: gradients of lambda_1 to lambda_3
-        self.gradients = np.concatenate(
+        self.barycentric_gradients = np.concatenate(
             [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
         )
         centres = self.corners.mean(axis=1)
@@ -790,7 +790,9 @@ class _Domain:
         nodes, the barycentric coordinates lambda_b in the order of ``corners``.
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
-        gradients = np.take_along_axis(self.gradients[cell_index], inverse_order[..., None], axis=1)
+        gradients = np.take_along_axis(
+            self.barycentric_gradients[cell_index], inverse_order[..., None], axis=1
+        )
         barycentric_coefficients = np.zeros((len(cell_index), 10, 4, 3))
         for corner_index in range(4):
             barycentric_coefficients[:, corner_index] = -gradients[:, corner_index, None]
@@ -848,7 +850,9 @@ class _Domain:
                 is_outer = self.is_outer_facet[chunk_cells, corner_index]
                 if np.any(is_outer):
                     surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
-                    barycentric_gradients = self.gradients[chunk_cells[is_outer], corner_index]
+                    barycentric_gradients = self.barycentric_gradients[
+                        chunk_cells[is_outer], corner_index
+                    ]
                     areas = (
                         3.0
                         * self.volumes[chunk_cells[is_outer]]

@@ -36,7 +36,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, CrackPath
-from fenics_crack.fem.elasticity import constants, stress
+from fenics_crack.fem.elasticity import form_constants, stress_expression
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
@@ -305,7 +305,7 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
-    tip_constants = constants(
+    tip_constants = form_constants(
         space, *(0.0,) * 6, *_kolosov_and_field_scale(scene), scene.material.young
     )
     tip_x, tip_y, e_1x, e_1y, radius, mode_constant, kolosov, field_scale, young = tip_constants
@@ -331,13 +331,15 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
         for vector_field in (test, singular_derivative, nodal_function)
     )
     betti_integrand = ufl.inner(
-        stress(scene, space, test_strain), ufl.outer(singular_derivative, q_gradient)
+        stress_expression(scene, space, test_strain), ufl.outer(singular_derivative, q_gradient)
     )
     betti_integrand -= ufl.inner(
-        stress(scene, space, derivative_strain), ufl.outer(test, q_gradient)
+        stress_expression(scene, space, derivative_strain), ufl.outer(test, q_gradient)
     )
     form = 0.5 * young * betti_integrand * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
-    form -= 0.5 * young * ufl.inner(stress(scene, space, nodal_strain), test_strain) * ufl.dx
+    form -= (
+        0.5 * young * ufl.inner(stress_expression(scene, space, nodal_strain), test_strain) * ufl.dx
+    )
     compiled_form = compat.compile_form(form)
 
     def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:

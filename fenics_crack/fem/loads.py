@@ -28,9 +28,9 @@ from fenics_crack.basics.errors import InputError, check_choice
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.elasticity import thickness
+from fenics_crack.fem.elasticity import thickness_constant
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import force_parts
+from fenics_crack.fem.setting import force_vector_by_part
 from fenics_crack.model.nodes import (
     MAX_NODE_DISTANCE_RATIO,
     Clamp,
@@ -75,7 +75,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
-        force_vectors = force_parts(scene)
+        force_vectors = force_vector_by_part(scene)
         added_force_harmonics, displacement_weights = _point_load(
             scene, dofs, "excitation", point, force_vectors
         )
@@ -244,7 +244,7 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
     edge_measure = dofs.plate.measure_on(edge_name)
-    test_function, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
+    test_function, t = ufl.TestFunction(dofs.space), thickness_constant(scene, dofs.space)
     x_direction = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     test_function_integrals = compat.assembled_vector(
         t * ufl.inner(x_direction, test_function) * edge_measure

@@ -36,7 +36,7 @@ from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
 from fenics_crack.fem.cracks import (
-    FACETS,
+    FACET_CORNERS_BY_CORNER_COUNT,
     POSITION_TOLERANCE,
     distribute_front_pressures,
     find_unique_rows,
@@ -57,14 +57,14 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Damping, Excitation
 from fenics_crack.scene.tables import Structure as StructureTable
 
-MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
+NASTRAN_LETTER_BY_MATRIX = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter for each matrix in a file with several matrices."""
 ROW_FILE_KEYS = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
 SCENE_FILE_NAME = "matrices.toml"
 """Name of the scene that reads the written files."""
 OUTPUT_FILE_NAMES = (
-    *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILE_KEYS, "clearance", "areas")),
+    *(f"{n}.mtx" for n in (*NASTRAN_LETTER_BY_MATRIX, *ROW_FILE_KEYS, "clearance", "areas")),
     SCENE_FILE_NAME,
 )
 """Names of all files that may be written."""
@@ -166,7 +166,7 @@ def _read_files(
     """
     label_file, labelled_matrices = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
-    for name, letter in MATRIX_LETTERS.items():
+    for name, letter in NASTRAN_LETTER_BY_MATRIX.items():
         if (path := getattr(table, name)) is not None:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
                 labelled_matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
@@ -420,14 +420,14 @@ def _scene_text(structure: Structure, file_by_name: dict[str, str], scene: Scene
 
 # --- contact pairs of a model ---------------------------------------------------------------------
 
-FACETS_BY_SHAPE = {
-    4: [FACETS[4]], 8: [FACETS[8]],
+FACETS_BY_CORNER_COUNT = {
+    4: [FACET_CORNERS_BY_CORNER_COUNT[4]], 8: [FACET_CORNERS_BY_CORNER_COUNT[8]],
     6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
 }  # fmt: skip
 """Facets of a cell by its number of corners: triangles, then quadrilaterals."""
-N_CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+N_CORNERS_BY_VTK_TYPE = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
 """Number of corners of a cell, by VTK's cell type."""
-CELL_EDGES = {
+CELL_EDGES_BY_CORNER_COUNT = {
     4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
     6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
     8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
@@ -621,9 +621,9 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     facet_sets = []
     for n_facet_corners in (3, 4):
         parts = [
-            _all_cell_facets(model.points, cells, N_CORNERS[kind], local_facets)
+            _all_cell_facets(model.points, cells, N_CORNERS_BY_VTK_TYPE[kind], local_facets)
             for kind, cells in model.cells.items()
-            for local_facets in FACETS_BY_SHAPE[N_CORNERS[kind]]
+            for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[kind]]
             if local_facets.shape[1] == n_facet_corners
         ]
         if not parts:
@@ -655,7 +655,7 @@ def _all_cell_facets(
     n_facet_corners = local_facets.shape[1]
     middle_column_by_edge = {
         frozenset(edge): n_corners + edge_index
-        for edge_index, edge in enumerate(CELL_EDGES[n_corners])
+        for edge_index, edge in enumerate(CELL_EDGES_BY_CORNER_COUNT[n_corners])
     }
     edge_ends = np.stack([local_facets, np.roll(local_facets, -1, axis=1)], axis=2)
     facet_middle_columns = np.array(

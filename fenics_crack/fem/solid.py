@@ -26,7 +26,7 @@ from fenics_crack.basics.tables import quantity
 from fenics_crack.basics.untrusted_files import beginning_of, run_reader
 from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import (
-    RIM_SIDES,
+    RIM_SIDE_NAMES,
     DiskRim,
     check_cell_count,
     meshing_refusal,
@@ -42,7 +42,7 @@ from fenics_crack.scene.tables import Crack
 
 MILLIMETRE = 1e-3
 """Unit of length for meshing parts [m]."""
-FILE_MARKS = {".brep": b"DBRep_DrawableShape"}
+FILE_MARK_BY_ENDING = {".brep": b"DBRep_DrawableShape"}
 """Text near the beginning of a file, by its ending; other files are STEP."""
 MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
@@ -241,7 +241,7 @@ def _run_mesher(
     ``request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
     """
     with reading("geometry.file", path, "a part that gmsh reads and meshes"):
-        file_mark = FILE_MARKS.get(Path(path).suffix.lower(), b"ISO-10303-21")
+        file_mark = FILE_MARK_BY_ENDING.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in beginning_of(path, 4096):
             raise ValueError("it does not begin as such a file")
         contents = run_reader(
@@ -363,7 +363,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
         if surface_tag not in crack_surface_tags:
             surface_tags_by_name.setdefault(name, []).append(surface_tag)
     if rim is not None:
-        rim.set_periodic(2, *(surface_tags_by_name[name] for name in RIM_SIDES))
+        rim.set_periodic(2, *(surface_tags_by_name[name] for name in RIM_SIDE_NAMES))
     try:
         solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else

@@ -234,7 +234,9 @@ def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np
 
 
 def _find_names_and_face_tags(
-    names_and_points: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
+    names_and_points: Iterable[tuple[str, list[float]]],
+    part_triangles: np.ndarray,
+    triangle_faces: np.ndarray,
 ) -> Iterable[tuple[str, set[int]]]:
     """Find the faces that a user names by points on them.
 
@@ -250,20 +252,20 @@ def _find_names_and_face_tags(
     pairs of (str, set of int)
         Each name with the tags of the faces nearest to its points.
     """
-    part_size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+    part_size = np.ptp(part_triangles.reshape(-1, 3), axis=0).max()
     face_tags_by_name: dict[str, set[int]] = {}
     for name, point in names_and_points:
-        point_distances = pairwise_triangle_distances(np.array([point]), triangles)[0]
+        point_distances = pairwise_triangle_distances(np.array([point]), part_triangles)[0]
         if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
             raise Refusal("geometry.faces", f"points on faces: ({position_text}) of {name} is"
                           f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
-        face_tags_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
+        face_tags_by_name.setdefault(name, set()).add(triangle_faces[point_distances.argmin()])
     return face_tags_by_name.items()
 
 
 def _match_surfaces(
-    crack_surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
+    crack_surfaces: list[int], part_triangles: np.ndarray, triangle_faces: np.ndarray
 ) -> dict[int, int]:
     """Match the surfaces of the cracked part to the faces of the uncracked part.
 
@@ -275,8 +277,8 @@ def _match_surfaces(
         if surface_tag not in crack_surfaces:
             triangle_centres = _face_triangles(surface_tag).mean(axis=1)
             sample_points = triangle_centres[:: max(1, len(triangle_centres) // N_CURVE_INTERVALS)]
-            nearest_faces = owners[
-                pairwise_triangle_distances(sample_points, triangles).argmin(axis=1)
+            nearest_faces = triangle_faces[
+                pairwise_triangle_distances(sample_points, part_triangles).argmin(axis=1)
             ]
             face_of_surface[surface_tag] = (
                 np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0
@@ -288,7 +290,7 @@ def _match_surfaces(
 
 
 def insert_cracks(
-    solid_dim_tags: Tags, cracks: list[CrackData], triangles: np.ndarray
+    solid_dim_tags: Tags, cracks: list[CrackData], part_triangles: np.ndarray
 ) -> tuple[list[int], list[FrontData]]:
     """Cut cracks into a solid, and return their surfaces and fronts.
 
@@ -318,7 +320,7 @@ def insert_cracks(
     occ, crack_face_dim_tags = gmsh.model.occ, []
     for crack in cracks:
         if crack["half"] is None:
-            crack["half"] = [2.0 * np.ptp(triangles.reshape(-1, 3), axis=0).max()] * 2
+            crack["half"] = [2.0 * np.ptp(part_triangles.reshape(-1, 3), axis=0).max()] * 2
         inner_dim_tags = occ.intersect(
             _draw_crack_face(crack), solid_dim_tags, removeObject=True, removeTool=False
         )[0]
@@ -329,11 +331,11 @@ def insert_cracks(
             centres = np.reshape(
                 [occ.getCenterOfMass(*face_dim_tag) for face_dim_tag in inner_dim_tags], (-1, 3)
             )
-            is_on_part_face = pairwise_triangle_distances(centres, triangles) < 1e-6 * np.ptp(
-                triangles
+            is_on_part_face = pairwise_triangle_distances(centres, part_triangles) < 1e-6 * np.ptp(
+                part_triangles
             )
             problem = (
-                f"misses the part{_describe_box(crack, triangles)}" if not inner_dim_tags
+                f"misses the part{_describe_box(crack, part_triangles)}" if not inner_dim_tags
                 else "lies in a face of it" if np.any(is_on_part_face)
                 else f"is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
@@ -370,14 +372,14 @@ def insert_cracks(
         if len(surface_dim_tags) != 1 or any(rim & other_rim for other_rim in rims[:crack_index]):
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
-        if len(triangles):
-            _check_crack_is_inside(crack, surface_dim_tags[0][1], front, triangles)
+        if len(part_triangles):
+            _check_crack_is_inside(crack, surface_dim_tags[0][1], front, part_triangles)
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
-def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
+def _describe_box(crack: CrackData, part_triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
-    start, end = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    start, end = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
     start_text, end_text = (
         ", ".join(f"{crack['unit'] * coordinate:.4g}" for coordinate in box_corner)
         for box_corner in (start, end)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.compliance import make_compliance_model
 from fenics_crack.balance.error_report import ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.codec import Parts, packed, unpacked
@@ -258,7 +258,7 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     tangential = parts.get("tangential_force_coefficients")
     rows = force if tangential is None else np.hstack([force, tangential])
     seen = add_friction_pairs(contact, structure)
-    compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
+    compliance = make_compliance_model(seen, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(rows)
     compliance.destroy()
     solution = unpacked(
@@ -337,7 +337,11 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     exact = "states" in parts
     counts = {"": parts["values"].size, "bifurcation_": len(parts["kinds"])}
     missing = exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= parts.keys()
-    if missing or parts["parameter"] not in BALANCE_EQUATIONS or parts["subharmonic"] < 1:
+    if (
+        missing
+        or parts["parameter"] not in EQUATIONS_CLASS_BY_PARAMETER
+        or parts["subharmonic"] < 1
+    ):
         raise ValueError("its parts do not fit")
     numbers = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
     shapes: Shapes = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}

@@ -52,15 +52,15 @@ from fenics_crack.model.factor import (
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import LARGEST
 
-DIRECTION_NUMBERS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
-DIRECTION_NUMBERS |= {str(number): number for number in range(1, 10)}
+DIRECTION_NUMBER_BY_LABEL = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
+DIRECTION_NUMBER_BY_LABEL |= {str(number): number for number in range(1, 10)}
 """Number of each direction, by Ansys's words and by its digit."""
 MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry with the end of its line."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
-TRANSPOSE_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
+TRANSPOSE_SIGN_BY_SYMMETRY = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
-SYMMETRIES = ("general", *TRANSPOSE_SIGNS)
+SYMMETRIES = ("general", *TRANSPOSE_SIGN_BY_SYMMETRY)
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
@@ -175,8 +175,8 @@ def read_labels(path: Path) -> np.ndarray:
     row_numbers: list[int] = []
     for number, line in numbered_lines(path, "#"):
         match = _LABEL_PATTERN.fullmatch(line.rstrip())
-        if match is not None and match[3] in DIRECTION_NUMBERS:
-            labels.append((int(match[2]), DIRECTION_NUMBERS[match[3]]))
+        if match is not None and match[3] in DIRECTION_NUMBER_BY_LABEL:
+            labels.append((int(match[2]), DIRECTION_NUMBER_BY_LABEL[match[3]]))
             row_numbers.append(int(match[1] or len(labels)))
         elif labels:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
@@ -465,7 +465,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         matrix = sparse.csr_matrix((entries, rows_and_columns), shape)
     else:
         matrix = _make_matrix_from_triangle(
-            entries, *rows_and_columns, shape[0], TRANSPOSE_SIGNS[symmetry]
+            entries, *rows_and_columns, shape[0], TRANSPOSE_SIGN_BY_SYMMETRY[symmetry]
         )
     if layout == "array":
         matrix.eliminate_zeros()
@@ -526,7 +526,7 @@ def _read_header_and_sizes(
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
-    elif transpose_sign := TRANSPOSE_SIGNS.get(header[1]):  # from the diagonal down
+    elif transpose_sign := TRANSPOSE_SIGN_BY_SYMMETRY.get(header[1]):  # from the diagonal down
         n_entries = n_rows * (n_rows + transpose_sign) // 2
     else:
         n_entries = n_rows * n_columns

@@ -175,13 +175,18 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled, max_reference_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
-    n_reference = (
-        min(n_doubled, max_reference_modes) if max_reference_modes > modes else original.n_dofs
+    n_doubled_modes, max_reference_modes = (
+        modes + max(modes, 10),
+        original.n_dofs - original.n_pairs,
+    )
+    n_reference_modes = (
+        min(n_doubled_modes, max_reference_modes)
+        if max_reference_modes > modes
+        else original.n_dofs
     )
     if has_given_reference := reference_choice is not True and reference_choice > modes:
-        n_reference = int(reference_choice)
-    mode_counts = (n_reference, modes) if reference_choice else (modes,)
+        n_reference_modes = int(reference_choice)
+    mode_counts = (n_reference_modes, modes) if reference_choice else (modes,)
     largest_receptance = receptance(original, max(mode_counts))
     if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[modes:] == 0.0):
         requirement = f"at least {modes + n_missing_rigid_modes}: all motions as a rigid body"
@@ -189,8 +194,8 @@ def _reduce_massless(
     if (
         reference_choice
         and not has_given_reference
-        and n_reference < n_doubled
-        and n_reference == max_reference_modes
+        and n_reference_modes < n_doubled_modes
+        and n_reference_modes == max_reference_modes
     ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
@@ -200,7 +205,7 @@ def _reduce_massless(
         if np.any(reference_compliance > compliance - reference_compliance):
             mode_counts = (original.n_dofs, modes)
             largest_receptance = receptance(original, original.n_dofs)
-    is_loaded_row, modal_sources = find_loaded_row_mask(original), largest_receptance.modal.T
+    is_loaded_row, modal_sources = (find_loaded_row_mask(original), largest_receptance.modal.T)
     n_load_rows = len(is_loaded_row)
     n_gaps = len(largest_receptance.modal) - np.count_nonzero(is_loaded_row)
     # The amplitudes of the load's parts are unknowns, and S maps them to their forces.

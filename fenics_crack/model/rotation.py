@@ -249,7 +249,7 @@ class Ritz:
         Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
         The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
-    modes : int
+    n_modes : int
         Number of modes with mass in a :class:`RunUpStructure`.
     """
 
@@ -263,7 +263,7 @@ class Ritz:
     mass: Any
     gap: sparse.csr_matrix
     tangential: np.ndarray | None
-    modes: int
+    n_modes: int
 
     @classmethod
     def of_range(
@@ -410,7 +410,7 @@ class RunUpStructure(QuasiStaticReduction):
         inverse_squares, eigenvectors = np.linalg.eigh(
             (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
-        inverse_squares = inverse_squares[: -ritz.modes - 1 : -1]
+        inverse_squares = inverse_squares[: -ritz.n_modes - 1 : -1]
         columns = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(inverse_squares)
@@ -419,8 +419,8 @@ class RunUpStructure(QuasiStaticReduction):
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
-            shapes=columns[:, : ritz.modes] * omega,
-            truncated_flexibility_root=columns[:, ritz.modes :],
+            shapes=columns[:, : ritz.n_modes] * omega,
+            truncated_flexibility_root=columns[:, ritz.n_modes :],
             dense_stiffness=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)

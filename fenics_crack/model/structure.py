@@ -30,7 +30,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_number, ch
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.threads import alone
-from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_NAMES, Body, Setting
+from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_FIELD_NAMES, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     AbsentMatrix,
@@ -220,7 +220,7 @@ DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
 
 
-UNCOPIED_NAMES = {"rotation", "result_cache", "matrix_cache"}
+UNCOPIED_FIELD_NAMES = {"rotation", "result_cache", "matrix_cache"}
 """Attributes that a body with other matrices does not take over."""
 Result = TypeVar("Result")
 
@@ -379,7 +379,7 @@ class Structure(Coordinates):
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
             new_caches: dict[str, Any] = {"result_cache": {}}
-            if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
+            if not changes.keys() <= MATRIX_INDEPENDENT_FIELD_NAMES:
                 new_caches["matrix_cache"] = {}
             body = replace(body, **new_caches | changes)
         Structure.__init__(new_structure, body)
@@ -681,7 +681,9 @@ class Structure(Coordinates):
     def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with changed fields of the body."""
         copied_names = [
-            body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
+            body_field.name
+            for body_field in fields(Body)
+            if body_field.name not in UNCOPIED_FIELD_NAMES
         ]
         return Structure(Body(**({name: getattr(self, name) for name in copied_names} | changes)))
 

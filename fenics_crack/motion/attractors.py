@@ -24,7 +24,7 @@ from fenics_crack.motion.search import (
     describe_closest_return,
     follow_periods,
 )
-from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 
 MAX_SETTLED_CHANGE = 1e-3
@@ -49,7 +49,7 @@ class Attractor:
         Outcome in words.
     periods : int
         Number of load periods that were integrated.
-    orbits : FlowOrbits
+    orbits : FlowOrbitEquations
         Flow, load frequency and period, as equations z(T) = z(0).
     last : (flow.size,)
         Last state, in the scaled unknowns x of ``orbits``.
@@ -60,7 +60,7 @@ class Attractor:
     orbit: PeriodicOrbit | None
     description: str
     periods: int
-    orbits: FlowOrbits
+    orbits: FlowOrbitEquations
     last: np.ndarray
     growth: float = math.nan
 
@@ -101,7 +101,7 @@ class Attractor:
 
 
 def find_attractor(
-    orbits: FlowOrbits, start_unknown: np.ndarray, max_periods: int | None = None
+    orbits: FlowOrbitEquations, start_unknown: np.ndarray, max_periods: int | None = None
 ) -> Attractor:
     """Return the exact motion after many periods from a start.
 
@@ -109,7 +109,7 @@ def find_attractor(
 
     Parameters
     ----------
-    orbits : FlowOrbits
+    orbits : FlowOrbitEquations
         Flow, load frequency and period.
     start_unknown : (flow.size,)
         State at phase zero, in the scaled unknowns x of ``orbits``.
@@ -215,7 +215,7 @@ def find_irregular_motion(
     growth_per_period = math.exp(
         total_log_growth / (len(cumulative_log_growths) - 1 - transient_end_index)
     )
-    orbits = FlowOrbits(flow, omega, state, subharmonic)
+    orbits = FlowOrbitEquations(flow, omega, state, subharmonic)
     return Attractor(
         None,
         "is irregular: a small disturbance grows"

@@ -717,14 +717,14 @@ class IntegratedMotion(NamedTuple):
     ----------
     state : (size,)
         State at the end.
-    events, n_taylor_pieces : int
+    n_events, n_taylor_pieces : int
         Number of events (a pair opens, closes, sticks or slips), and of Taylor pieces.
     track : Track
     samples : Samples
     """
 
     state: np.ndarray
-    events: int
+    n_events: int
     n_taylor_pieces: int
     track: Track
     samples: Samples

@@ -161,7 +161,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     @property
     def events(self) -> int:
         """Return how often pairs open, close, stick or slip in a period."""
-        return self.motion.events
+        return self.motion.n_events
 
     @property
     def monodromy(self) -> np.ndarray:
@@ -717,7 +717,7 @@ def find_orbit(
     PeriodicOrbit or None
         None if the search fails.
     """
-    search = _Search(flow, omega, subharmonic, state)
+    search = _NewtonOrbitSearch(flow, omega, subharmonic, state)
     try:
         if not search.leads_to_orbit(solve_i_minus_m, step_tolerance):
             return None
@@ -736,7 +736,7 @@ def find_orbit(
     return orbit if orbit.residual <= MULTIPLIER_TOLERANCE else None
 
 
-class _Search:
+class _NewtonOrbitSearch:
     """Newton's method for states with z(T) = z(0) after a period T.
 
     Attributes

@@ -45,7 +45,7 @@ from fenics_crack.motion.orbit import (
     is_same_orbit_in_phase,
     predict_orbit,
 )
-from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
+from fenics_crack.motion.shooting import FlowOrbitEquations, OrbitPoint
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL, DenseLinearisation
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_period
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
@@ -81,18 +81,18 @@ class SearchOptions:
     period_budget: int = 4000
 
     @classmethod
-    def pieces(cls, flow: ContactFlow) -> int:
+    def piece_budget(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, in pieces with a Taylor series."""
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(MIN_PIECES_CHARGED_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
     @classmethod
-    def periods(cls, flow: ContactFlow) -> int:
+    def max_periods(cls, flow: ContactFlow) -> int:
         """Return the maximum number of periods for integrating a motion."""
-        return max(cls.pieces(flow) // (4 * MIN_PIECES_CHARGED_PER_PERIOD), 60)
+        return max(cls.piece_budget(flow) // (4 * MIN_PIECES_CHARGED_PER_PERIOD), 60)
 
 
-class Start(NamedTuple):
+class StartStrategy(NamedTuple):
     """Start for a search, by a name that the progress line prints.
 
     Attributes
@@ -131,7 +131,7 @@ def search_orbit(
     subharmonic: int = 1,
     *,
     prefer_stable: bool = True,
-    starts: Iterable[Start] = (),
+    starts: Iterable[StartStrategy] = (),
 ) -> OrbitSearch:
     """Search for an orbit of the flow from guesses, taken as needed.
 
@@ -187,10 +187,10 @@ class _SearchTask:
         )  # fmt: skip
 
     @property
-    def flow_orbits(self) -> FlowOrbits:
+    def flow_orbits(self) -> FlowOrbitEquations:
         """Return orbit equations next to the last guess, or to rest."""
         start_state = self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.size)
-        return FlowOrbits(self.flow, self.omega, start_state, self.subharmonic)
+        return FlowOrbitEquations(self.flow, self.omega, start_state, self.subharmonic)
 
 
 def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
@@ -288,7 +288,7 @@ class Homotopy:
         Taylor pieces left in the budget.
     """
 
-    def __init__(self, orbits: FlowOrbits, taylor_piece_budget: int) -> None:
+    def __init__(self, orbits: FlowOrbitEquations, taylor_piece_budget: int) -> None:
         self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, taylor_piece_budget
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
@@ -311,7 +311,7 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     if not task.tried_states or task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
     flow_orbits = task.flow_orbits
-    homotopy = Homotopy(flow_orbits, SearchOptions.pieces(task.flow) // 2)
+    homotopy = Homotopy(flow_orbits, SearchOptions.piece_budget(task.flow) // 2)
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
@@ -337,9 +337,9 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
-    flow_orbits, remaining_pieces = task.flow_orbits, SearchOptions.pieces(task.flow) // 4
+    flow_orbits, remaining_pieces = task.flow_orbits, SearchOptions.piece_budget(task.flow) // 4
     state_iterator = follow_periods(
-        flow_orbits, flow_orbits.start_unknown, SearchOptions.periods(task.flow)
+        flow_orbits, flow_orbits.start_unknown, SearchOptions.max_periods(task.flow)
     )
     states_at_periods = np.array([flow_orbits.start_unknown, *state_iterator])
     task.reasons.append(describe_closest_return(states_at_periods, task.subharmonic))
@@ -362,15 +362,19 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 
 ORBIT_STARTS_BY_NAME = {
-    "guesses": Start("exact orbit by Newton's method", _find_from_guesses),
-    "steps": Start("exact orbit by a step of the whole motion", _find_after_multiple_shooting_step),
-    "path": Start("exact orbit along a path from the motion", _find_along_path),
-    "motion": Start("exact orbit by following the motion", _find_along_motion),
+    "guesses": StartStrategy("exact orbit by Newton's method", _find_from_guesses),
+    "steps": StartStrategy(
+        "exact orbit by a step of the whole motion", _find_after_multiple_shooting_step
+    ),
+    "path": StartStrategy("exact orbit along a path from the motion", _find_along_path),
+    "motion": StartStrategy("exact orbit by following the motion", _find_along_motion),
 }
 """Starts for an orbit search, by name, in order."""
 
 
-def follow_periods(orbits: FlowOrbits, state: np.ndarray, max_periods: int) -> Iterator[np.ndarray]:
+def follow_periods(
+    orbits: FlowOrbitEquations, state: np.ndarray, max_periods: int
+) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.
 
     The motion ends after ``max_periods`` periods, at a failure, or at 200 Taylor pieces times

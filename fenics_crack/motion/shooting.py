@@ -38,7 +38,7 @@ class OrbitPoint(DenseLinearisation):
     ----------
     make_monodromy, make_parameter_derivative : callable
         Return the monodromy matrix S M S^-1 in the unknowns x, and dF/dp.
-    events, n_taylor_pieces : int
+    n_events, n_taylor_pieces : int
         Number of the contact pairs' events in the period, and of Taylor pieces.
     """
 
@@ -46,7 +46,7 @@ class OrbitPoint(DenseLinearisation):
     residual: np.ndarray
     make_monodromy: Callable[[], np.ndarray]
     make_parameter_derivative: Callable[[], np.ndarray]
-    events: int
+    n_events: int
     n_taylor_pieces: int
 
     @cached_property
@@ -184,7 +184,7 @@ class ShootingEquations(Equations):
         return point
 
 
-class FlowOrbits(ShootingEquations):
+class FlowOrbitEquations(ShootingEquations):
     """Equations of periodic orbits over the load frequency w, p = w / w_0.
 
     The unknowns x are the state z at phase zero times a diagonal scale S.

@@ -678,9 +678,9 @@ class Path:
             else float(system_rounding(point.parameter))
         )
 
-    def _restart(self, point: PathPoint, step: float) -> None:
+    def _restart(self, point: PathPoint, step_length: float) -> None:
         """Continue from a point with a given step."""
-        self._start_points, self._next_step_length, self._orientation = [point], step, 0.0
+        self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
     def _cut_at_rejected_step(
         self, segment: PathSegment, n_known: int, first_step_length: float

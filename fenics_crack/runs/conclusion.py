@@ -23,7 +23,7 @@ from fenics_crack.basics.tables import (
     quantity,
 )
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
-from fenics_crack.curves.peak import RISING_AT_END
+from fenics_crack.curves.peak import RISING_AT_END_TEXT
 from fenics_crack.errors.numbers import natural_name
 from fenics_crack.errors.stated import not_estimated
 from fenics_crack.errors.verification import Verification
@@ -206,7 +206,7 @@ def _of_curve(run: Answer) -> Said:
         )
         answer += f"half peak-to-peak at {place}"
     elif top.at_end:
-        answer += f", {RISING_AT_END}, {place}{error}"
+        answer += f", {RISING_AT_END_TEXT}, {place}{error}"
     else:
         share = run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0
         place_error_words = f" within {error_in_words(share)}" if 0.0 < share < np.inf else ""

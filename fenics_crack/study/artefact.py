@@ -25,7 +25,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import gather_rows, on_root
-from fenics_crack.fem.setting import clearance_of, damping_of, force_parts
+from fenics_crack.fem.setting import clearance_of, damping_rule_of, force_vector_by_part
 from fenics_crack.files.codec import packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.body import DEFAULT_SETTING, Body
@@ -183,7 +183,8 @@ class PreparedStructure:
         made = Structure(Body(
             mass, stiffness, gap=rows(self.gap, n_pairs), force=self.force[:, own],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
-            damping=damping_of(scene.given("damping")), tangential=rows(self.tangential, n_pairs),
+            damping=damping_rule_of(scene.given("damping")),
+            tangential=rows(self.tangential, n_pairs),
             nodes=nodes and replace(nodes, **arrays), pairs=pairs,
             watched=None if watched is None else watched[own],
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
@@ -400,7 +401,7 @@ def _weights(known: Scene, scene: Scene) -> np.ndarray:
     the same place and in the same directions."""
     if loads_of(known) == loads_of(scene):  # a file with its wave may have gone
         return np.eye(1 + 2 * known.highest_order)
-    return load_weights(np.array(force_parts(known), dtype=float), scene)
+    return load_weights(np.array(force_vector_by_part(known), dtype=float), scene)
 
 
 def load_weights(old_rows: np.ndarray, scene: Scene) -> np.ndarray:
@@ -411,7 +412,7 @@ def load_weights(old_rows: np.ndarray, scene: Scene) -> np.ndarray:
     InputError
         The scene's is no sum of its rows.
     """
-    new_rows = np.array(force_parts(scene), dtype=float)
+    new_rows = np.array(force_vector_by_part(scene), dtype=float)
     is_same = np.array_equal(old_rows, new_rows)
     weights = np.eye(len(new_rows)) if is_same else new_rows @ np.linalg.pinv(old_rows)
     is_no_sum = np.abs(weights @ old_rows - new_rows).max() > ROUNDING * np.abs(new_rows).max()

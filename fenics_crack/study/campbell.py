@@ -408,7 +408,7 @@ def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
     )
     if order is None or law is None:
         return ()
-    many = replace(small, modes=max(small.modes, SOUGHT_MODES))
+    many = replace(small, n_modes=max(small.n_modes, SOUGHT_MODES))
 
     def find_resonance(speed: float) -> AtLoad:
         try:

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.fem.setting import clearance_of, damping_of
+from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.files.store import digests_of
 from fenics_crack.model.body import DEFAULT_SETTING
 from fenics_crack.model.structure import Structure
@@ -68,7 +68,10 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
         last.append(Made(assemble_structure(scene, comm), comm, parts))
     elif (known := last[0]).parts != parts:
         pairs = known.structure.pairs
-        changes = {"clearance": clearance_of(scene, pairs), "damping": damping_of(scene.damping)}
+        changes = {
+            "clearance": clearance_of(scene, pairs),
+            "damping": damping_rule_of(scene.damping),
+        }
         if known.parts[1] != parts[1]:
             from fenics_crack.fem.build import assemble_load_fields
 

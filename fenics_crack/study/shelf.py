@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.fem.setting import force_parts
+from fenics_crack.fem.setting import force_vector_by_part
 from fenics_crack.files.codec import WRONG, packed, unpacked
 from fenics_crack.files.store import fingerprint, read, write
 from fenics_crack.model.factor import local_rows
@@ -113,7 +113,7 @@ def _datasets(entry: Made, scene: Scene) -> PreparedStructure:
         entry.structure, entry.structure.nodes.vtk_type,  # type: ignore[union-attr]
         mass=Rows.of(local_rows(entry.structure.mass), entry.comm), key=key_of(entry.parts),
         stiffness=Rows.of(local_rows(entry.structure.stiffness), entry.comm),
-        excitation=np.array(force_parts(scene), dtype=float),
+        excitation=np.array(force_vector_by_part(scene), dtype=float),
     )  # fmt: skip
 
 

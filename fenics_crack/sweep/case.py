@@ -25,7 +25,7 @@ from fenics_crack.basics.tables import with_frequency
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
-from fenics_crack.fem.setting import clearance_of, force_parts
+from fenics_crack.fem.setting import clearance_of, force_vector_by_part
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, bilinear_frequencies
@@ -372,6 +372,6 @@ def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
     The direction is that of the largest of the sine and the cosine parts, of the mean if there is
     none. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
-    sizes = np.linalg.norm(force_parts(case), axis=1)
+    sizes = np.linalg.norm(force_vector_by_part(case), axis=1)
     row = len(sizes) - 1 - int(np.argmax(sizes[:0:-1])) if np.any(sizes[1:]) else 0
     return {"": solution.structure.force[row] / sizes[row]} if sizes[row] else {}

@@ -64,7 +64,7 @@ from fenics_crack.model.reduced import MASS_REMEDY, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
-NAME, MORE_STEPS = "central differences", "take more steps per period"
+NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -255,7 +255,7 @@ class _ModalDifferences(Scheme):
     (n, n) if it couples them.
     """
 
-    name, remedy = NAME, MORE_STEPS
+    name, remedy = NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: March) -> None:
         self._structure_with_friction_rows = add_friction_pairs(request.contact, request.structure)
@@ -405,7 +405,7 @@ class _CentralDifferences(Scheme):
         A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
     """
 
-    name, remedy = NAME, MORE_STEPS
+    name, remedy = NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: March) -> None:
         self.structure, dt = request.structure, request.step_size
@@ -455,7 +455,7 @@ class _CentralDifferences(Scheme):
                 response_column[:] = self._solve(response_column, zero_velocity)
             self._compliance = structure.apply_bt(self._displacement_per_force.T).T
         displacement, velocity = request.start[:2]
-        self.displacement = self._admissible(displacement)
+        self.displacement = self._nearest_admissible_displacement(displacement)
         if friction_of(self.contact) is not None:
             initial_tangential_gap = self._gap_of(displacement)[structure.n_pairs :]
             self._sticking_places = (
@@ -466,12 +466,12 @@ class _CentralDifferences(Scheme):
         self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
     def fill_period(self, window: Window, period_number: int) -> None:
-        for step in range(len(window.gap)):
+        for step_index in range(len(window.gap)):
             displacement = self.displacement
-            self.advance(step)
-            window.gap[step], window.force[step] = self.gap, self.contact_force
-            window.displacement_at_load[step] = displacement[self.loaded_dofs]
-            window.recorded_displacement[step] = displacement[self._recorded_local_dofs]
+            self.advance(step_index)
+            window.gap[step_index], window.force[step_index] = self.gap, self.contact_force
+            window.displacement_at_load[step_index] = displacement[self.loaded_dofs]
+            window.recorded_displacement[step_index] = displacement[self._recorded_local_dofs]
         self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
@@ -483,28 +483,28 @@ class _CentralDifferences(Scheme):
             else (*displacement_and_velocity, self._sticking_places.copy())
         )
 
-    def advance(self, step: int) -> None:
+    def advance(self, step_index: int) -> None:
         """Integrate one step, from instant ``step`` of the period."""
         dt = self.step_size
-        scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step)
+        scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step_index)
         self.increment = self.increment + self._solve(scaled_net_force, dt * self.increment)
         if self.rigid:
-            next_gap = self.gap + self._gap_motion(self.increment)
+            next_gap = self.gap + self._gap_change(self.increment)
             self.contact_force = solve_complementarity(
                 self._compliance, next_gap, self.contact_force > 0.0
             )
             self.increment -= self._displacement_per_force @ self.contact_force
         self.displacement = self.displacement + self.increment
 
-    def _load_minus_elastic_and_contact_force(self, step: int) -> np.ndarray:
+    def _load_minus_elastic_and_contact_force(self, step_index: int) -> np.ndarray:
         """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
         ``step`` is the instant in the period. Forces of a constraint are left out: they belong to
         the next step.
         """
         self.gap = self._gap_of(self.displacement)
-        net_force = -self._apply(self.structure.stiffness.mult, self.displacement)
-        net_force[self.loaded_dofs] += self.load_samples[step]
+        net_force = -self._apply_operator(self.structure.stiffness.mult, self.displacement)
+        net_force[self.loaded_dofs] += self.load_samples[step_index]
         if not self.rigid:
             self.contact_force = self._penalty_forces(self.gap)
             net_force[self._contact_dofs] -= self._gap_block @ self.contact_force
@@ -523,15 +523,17 @@ class _CentralDifferences(Scheme):
         self._sticking_places = sticking_places[0]
         return forces[0]
 
-    def _gap_motion(self, displacement: np.ndarray) -> np.ndarray:
+    def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
         """Return B^T u, the gaps' change by a displacement u (n_local,): (n_rows,) [m]."""
         return self.structure.sum_over_ranks(displacement[self._contact_dofs] @ self._gap_block)
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return the gaps of a displacement (n_local,): (n_rows,) [m]."""
-        return self._gap_motion(displacement) - self._clearance
+        return self._gap_change(displacement) - self._clearance
 
-    def _apply(self, operator: Callable[[Any, Any], None], vector: np.ndarray) -> np.ndarray:
+    def _apply_operator(
+        self, operator: Callable[[Any, Any], None], vector: np.ndarray
+    ) -> np.ndarray:
         """Apply a PETSc operator to a vector (n_local,)."""
         self._input_vector.array_w[:] = vector
         operator(self._input_vector, self._output_vector)
@@ -541,13 +543,13 @@ class _CentralDifferences(Scheme):
         """Return A^-1 (r - C v) with A = M + dt/2 C, a force r and a velocity v (n_local,)."""
         modes = self._modes
         if modes is None:
-            return self._apply(
+            return self._apply_operator(
                 self._factored_damped_mass.apply, force - self._damping_force(velocity)
             )
-        mass_times_velocity = self._apply(self.structure.mass.mult, velocity)
+        mass_times_velocity = self._apply_operator(self.structure.mass.mult, velocity)
         local_modal_parts = np.stack([force @ modes.shapes, mass_times_velocity @ modes.shapes])
         modal_force, modal_velocity = self.structure.sum_over_ranks(local_modal_parts)
-        acceleration = self._apply(self._factored_damped_mass.apply, force)
+        acceleration = self._apply_operator(self._factored_damped_mass.apply, force)
         return acceleration + modes.shapes @ (
             self._modal_inverse_correction * modal_force - self._modal_decay * modal_velocity
         )
@@ -555,7 +557,7 @@ class _CentralDifferences(Scheme):
     def _damping_force(self, velocity: np.ndarray) -> np.ndarray:
         """Return the damping force C v: (n_local,) [N]."""
         if self._damping_matrix is not None:
-            return self._apply(self._damping_matrix.mult, velocity)
+            return self._apply_operator(self._damping_matrix.mult, velocity)
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
@@ -577,7 +579,7 @@ class _CentralDifferences(Scheme):
         )
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
-    def _admissible(self, displacement: np.ndarray) -> np.ndarray:
+    def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement (n_local,) without penetration, in the norm of M."""
         gap = self._gap_of(displacement)
         if not self.rigid or not np.any(gap > 0.0):

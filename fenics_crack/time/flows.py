@@ -290,7 +290,7 @@ class ExponentialFlow(Flow):
         phase = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
         return self.displacement(states, force, phase, dofs)
 
-    def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
+    def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
         """Integrate whole load periods from a state (size,) at phase 0.
 
         Raises
@@ -327,11 +327,13 @@ class ExponentialFlow(Flow):
                 f"exponential: the contact forces of step {n_steps_made + 1} were not found"
             )
         sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
-        return Steps(self, states, forces, is_closed > 0, np.append(states[-1], sticking_places))
+        return ExponentialSteps(
+            self, states, forces, is_closed > 0, np.append(states[-1], sticking_places)
+        )
 
 
 @dataclass(frozen=True)
-class Steps:
+class ExponentialSteps:
     """States and contact forces at the N + 1 instants of integrated load periods.
 
     Attributes
@@ -428,7 +430,7 @@ class _ByExponentials(Scheme):
         self._state = flow_steps.end_state
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
-    def _total_energy(self, flow_steps: Steps, instant_index: int) -> float:
+    def _total_energy(self, flow_steps: ExponentialSteps, instant_index: int) -> float:
         """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
         displacement = flow.displacement_from_phase_zero(

@@ -34,7 +34,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
     differentiate,
-    evaluate,
+    evaluate_series,
     fourier_basis_for,
     fourier_coefficients,
 )
@@ -287,7 +287,7 @@ class TimeHistory(ObservedMotion, Tabular):
         n_periods = len(records[0])
         if n_periods < 3:
             return math.nan
-        sizes = _sizes([record[-1] for record in records])
+        sizes = _moving_part_sizes([record[-1] for record in records])
         scaled_records = [
             record.reshape(n_periods, -1) / size
             for record, size in zip(records, sizes, strict=True)
@@ -322,7 +322,7 @@ class TimeHistory(ObservedMotion, Tabular):
         if periods >= len(records[0]):
             raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
         newest = [record[-1] for record in records]
-        return _change(newest, [record[-1 - periods] for record in records])
+        return _largest_relative_change(newest, [record[-1 - periods] for record in records])
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
@@ -486,7 +486,10 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
             # Slow modes hardly move the gaps.
             newest = gap_motion, gathered_displacement_at_load
-            change, previous = np.inf if previous is None else _change(newest, previous), newest
+            change, previous = (
+                np.inf if previous is None else _largest_relative_change(newest, previous),
+                newest,
+            )
             if change < request.settle or stop_request.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
@@ -520,23 +523,23 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     )
 
 
-def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
+def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change between two periods of the arrays (N, m)."""
-    compared_parts_and_sizes = zip(newest, previous, _sizes(newest), strict=True)
+    compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
         float(np.linalg.norm(newest_part - previous_part)) / size
         for newest_part, previous_part, size in compared_parts_and_sizes
     )
 
 
-def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
+def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     """Return the size of the moving part of each array (N, m) over a period.
 
     Means count no more than all else, because a clearance or a steady load may make them large. The
     size is infinite if the array is rounding error beside the largest one, so that its changes do
     not count. An example are the gaps of rigid crack faces that stay closed.
     """
-    sizes = [motion_size(part) for part in parts]
+    sizes = [motion_size(period_array) for period_array in period_arrays]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
@@ -562,7 +565,7 @@ def initial_state(
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
         state_coefficients = coefficients, differentiate(coefficients, omega)
         state = tuple(
-            evaluate(part_coefficients, omega, np.zeros(1))[0]
+            evaluate_series(part_coefficients, omega, np.zeros(1))[0]
             for part_coefficients in state_coefficients
         )
         if has_friction and friction_of(initial.contact) is not None:

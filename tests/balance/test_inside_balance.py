@@ -41,7 +41,7 @@ from fenics_crack import (
     build_structure,
     solve_modes,
 )
-from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, dynamic_compliance
+from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, make_compliance_model
 from fenics_crack.balance.contact_integrals import (
     CoupledIntegrals,
     ExactIntegrals,
@@ -55,10 +55,10 @@ from fenics_crack.model.modes import damped_modes, multiply
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
-    count_instants,
     evaluate,
     fourier_coefficients,
     from_complex,
+    n_instants_for_products,
     resize_harmonics,
     sample_period,
     to_complex,
@@ -579,7 +579,7 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
     found = []
     for limit in (10**6, 0):
         monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_SIZE", limit)
-        count = count_instants(harmonics)
+        count = n_instants_for_products(harmonics)
         assert count > 4 * harmonics
         values = sample_period(wave, 300), sample_period(other, count) * sample_period(wave, count)
         found.append(
@@ -855,7 +855,7 @@ def test_a_light_stiff_part_is_no_rigid_body() -> None:
     mass, own = 1e-9, 1e7
     stiffness = np.array([[1.0 + own, -own], [-own, own]])
     sensor = Structure.from_matrices(np.diag([1.0, mass]), stiffness, gap=[1.0, 0.0], damping=None)
-    compliance = dynamic_compliance(sensor, 0.5, 1)
+    compliance = make_compliance_model(sensor, 0.5, 1)
     assert compliance.matrices[:, 0, 0].real == pytest.approx([1.0, 1.0 / 0.75], rel=1e-6)
 
 

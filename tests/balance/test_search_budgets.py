@@ -10,7 +10,7 @@ from helpers import chain
 
 import fenics_crack as fc
 from fenics_crack.balance.assessment import distance
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate_series
 
 RIGID = fc.UnilateralConstraint()
 
@@ -74,7 +74,7 @@ def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyP
     rows = orbit.coefficients(200).displacement
     time = np.linspace(0.0, orbit.period, 50)
     moved = orbit.displacement_at(time)
-    away = np.abs(evaluate(rows, orbit.omega, time) - moved).max()
+    away = np.abs(evaluate_series(rows, orbit.omega, time) - moved).max()
     assert away <= 1e-3 * np.abs(moved).max()
 
 

@@ -85,7 +85,7 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
     period = 2.0 * np.pi / omega
     start = flow.advance(np.zeros(flow.size), omega, 3.0 * period).state
     motion = flow.advance(start, omega, period)
-    assert motion.events > 2
+    assert motion.n_events > 2
     draw = np.random.default_rng(1)
     stuck = motion.track.sets[0] == 1
     for _ in range(3):
@@ -208,7 +208,7 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
     forces, states, places, _ = own.march(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
-    again = own.set_solver.solve(gap, places[-1])[0]
+    again = own.friction_contact_solver.solve(gap, places[-1])[0]
     assert again == pytest.approx(forces, abs=1e-10)
-    short = own.set_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
+    short = own.friction_contact_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
     assert np.abs(short - forces).max() > 0.01
