@@ -50,7 +50,7 @@ def reduced(
         "structure": {
             "form": "modes", "squares": flow.modal_model.squares.tolist(),
             "damping": flow.modal_model.damping.tolist(),
-            "pairs": flow.modal_model.pairs.tolist(),
+            "pairs": flow.modal_model.gaps_by_mode.tolist(),
             "flexibility": flow.residual_flexibility.tolist(),
             "lift": (flow.load_gap + np.eye(len(flow.load_gap), 1) * flow.clearance).tolist(),
         },

@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sparse
 from petsc4py import PETSc
 
-from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.compliance import ComplianceModel
 from fenics_crack.balance.contact_system import DYNAMIC_TO_SOFT_PAIR_COMPLIANCE, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -348,9 +348,12 @@ class BlockSolver(Solver):
             raise InputError("harmonics", problem.harmonics, requirement)
 
     def search_point_and_wave(
-        self, compliance: Compliance, initial: PeriodicSolution | None, budget_fraction: float = 1.0
+        self,
+        compliance_model: ComplianceModel,
+        initial: PeriodicSolution | None,
+        budget_fraction: float = 1.0,
     ) -> tuple[Search, ContactPoint, Wave]:
-        problem, contact_system = self.problem, self.problem.system(compliance)
+        problem, contact_system = self.problem, self.problem.system(compliance_model)
         search = Search(
             contact_system,
             problem,
@@ -358,7 +361,7 @@ class BlockSolver(Solver):
             budget_fraction,
             remedy=BLOCK_SEARCH_REMEDY,
         )
-        linear_displacement = compliance.displacement(np.zeros(contact_system.shape))
+        linear_displacement = compliance_model.displacement(np.zeros(contact_system.shape))
         # The softest contact changes the gaps by at most this fraction of the load's effect.
         min_factor = (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE
@@ -371,7 +374,7 @@ class BlockSolver(Solver):
             initial_force = resize_harmonics(
                 stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
-            displacements_and_factors.insert(0, (compliance.displacement(initial_force), 1.0))
+            displacements_and_factors.insert(0, (compliance_model.displacement(initial_force), 1.0))
         begin("block system")
         with BlockSystem(problem, linear_displacement, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)

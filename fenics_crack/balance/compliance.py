@@ -171,7 +171,7 @@ class DynamicStiffness:
 
 def make_compliance_model(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
-) -> Compliance:
+) -> ComplianceModel:
     """Return the gaps' compliance at multiples of ``base_omega`` (collective).
 
     The load's frequency is ``subharmonic`` times ``base_omega``.
@@ -219,7 +219,7 @@ class ModalCompliance:
         self._all_modes = all_modes(structure)
         self.reachable_gap_basis = (
             structure.compute_once(_reachable_gap_basis)
-            if len(self._all_modes.pairs) < structure.n_pairs
+            if len(self._all_modes.gaps_by_mode) < structure.n_pairs
             else None
         )
         self._harmonic_orders = np.arange(len(load_rows) // 2 + 1.0)
@@ -290,8 +290,8 @@ class ModalCompliance:
         compliance = self._all_modes.seen_by_pairs(modal_receptance)
         return (
             compliance
-            if self._all_modes.residual is None
-            else compliance + self._all_modes.residual
+            if self._all_modes.residual_compliance is None
+            else compliance + self._all_modes.residual_compliance
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
@@ -326,7 +326,7 @@ class ModalCompliance:
         modal_receptance = modes.modal_receptances(
             omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
-        modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.pairs.T
+        modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.gaps_by_mode.T
         modal_displacement = modes.respond(
             modal_receptance.reshape(
                 *omega_by_harmonic_and_base.shape, *modal_receptance.shape[1:]
@@ -397,7 +397,7 @@ class ModalCompliance:
         modes = self._all_modes
         if modes.damping.ndim == 2:
             return None
-        (n_modes, n_pairs), static_compliance = modes.pairs.shape, modes.residual
+        (n_modes, n_pairs), static_compliance = modes.gaps_by_mode.shape, modes.residual_compliance
         if residual_compliance is not None:
             static_compliance = (
                 -residual_compliance
@@ -412,7 +412,7 @@ class ModalCompliance:
             "damping_rate": damping[1],
             "squares": require_shape(modes.squares, n_modes),
             "modal_damping": require_shape(modes.damping, n_modes),
-            "shapes": require_shape(modes.pairs, n_modes, self.gap_shape[1]),
+            "shapes": require_shape(modes.gaps_by_mode, n_modes, self.gap_shape[1]),
             "load": require_shape(
                 self._load_factor * self._modal_load_at_unit_factor,
                 len(self._harmonic_orders),
@@ -450,7 +450,7 @@ class ModalCompliance:
             )
             return -self._gap_response(self._base_omega * harmonic_orders * damping_force_per_omega)
         return from_complex(
-            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.pairs
+            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.gaps_by_mode
         )
 
     def selected_displacement_by_omega(
@@ -483,13 +483,13 @@ class ModalCompliance:
     def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
         """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
         return from_complex(
-            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.pairs
+            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.gaps_by_mode
         )
 
     def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return modal displacements under contact forces less load: (H+1, n_modes) complex."""
         modal_force_less_load = (
-            to_complex(contact_force) @ self._all_modes.pairs.T - self._modal_load
+            to_complex(contact_force) @ self._all_modes.gaps_by_mode.T - self._modal_load
         )
         return self._all_modes.respond(self._receptance, modal_force_less_load)
 
@@ -574,31 +574,31 @@ class FactoredCompliance:
         collect_garbage(self.structure.comm)
 
 
-Compliance = ModalCompliance | FactoredCompliance
+ComplianceModel = ModalCompliance | FactoredCompliance
 """Compliance at the multiples 0 to H of a base frequency."""
 
 
-def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
-    """Return a compliance with another number of harmonics.
+def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
+    """Return a compliance model with another number of harmonics.
 
     New harmonics have the accuracy of an error estimate. :meth:`ModalCompliance.displacement` keeps
     the number of harmonics.
     """
-    new_compliance = copy(compliance)
-    resized_matrices = compliance.matrices[: harmonics + 1]
+    new_model = copy(compliance_model)
+    resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance.compliance_above(harmonics)]
+            [resized_matrices, compliance_model.compliance_above(harmonics)]
         )
-    new_compliance.matrices = resized_matrices
-    new_compliance.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
-    new_compliance.gap_shape = new_compliance.linear_gap.shape
-    return new_compliance
+    new_model.matrices = resized_matrices
+    new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)
+    new_model.gap_shape = new_model.linear_gap.shape
+    return new_model
 
 
 def _reachable_gap_basis(structure: Structure) -> np.ndarray:
     """Return an orthonormal basis of the gaps B^T Phi that modes make: (n_pairs, n)."""
-    return scipy.linalg.orth(all_modes(structure).pairs.T)
+    return scipy.linalg.orth(all_modes(structure).gaps_by_mode.T)
 
 
 def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

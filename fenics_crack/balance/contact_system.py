@@ -42,7 +42,7 @@ from weakref import ref
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, resized_compliance
+from fenics_crack.balance.compliance import ComplianceModel, resized_compliance_model
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.friction_integrals import (
     FrictionForces,
@@ -92,12 +92,12 @@ ParameterDerivative = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
-def default_projection_weight(compliance: Compliance) -> float:
+def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """Return the default weight eps of a projected constraint [N/m].
 
     It is the inverse of the largest row sum of the static compliance |R_0|.
     """
-    max_row_sum = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
         raise InputError("structure", "static compliance 0", "one whose pairs can move")
     return 1.0 / max_row_sum
@@ -114,20 +114,23 @@ class ContactSystem:
     """
 
     def __init__(
-        self, compliance: Compliance, integrals: ContactIntegrals, start_softness: float = 0.0
+        self,
+        compliance_model: ComplianceModel,
+        integrals: ContactIntegrals,
+        start_softness: float = 0.0,
     ) -> None:
-        self.compliance, self.integrals, self._start_softness = (
-            compliance,
+        self.compliance_model, self.integrals, self._start_softness = (
+            compliance_model,
             integrals,
             start_softness,
         )
-        self.shape = compliance.gap_shape
+        self.shape = compliance_model.gap_shape
         self.size = int(np.prod(self.shape))
         self.residual_compliance = integrals.residual_compliance
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
         self.reachable_gap_basis = (
-            compliance.reachable_gap_basis if integrals.has_coupled_pairs else None
+            compliance_model.reachable_gap_basis if integrals.has_coupled_pairs else None
         )
         """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
         n_step_unknowns = n_rows * (
@@ -142,12 +145,12 @@ class ContactSystem:
     @cached_property
     def linear_gap(self) -> np.ndarray:
         """Return g_lin, the gap without contact forces: (2H+1, n_pairs) [m]."""
-        return self.compliance.linear_gap
+        return self.compliance_model.linear_gap
 
     @cached_property
     def dynamic_less_static_compliance(self) -> np.ndarray:
         """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
-        compliance_matrices = self.compliance.matrices
+        compliance_matrices = self.compliance_model.matrices
         return (
             compliance_matrices
             if self.residual_compliance is None
@@ -278,7 +281,7 @@ class ContactSystem:
 
     def system_along_friction(self) -> SystemAlongFriction:
         """Return these equations with a factor of the friction coefficient as parameter p."""
-        return SystemAlongFriction(self.compliance, self.integrals)
+        return SystemAlongFriction(self.compliance_model, self.integrals)
 
     def system_along_softness(self) -> ContactSystem:
         """Return these equations with p from very soft contact, 0, to the law, 1."""
@@ -286,15 +289,15 @@ class ContactSystem:
         start_softness = max_row_sum / (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE * self.integrals.mean_pair_compliance
         )
-        return ContactSystem(self.compliance, self.integrals, start_softness)
+        return ContactSystem(self.compliance_model, self.integrals, start_softness)
 
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
 
         New harmonics have the accuracy of an error estimate.
         """
-        compliance = resized_compliance(self.compliance, harmonics)
-        return ContactSystem(compliance, self.integrals.with_harmonics(harmonics))
+        compliance_model = resized_compliance_model(self.compliance_model, harmonics)
+        return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
 
 
 class SystemAlongFriction(ContactSystem):

@@ -267,7 +267,10 @@ def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.nda
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
     """
-    gap_plus_clearance, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
+    gap_plus_clearance, linear_gap = (
+        point.gap.copy(),
+        point.system.compliance_model.linear_gap.copy(),
+    )
     gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
     negligible_mean_square = NEGLIGIBLE**2 * mean_square(linear_gap)
@@ -337,7 +340,7 @@ def _change_by_better_system(
         base_point.force + (converged_better_point.force - start_point.force)[:n_base_rows]
     )
     load_error = _relative_change_at_load(
-        wave, structure, better_system.compliance.displacement(better_force)
+        wave, structure, better_system.compliance_model.displacement(better_force)
     )
     return min(gap_error, UNKNOWN_ERROR), min(load_error, UNKNOWN_ERROR)
 

@@ -234,7 +234,8 @@ class FrictionForces(CoupledForces):
         tangent = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
             self._integrals.friction_contact_solver.handle, n_instants,
-            pointer(self.contact_states), pointer(self._last_unstuck_instants), n_rows, pointer(waves),
+            pointer(self.contact_states), pointer(self._last_unstuck_instants), n_rows,
+            pointer(waves),
             pointer(weighted_waves), n_columns,
             pointer(gap_basis_matrix), pointer(tangent),
         ):  # fmt: skip

@@ -133,7 +133,7 @@ class MoreModes:
             fourier_basis_for(flow.modal_load, self.wave.omega * orbit_samples.time)
             @ flow.modal_load[:, n_kept:]
         )
-        modal_loads = modal_loads - orbit_samples.forces @ flow.modal_model.pairs[n_kept:].T
+        modal_loads = modal_loads - orbit_samples.forces @ flow.modal_model.gaps_by_mode[n_kept:].T
         static_coordinates = modal_loads / flow.modal_model.squares[n_kept:]
         static_rates = (
             np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
@@ -258,7 +258,7 @@ class MoreModes:
 
 def are_crack_faces_still(samples: Samples) -> bool:
     """Return True if crack faces, pressed together by the load, move by rounding only."""
-    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.pairs
+    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(gap_plus_clearance) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
 

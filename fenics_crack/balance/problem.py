@@ -33,10 +33,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.compliance import (
-    Compliance,
+    ComplianceModel,
     load_coefficients,
     make_compliance_model,
-    resized_compliance,
+    resized_compliance_model,
 )
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
@@ -304,7 +304,7 @@ class Problem:
         """True if the constraint is balanced in frequency, for uncoupled pairs."""
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
-    def with_weight(self, compliance: Compliance) -> Problem:
+    def with_weight(self, compliance: ComplianceModel) -> Problem:
         """Return the problem with the weight of its projection, if it needs one."""
         contact_law = self.contact
         if not (
@@ -315,13 +315,13 @@ class Problem:
             self, contact=replace(contact_law, weight=default_projection_weight(compliance))
         )
 
-    def system(self, compliance: Compliance) -> ContactSystem:
+    def system(self, compliance: ComplianceModel) -> ContactSystem:
         """Return the condensed equations."""
         return ContactSystem(compliance, self.with_weight(compliance).integrals())
 
     def wave(self, point: ContactPoint) -> Wave:
         """Return the motion at a point of the equations (collective)."""
-        displacement = point.system.compliance.displacement(point.force)
+        displacement = point.system.compliance_model.displacement(point.force)
         return self.wave_of(displacement, point.gap, point.force)
 
     def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
@@ -359,7 +359,7 @@ class Problem:
             return ExactIntegrals(contact_law, harmonics, residual_compliance=projection_compliance)
         return contact_integrals(contact_law, harmonics, self.samples, self.subharmonic)
 
-    def compliance(self) -> Compliance:
+    def compliance(self) -> ComplianceModel:
         """Return the compliance at multiples of the base frequency (collective).
 
         The caller destroys it.
@@ -468,7 +468,7 @@ class Search:
         system = self.system
         if system.residual_compliance is None:
             self._residual_rounding = relative_residual_rounding(
-                system.compliance, system.integrals.law
+                system.compliance_model, system.integrals.law
             )
             if self._residual_rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._residual_rounding)
@@ -640,8 +640,10 @@ class Search:
             iterations_before = self.iterations
             simpler_point = self._simpler_point
             if n_harmonics != harmonic_counts[-1]:
-                coarser_compliance = resized_compliance(system.compliance, n_harmonics)
-                system = self.problem.with_harmonics(n_harmonics).system(coarser_compliance)
+                coarser_compliance_model = resized_compliance_model(
+                    system.compliance_model, n_harmonics
+                )
+                system = self.problem.with_harmonics(n_harmonics).system(coarser_compliance_model)
             guess = (
                 system.linear_gap
                 if simpler_point is None
@@ -674,17 +676,17 @@ class Search:
         frictionless_problem = replace(
             problem_with_friction, contact=normal_law(problem_with_friction.contact)
         )
-        compliance = frictionless_problem.compliance()
+        compliance_model = frictionless_problem.compliance()
         try:
             frictionless_search = Search(
-                frictionless_problem.system(compliance),
+                frictionless_problem.system(compliance_model),
                 frictionless_problem,
                 self.tolerance,
                 0.5 * self.budget_fraction,
             )
             frictionless_point = frictionless_search.solve()
         finally:
-            compliance.destroy()
+            compliance_model.destroy()
         self.iterations += frictionless_search.iterations
         self._max_iterations += frictionless_search.iterations  # they cost little and do not count
         if not frictionless_search.has_converged:
@@ -717,7 +719,7 @@ class Search:
         if flow is None or not is_affordable(flow, load_omega, n_load_periods):
             return
         if simpler_point is not None:
-            simpler_displacement = self.system.compliance.displacement(
+            simpler_displacement = self.system.compliance_model.displacement(
                 resize_harmonics(simpler_point.force, problem.harmonics)
             )
             state_guesses.append(wave_states(flow, simpler_displacement, problem.base_omega))
@@ -783,7 +785,7 @@ def halve_harmonics(harmonics: int, min_harmonics: int) -> list[int]:
     return harmonic_counts
 
 
-def relative_residual_rounding(compliance: Compliance, law: ContactLaw) -> float:
+def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
     """Return the rounding error of |F| / |x| for uncoupled pairs.
 
     It follows from the largest k R. Raises InputError if rounding leaves nothing of the contact
@@ -791,7 +793,7 @@ def relative_residual_rounding(compliance: Compliance, law: ContactLaw) -> float
     """
     max_contact_stiffness, row_sums = (
         float(np.max(law.stiffness)),
-        np.abs(compliance.matrices).sum(axis=2),
+        np.abs(compliance_model.matrices).sum(axis=2),
     )
     max_allowed_stiffness = COARSE_TOLERANCE / (
         MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.compliance import ComplianceModel
 from fenics_crack.balance.contact_system import ContactPoint, Wave
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.more_modes import MoreModes
@@ -403,14 +403,14 @@ class Solver:
         its whole budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if
         known.
         """
-        compliance = self.problem.compliance()
+        compliance_model = self.problem.compliance()
         budget_fraction = (
             1.0 if with_whole_budget else 1.0 / len(SearchOptions.guess_harmonic_counts)
         )
         try:
-            problem = self.problem.with_weight(compliance)
+            problem = self.problem.with_weight(compliance_model)
             search, end_point, wave = replace(self, problem=problem).search_point_and_wave(
-                compliance, initial, budget_fraction
+                compliance_model, initial, budget_fraction
             )
             solution = solution_of(
                 problem, end_point, status=search.status, has_converged=search.has_converged,
@@ -420,11 +420,14 @@ class Solver:
                 ),
             )  # fmt: skip
         finally:
-            compliance.destroy()
+            compliance_model.destroy()
         return search, replace(solution, iterations=search.iterations)
 
     def search_point_and_wave(
-        self, compliance: Compliance, initial: PeriodicSolution | None, budget_fraction: float = 1.0
+        self,
+        compliance_model: ComplianceModel,
+        initial: PeriodicSolution | None,
+        budget_fraction: float = 1.0,
     ) -> tuple[Search, ContactPoint, Wave]:
         """Search for a solution in the condensed equations.
 
@@ -439,7 +442,7 @@ class Solver:
             Motion at the point.
         """
         problem = self.problem
-        system, start_slow_gaps = problem.system(compliance), []
+        system, start_slow_gaps = problem.system(compliance_model), []
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
             gap_and_force_rows = initial.gap_rows, initial.force_rows

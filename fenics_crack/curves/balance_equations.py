@@ -120,8 +120,8 @@ class BalanceEquations(CurveSystem):
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
-        assert isinstance(point.system.compliance, ModalCompliance)
-        return point.system.compliance.residual_derivative(self.name, point.force)
+        assert isinstance(point.system.compliance_model, ModalCompliance)
+        return point.system.compliance_model.residual_derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
         """Return the harmonic-balance equations at a parameter value; the last ones are kept."""

@@ -88,8 +88,8 @@ class Drive:
 
 def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
     """Return the model of a small structure's dynamic compliance at a point."""
-    assert isinstance(point.system.compliance, ModalCompliance)
-    return point.system.compliance
+    assert isinstance(point.system.compliance_model, ModalCompliance)
+    return point.system.compliance_model
 
 
 class PhasePoint(Linearisation):

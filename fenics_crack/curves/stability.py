@@ -100,9 +100,9 @@ def monodromy_of_linear_flow(
     """
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
-    if modes.residual is not None:
-        force_samples = smooth_forces_and_slopes(contact, modes.residual, gap_samples)[0]
-        gap_samples = gap_samples - force_samples @ modes.residual
+    if modes.residual_compliance is not None:
+        force_samples = smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[0]
+        gap_samples = gap_samples - force_samples @ modes.residual_compliance
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
@@ -144,10 +144,10 @@ def _multiply_steps(
     h = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
     gap_samples = sample_period(gap_coefficients, n_steps)
-    if modes.residual is None:
+    if modes.residual_compliance is None:
         kicks = h * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces_and_slopes(contact, modes.residual, gap_samples)[1]
+        kicks = h * smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[1]
     n_stretches = 1
     while (
         n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
@@ -175,10 +175,10 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
     ``kick`` is the step length h times the contact stiffness kappa of each pair, or the matrix of
     coupled pairs. P are the modes at the pairs, and q the modal displacements.
     """
-    pair_displacement = modes.pairs.T @ displacement
-    has_uncoupled_pairs = modes.residual is None
+    pair_displacement = modes.gaps_by_mode.T @ displacement
+    has_uncoupled_pairs = modes.residual_compliance is None
     pair_impulse = kick * pair_displacement if has_uncoupled_pairs else kick @ pair_displacement
-    return np.asarray(modes.pairs @ pair_impulse)
+    return np.asarray(modes.gaps_by_mode @ pair_impulse)
 
 
 def _step_without_contact_forces(

@@ -726,7 +726,7 @@ class _IntegrationDomain:
         True for facets, opposite each corner, that belong to one cell only.
     volumes : (n_cells,) [m^3]
         Volume of each cell.
-    gradients : (n_cells, 4, 3) [1/m]
+    barycentric_gradients : (n_cells, 4, 3) [1/m]
         Gradients of the barycentric coordinates.
     side_signs : (n_cells,)
         1 above the crack, -1 below.

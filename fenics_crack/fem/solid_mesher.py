@@ -244,7 +244,7 @@ def _find_names_and_face_tags(
     ----------
     names_and_points : pairs of (str, (3,))
         Name and point; a name may have several points.
-    triangles, owners
+    part_triangles, triangle_faces
         From :func:`mesh_faces`.
 
     Returns
@@ -305,7 +305,7 @@ def insert_cracks(
         half-plane that ends at its middle; "is_round", True for an ellipse; "reach", the extent
         behind the front, or None; "elements" along this extent, and "grading", the longest over the
         shortest.
-    triangles : (n, 3, 3)
+    part_triangles : (n, 3, 3)
         Faces of the solid. Empty if the scene has checked the crack's position.
 
     Returns

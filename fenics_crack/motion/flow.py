@@ -134,7 +134,7 @@ class Flow:
     clearance : (n_rows,) [m]
         g0 of the rows; 0 for tangents.
     modal_model : AllModes
-        Moving modes; their pairs are the contact rows.
+        Moving modes; their gaps are those of the contact rows.
     n_modes, size : int
         Number of modes, and of entries in a state.
     residual_flexibility : (n_rows, n_rows) [m/N]
@@ -184,7 +184,7 @@ class Flow:
         if self.friction_law:
             if sticking_places is None:
                 sticking_places = (
-                    state_parts[0] @ self.modal_model.pairs[:, n_pairs:]
+                    state_parts[0] @ self.modal_model.gaps_by_mode[:, n_pairs:]
                     + self.load_gap[0, n_pairs:]
                 )
             state_parts.append(sticking_places)
@@ -263,9 +263,9 @@ class ContactFlow(Flow):
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
         modal_model, n_pairs = self.modal_model, structure.n_pairs
-        closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.pairs.T)
+        closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.gaps_by_mode.T)
         closed_stiffness_matrix = (
-            np.diag(modal_model.squares) + modal_model.pairs @ closed_pair_forces_of_modes
+            np.diag(modal_model.squares) + modal_model.gaps_by_mode @ closed_pair_forces_of_modes
         )
         self.rate_bound = _bound_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
@@ -282,7 +282,7 @@ class ContactFlow(Flow):
             "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=friction_coefficients,
             coupled=modal_model.damping.ndim == 2, squares=as_doubles(modal_model.squares),
             damping=as_doubles(modal_model.damping),
-            rows=as_doubles(modal_model.pairs.T), compliance=as_doubles(self.compliance),
+            rows=as_doubles(modal_model.gaps_by_mode.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
             gap=self.load_gap, max_rate=self.rate_bound, max_open_rate=self.open_rate_bound,
@@ -336,7 +336,7 @@ class ContactFlow(Flow):
         mode_flexibilities = np.zeros_like(modal_model.squares)
         np.divide(1.0, modal_model.squares, out=mode_flexibilities, where=modal_model.squares > 0.0)
         normal_gaps_of_modes, normal_compliance = (
-            modal_model.pairs[:, :n_pairs],
+            modal_model.gaps_by_mode[:, :n_pairs],
             self.compliance[:, :n_pairs],
         )
         modal_displacement_by_force = mode_flexibilities[:, None] * normal_gaps_of_modes
@@ -362,7 +362,7 @@ class ContactFlow(Flow):
         if self.friction_law:
             state_parts.append(
                 (
-                    modal_displacement @ modal_model.pairs
+                    modal_displacement @ modal_model.gaps_by_mode
                     + self.load_gap[0]
                     - normal_compliance @ normal_forces
                 )[n_pairs:]

@@ -642,8 +642,8 @@ def predict_orbit(
         )[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.pairs
-    gap_changes = changes[:, : flow.n_modes] @ flow.modal_model.pairs
+    part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
+    gap_changes = changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     return Prediction(
         relative_to_motion(gap_changes, part_start_gaps),
         states + changes,

@@ -165,7 +165,7 @@ def _analysis_matrix(harmonics: int, n_instants: int) -> np.ndarray:
 
 
 def _multiply_first_axis(matrix: np.ndarray, array: np.ndarray) -> np.ndarray:
-    """Return matrix @ columns for columns of any shape (n, ...)."""
+    """Return the product of a matrix with the first axis of an array (n, ...)."""
     product: np.ndarray = matrix @ array.reshape(len(array), -1)
     return product.reshape(len(matrix), *array.shape[1:])
 
@@ -181,7 +181,7 @@ def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
 def stretch_period(coefficients: np.ndarray, period_factor: int) -> np.ndarray:
     """Return the coefficients of a wave in a longer period.
 
-    In ``factor`` times the period, harmonic k becomes harmonic k * factor.
+    In ``period_factor`` times the period, harmonic k becomes harmonic k * period_factor.
     """
     harmonics = to_complex(coefficients)
     stretched_harmonics = np.zeros(

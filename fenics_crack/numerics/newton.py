@@ -578,7 +578,7 @@ def predict_and_correct(
     *,
     max_parameter_change: float | None = None,
 ) -> PathPoint | None:
-    """Return the point at a distance ``step`` along a path; None without success.
+    """Return the point at a distance ``step_length`` along a path; None without success.
 
     The prediction follows the tangent at the start. The returned point keeps that tangent.
     ``max_parameter_change`` limits the change of the parameter from its prediction; default: 3
@@ -603,7 +603,7 @@ def predict_and_correct(
 def try_step(
     system: System, start_point: PathPoint, step_length: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
-    """Return a path's point at a distance ``step`` from a start, with tangent.
+    """Return a path's point at a distance ``step_length`` from a start, with tangent.
 
     The tangent keeps the direction of the tangent at the start. None if the point is not found.
     """

@@ -100,7 +100,8 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     if is_small(structure):
         open_modes = all_modes(structure_with_friction_rows)
         bonded_stiffness = (
-            np.diag(open_modes.squares) + (open_modes.pairs * springs) @ open_modes.pairs.T
+            np.diag(open_modes.squares)
+            + (open_modes.gaps_by_mode * springs) @ open_modes.gaps_by_mode.T
         )
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
@@ -264,7 +265,7 @@ class _ModalDifferences(Scheme):
             all_modes(self._structure_with_friction_rows),
             request.step_size,
         )
-        modes, (n_modes, n_rows) = self._modes, self._modes.pairs.shape
+        modes, (n_modes, n_rows) = self._modes, self._modes.gaps_by_mode.shape
         springs, friction_members = None, dict[str, Any]()
         if not request.rigid:
             springs = _contact_stiffnesses(request.structure, request.contact)
@@ -289,8 +290,8 @@ class _ModalDifferences(Scheme):
                 request.start[2] if request.start[2:] else initial_gap[n_rows // 2 :]
             )
         if request.rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
-            self._modal_displacement -= modes.pairs @ solve_complementarity(
-                modes.pairs.T @ modes.pairs, initial_gap
+            self._modal_displacement -= modes.gaps_by_mode @ solve_complementarity(
+                modes.gaps_by_mode.T @ modes.gaps_by_mode, initial_gap
             )
         self._increment = dt * modal_velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(
             modal_velocity
@@ -303,13 +304,16 @@ class _ModalDifferences(Scheme):
         damped_mass = identity + 0.5 * dt * modes.damping
         inverse = 1.0 / damped_mass if damped_mass.ndim == 1 else np.linalg.inv(damped_mass)
         force_response = (
-            inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
+            inverse[:, None] * modes.gaps_by_mode
+            if inverse.ndim == 1
+            else inverse @ modes.gaps_by_mode
         )
         increment_per_force = dt**2 * force_response
         contiguous = np.ascontiguousarray
         vibration_struct = Struct(
             "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
-            squared_frequencies=contiguous(modes.squares), gap_rows=contiguous(modes.pairs.T),
+            squared_frequencies=contiguous(modes.squares),
+            gap_rows=contiguous(modes.gaps_by_mode.T),
             clearance=np.array(self._structure_with_friction_rows.clearance, dtype=float),
             spring_stiffnesses=springs,
             load_rows=contiguous(request.structure.force @ modes.shapes),
@@ -321,7 +325,7 @@ class _ModalDifferences(Scheme):
             increment_factor=2.0 * inverse - identity, force_factor=dt**2 * inverse,
             increment_per_force=contiguous(increment_per_force.T),
             contact_solver=(
-                ActiveSetSolver(modes.pairs.T @ increment_per_force).handle
+                ActiveSetSolver(modes.gaps_by_mode.T @ increment_per_force).handle
                 if request.rigid else None
             ),
             displacements=self._modal_displacement, increment=self._increment,
@@ -331,7 +335,7 @@ class _ModalDifferences(Scheme):
     def _gap(self) -> np.ndarray:
         """Return the gaps at the end of the integration: (n_rows,) [m]."""
         return np.asarray(
-            self._modal_displacement @ self._modes.pairs
+            self._modal_displacement @ self._modes.gaps_by_mode
             - self._structure_with_friction_rows.clearance
         )
 
@@ -346,7 +350,7 @@ class _ModalDifferences(Scheme):
             load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._modal_displacement
         if not self._request.rigid:
-            acceleration -= modes.pairs @ self._penalty_forces(self._gap())
+            acceleration -= modes.gaps_by_mode @ self._penalty_forces(self._gap())
         return np.asarray(acceleration - modes.damping_force(velocity))
 
     def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:

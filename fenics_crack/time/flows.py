@@ -237,11 +237,11 @@ class ExponentialFlow(Flow):
             steps_per_period,
             2.0 * np.pi / omega / steps_per_period,
         )
-        modes, (n_modes, n_rows) = self.modal_model, self.modal_model.pairs.shape
+        modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
         transition, response = modes.transition(self.step_size)
         halved_response = 0.5 * response  # Gamma
-        gap_response = modes.pairs.T @ halved_response[:n_modes]
-        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((n_rows, n_modes))])
+        gap_response = modes.gaps_by_mode.T @ halved_response[:n_modes]
+        self.gap_rows = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
         enumerated_loads = enumerate(to_complex(self.modal_load))
         response_harmonics = [
             modes.steady_response(harmonic_order * omega, load_harmonic)
@@ -255,7 +255,7 @@ class ExponentialFlow(Flow):
             [displacement_coefficients, differentiate(displacement_coefficients, omega)]
         )
         self.linear_gap = basis_at_instants @ (
-            displacement_coefficients @ modes.pairs + self.load_gap
+            displacement_coefficients @ modes.gaps_by_mode + self.load_gap
         )
         step_compliance = self.compliance + gap_response
         set_members: dict[str, Any]
@@ -273,7 +273,7 @@ class ExponentialFlow(Flow):
         self._kernel_data = Struct(
             "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
             has_coupled_modes=modes.damping.ndim == 2, transition=transition,
-            gap_rows=as_doubles(modes.pairs.T),
+            gap_rows=as_doubles(modes.gaps_by_mode.T),
             force_response=as_doubles(halved_response.T), gap_response=as_doubles(gap_response),
             steady_gap=self.linear_gap, steady_states=self.steady_states,
             work=np.empty(4 * n_modes + 2 * n_rows),

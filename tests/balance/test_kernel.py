@@ -719,7 +719,7 @@ def test_largest_compliance(name: str) -> None:
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
     family = EQUATIONS_CLASS_BY_PARAMETER[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     for parameter in (-0.2, 0.0, 0.4, 1.0):
-        matrices = family.system(family.value(parameter)).compliance.matrices
+        matrices = family.system(family.value(parameter)).compliance_model.matrices
         expected = np.abs(matrices).sum(axis=2).max()
         assert family.compiled_equations.max_dynamic_row_sum(parameter) == pytest.approx(
             expected, rel=1e-12

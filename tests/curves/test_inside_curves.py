@@ -507,7 +507,7 @@ def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
         if residual is not None:  # d lambda / ds of lambda = h(s - R lambda)
             slope = slope @ np.linalg.inv(unit + residual @ slope)
         push = modes.squares[:, None] * moved[:n] + damping @ moved[n:]
-        push += modes.pairs @ (slope @ (modes.pairs.T @ moved[:n]))
+        push += modes.gaps_by_mode @ (slope @ (modes.gaps_by_mode.T @ moved[:n]))
         return np.concatenate([moved[n:], -push]).ravel()
 
     run = solve_ivp(

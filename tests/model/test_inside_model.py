@@ -663,7 +663,7 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
     load = structure.force[1] @ modes.shapes
     shape = modes.respond(receptance[0], load + 0j)
-    linear = shape @ modes.pairs + structure.force[1] @ modes.massless_pair_responses
+    linear = shape @ modes.gaps_by_mode + structure.force[1] @ modes.massless_pair_responses
     return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
 
 

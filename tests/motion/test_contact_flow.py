@@ -279,7 +279,7 @@ def test_answers_of_sets(pairs: int) -> None:
     instants = np.linspace(0.0, 30.0, 200)
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
-        samples.states[:, : flow.size // 2] @ flow.modal_model.pairs
+        samples.states[:, : flow.size // 2] @ flow.modal_model.gaps_by_mode
         + fourier_basis(omega * instants) @ flow.load_gap
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
@@ -367,7 +367,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
     lengths = turns * turn / flow.rate_bound
-    expected, pairs = np.eye(flow.size), flow.modal_model.pairs
+    expected, pairs = np.eye(flow.size), flow.modal_model.gaps_by_mode
     for closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, closed]
         pushed = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], rows.T)
