@@ -129,7 +129,7 @@ def starts(
                 found.append(state)
     except fc.ConvergenceError as error:
         print("  from rest:", error)
-    size = flow.weights(omega)
+    size = flow.energy_weights(omega)
     scale = max((float(np.linalg.norm(size * one)) for one in found), default=1.0)
     for _ in range(2 if few else STARTS):
         one = random.normal(size=len(found[0])) / size

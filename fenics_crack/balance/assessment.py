@@ -50,14 +50,14 @@ from fenics_crack.numerics.equations import COARSE_TOLERANCE
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import relative_to_motion
 
-MAX_ERROR = 0.1
+MAX_ACCEPTED_ERROR = 0.1
 """Relative distance up to which the nearest orbit is accepted.
 
 Up to this predicted error, the search begins at the predicted state first. Measured on 680
 solutions of 170 systems: 99 % of chains, 83 % of plates and 79 % of stiff chains have a prediction
 within half to twice the distance.
 """
-MAX_DISTANCE = 0.5
+MAX_ACCEPTED_DISTANCE = 0.5
 """Relative distance up to which an orbit is accepted for crack faces without mass.
 
 Of ten such orbits between 0.1 and 0.5 away, and within three predictions, nine belonged to the
@@ -186,7 +186,9 @@ class Assessment:
         if self.exact_orbit is not None:
             return self.exact_orbit, True
         orbit = self._source_orbit or self._search_nearest_orbit()
-        max_distance = MAX_DISTANCE if self.wave.structure.light_lips else MAX_ERROR
+        max_distance = (
+            MAX_ACCEPTED_DISTANCE if self.wave.structure.light_lips else MAX_ACCEPTED_ERROR
+        )
         if (
             orbit is None
             and (finer_assessment := self._assessment_with_twice_harmonics())
@@ -203,7 +205,7 @@ class Assessment:
             return None
         assert self.flow is not None
         start_states = [self.states_over_period[0]]
-        if self.predicted_error <= MAX_ERROR:
+        if self.predicted_error <= MAX_ACCEPTED_ERROR:
             start_states.insert(0, self.orbit_prediction.states[0])
         n_load_periods, inverse_function = (
             self.wave.subharmonic,

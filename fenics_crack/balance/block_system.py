@@ -376,7 +376,7 @@ class BlockSolver(Solver):
             )
             displacements_and_factors.insert(0, (compliance_model.displacement(initial_force), 1.0))
         begin("block system")
-        with BlockSystem(problem, linear_displacement, search.history) as block:
+        with BlockSystem(problem, linear_displacement, search.snes_residual_norms) as block:
             search.tolerance = max(search.tolerance, block.rounding)
             while displacements_and_factors and not search.has_converged:
                 iterations_before = search.iterations

@@ -64,7 +64,12 @@ from fenics_crack.motion.orbit import (
     RealFourierCoefficients,
     is_affordable,
 )
-from fenics_crack.motion.search import SEGMENT_START_SLICE, OrbitSearch, SearchOptions, search_orbit
+from fenics_crack.motion.search import (
+    SEGMENT_START_SLICE,
+    OrbitSearchResult,
+    SearchOptions,
+    search_orbit,
+)
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -319,14 +324,16 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
-FIRST_MODES = 10
+FIRST_MODE_COUNT = 10
 """Modes of the first attempt for a large structure, limited by what exact orbits may have."""
 MAX_HARMONICS = 500
 """Maximum harmonics solved for, or kept from an orbit, per period of the load."""
 
 
 def mode_counts(
-    structure: Structure, first_modes: int = FIRST_MODES, max_modes: int = MAX_MODES_FOR_MONODROMY
+    structure: Structure,
+    first_modes: int = FIRST_MODE_COUNT,
+    max_modes: int = MAX_MODES_FOR_MONODROMY,
 ) -> list[int]:
     """Return ascending numbers of modes for a large structure, doubled each time."""
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
@@ -519,7 +526,9 @@ def _solve_structure(
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def search_initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
+def search_initial_orbit(
+    problem: Problem, initial: PeriodicSolution | None = None
+) -> OrbitSearchResult:
     """Search for an exact orbit from harmonic-balance solutions.
 
     The solutions have more and more harmonics, and are all sought from ``initial``. If that has an
@@ -536,7 +545,7 @@ def search_initial_orbit(problem: Problem, initial: PeriodicSolution | None = No
 
 def _search_orbit_from_solutions(
     solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
-) -> tuple[list[PeriodicSolution], OrbitSearch]:
+) -> tuple[list[PeriodicSolution], OrbitSearchResult]:
     """Search for an orbit from harmonic-balance solutions with ascending harmonics.
 
     Returns the solutions computed, and the search's result.
@@ -584,7 +593,7 @@ def _solver_for(solver: Solver, problem: Problem) -> Solver:
     return replace(solver, problem=problem)
 
 
-def _describe_other_orbits(search: OrbitSearch) -> str:
+def _describe_other_orbits(search: OrbitSearchResult) -> str:
     """Return words on the other orbits that a search found, or ""."""
     descriptions = [
         f"{'stable' if orbit.is_stable else 'unstable'}, "

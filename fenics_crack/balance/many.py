@@ -50,7 +50,7 @@ A coefficient of order 20 is then accurate to a hundredth.
 """
 STEP_TOLERANCE = 1e-10
 """Relative length of the last Newton step for an orbit."""
-PARAMETERS = "omega", "load", "damping", "clearance"
+PARAMETER_NAMES = "omega", "load", "damping", "clearance"
 TEXT_COLUMNS = "status", "reason", "verdict"
 NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
 
@@ -109,7 +109,7 @@ class ManyOrbits(Tabular):
         Raises InputError if the case cannot exist.
         """
         omega, load_factor, damping_factor, added_clearance = (
-            float(getattr(self, parameter_name)[case]) for parameter_name in PARAMETERS
+            float(getattr(self, parameter_name)[case]) for parameter_name in PARAMETER_NAMES
         )
         structure = self.structure.varied(
             load=load_factor, damping=damping_factor, clearance=added_clearance
@@ -192,7 +192,7 @@ def solve_many(
     case_parameters = np.array(np.broadcast_arrays(*argument_arrays), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
     n_cases, flow = case_parameters.shape[1], exact_flow_or_error(structure, contact)
-    columns_by_name: dict[str, Any] = dict(zip(PARAMETERS, case_parameters, strict=True))
+    columns_by_name: dict[str, Any] = dict(zip(PARAMETER_NAMES, case_parameters, strict=True))
     columns_by_name |= {
         column_name: np.full(n_cases, "", dtype=object) for column_name in TEXT_COLUMNS
     }

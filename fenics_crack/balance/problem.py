@@ -435,7 +435,7 @@ class Search:
     """Newton iterations, all attempts together."""
     orbit: PeriodicOrbit | None = None
     """Exact orbit whose coefficients were the last guess."""
-    history: list[float] = field(default_factory=list)
+    snes_residual_norms: list[float] = field(default_factory=list)
     """``|F|`` of every SNES iteration. With the equations in the kernel, SNES makes only a last
     attempt after all others have failed."""
     attempt_texts: list[str] = field(default_factory=list)
@@ -457,7 +457,7 @@ class Search:
 
         Parameters
         ----------
-        *starts : (2H+1, n_rows) [m]
+        *neighbour_slow_gaps : (2H+1, n_rows) [m]
             Neighbouring solutions, tried first.
 
         Raises
@@ -477,7 +477,7 @@ class Search:
         with ExitStack() as exit_stack:
             snes = None
             if not can_solve_in_kernel(system):
-                snes = exit_stack.enter_context(SystemSnes(system, self.history))
+                snes = exit_stack.enter_context(SystemSnes(system, self.snes_residual_norms))
             for start_strategy in self._start_strategies(neighbour_slow_gaps):
                 begin(start_strategy.name)
                 iterations_before = self.iterations
@@ -493,7 +493,7 @@ class Search:
             not self.has_converged and snes is None and self.budget_fraction == 1.0
         ):  # for the history
             iterations_before = self.iterations
-            with SystemSnes(system, self.history) as snes:
+            with SystemSnes(system, self.snes_residual_norms) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
             if self.has_converged:
                 self.append_attempt_text("full steps of SNES", iterations_before)

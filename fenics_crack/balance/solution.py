@@ -376,7 +376,9 @@ class Solver:
             self._check_law_slope(solution.gap_coefficients)
         if self.throw and not search.has_converged:
             case_text = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
-            raise ConvergenceError(f"harmonic balance {case_text}: {search.status}", search.history)
+            raise ConvergenceError(
+                f"harmonic balance {case_text}: {search.status}", search.snes_residual_norms
+            )
         return solution
 
     def _check_law_slope(self, gap_coefficients: np.ndarray) -> None:

@@ -4,7 +4,7 @@ A row states a number in words with its unit, how it is read at its place, and w
 unless a scene chooses. Tables, files, pictures, the columns of sweeps, ``[output] quantities``,
 stated errors and the list in the reference follow from it.
 
-What is at a place, which ``read`` takes, is a ``Point`` or ``Faces`` of
+What is at a place, which ``read`` takes, is a ``PointDisplacement`` or ``CrackFaces`` of
 :mod:`fenics_crack.motion.motions`, an ``AtTip`` or ``Held`` of :mod:`fenics_crack.study.observer`.
 """
 

@@ -33,7 +33,7 @@ from fenics_crack.curves.curve import (
     kind_in_words,
     parameter_axis,
 )
-from fenics_crack.curves.peak import Top
+from fenics_crack.curves.peak import LargestResponse
 from fenics_crack.curves.stability import attractors
 from fenics_crack.errors.numbers import largest_left_out, natural_name
 from fenics_crack.model.modes import (
@@ -483,7 +483,7 @@ def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Tab
     return Table(("point", *along), values)
 
 
-def _at_top(run: Run[ResponseCurve], top: Top, along: Columns) -> Columns:
+def _at_top(run: Run[ResponseCurve], top: LargestResponse, along: Columns) -> Columns:
     """Columns of one row at the largest response of the first watched dof: the parameter and its
     ratios to natural frequencies, linear between the neighbouring points, and the amplitude; all
     else is of the nearest point."""

@@ -121,7 +121,7 @@ class BalanceEquations(CurveSystem):
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
         assert isinstance(point.system.compliance_model, ModalCompliance)
-        return point.system.compliance_model.residual_derivative(self.name, point.force)
+        return point.system.compliance_model.residual_derivative(self.parameter_name, point.force)
 
     def system(self, value: float) -> ContactSystem:
         """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
@@ -216,7 +216,7 @@ class BalanceEquations(CurveSystem):
 class BalanceAlongFrequency(BalanceEquations):
     """Equations along v: load frequency [rad/s]."""
 
-    name = "omega"
+    parameter_name = "omega"
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -251,17 +251,17 @@ class _BalanceOfVariedStructure(BalanceEquations):
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
+        return replace(problem, structure=problem.structure.varied(**{cls.parameter_name: value}))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         return self._unvaried_compliance_model.with_parameters(
-            self.problem.base_omega, **{self.name: value}
+            self.problem.base_omega, **{self.parameter_name: value}
         )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations if v changes only the gap without contact, linearly."""
         residual_derivative = self._unvaried_compliance_model.residual_derivative(
-            self.name, np.zeros(start_system.shape)
+            self.parameter_name, np.zeros(start_system.shape)
         )
         linear_gap_rate = -(self.end - self.start) * residual_derivative
         return start_system.compile(
@@ -274,7 +274,7 @@ class _BalanceOfVariedStructure(BalanceEquations):
 class BalanceAlongLoad(_BalanceOfVariedStructure):
     """Equations along v: factor for the load; a negative factor reverses it."""
 
-    name = "load"
+    parameter_name = "load"
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -289,7 +289,7 @@ class BalanceAlongLoad(_BalanceOfVariedStructure):
 class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
     """Equations along v: factor for the damping."""
 
-    name = "damping"
+    parameter_name = "damping"
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -307,13 +307,13 @@ class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
 class BalanceAlongClearance(_BalanceOfVariedStructure):
     """Equations along v: clearance [m] added to every pair."""
 
-    name = "clearance"
+    parameter_name = "clearance"
 
 
 class BalanceAlongContactStiffness(BalanceEquations):
     """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
-    name, logarithmic, has_varying_integrals = "stiffness", True, True
+    parameter_name, logarithmic, has_varying_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -339,7 +339,7 @@ class BalanceAlongContactStiffness(BalanceEquations):
 class BalanceAlongFriction(BalanceEquations):
     """Equations along v: factor for the coefficient of friction."""
 
-    name, has_varying_integrals = "friction", True
+    parameter_name, has_varying_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -362,7 +362,7 @@ class BalanceAlongSpeed(BalanceEquations):
     the compliance and with it the sets of closed pairs change, too.
     """
 
-    name, has_varying_integrals = "speed", True
+    parameter_name, has_varying_integrals = "speed", True
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -423,7 +423,7 @@ class BalanceAtResonance(BalanceEquations):
     The load frequency follows the resonance; these equations hold at one frequency.
     """
 
-    name = "resonance"
+    parameter_name = "resonance"
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -433,7 +433,7 @@ class BalanceAtResonance(BalanceEquations):
 
 
 EQUATIONS_CLASS_BY_PARAMETER: dict[str, type[BalanceEquations]] = {
-    equations_class.name: equations_class
+    equations_class.parameter_name: equations_class
     for equations_class in (
         BalanceAlongFrequency,
         BalanceAlongLoad,

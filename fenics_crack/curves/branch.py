@@ -163,7 +163,7 @@ def branch_start(
                 parameter_change = candidate_point.parameter - parameter
                 branch_chord_tangent = replace(branch_tangent, x=unknown_change, p=parameter_change)
                 return replace(candidate_point, tangent=branch_chord_tangent)
-    branch_words = f"branch from {kind} at {system.name} = {system.value(parameter):g}"
+    branch_words = f"branch from {kind} at {system.parameter_name} = {system.value(parameter):g}"
     raise ConvergenceError(f"{branch_words}: no point of another branch was found next to it")
 
 

@@ -125,7 +125,7 @@ class GrowingCurve:
         self.system, self._step_limits = system, step_limits
         self._tolerance, self._is_branch = tolerance, is_branch
         self.most_points = step_limits.most_points
-        self._start_point = self._last_point = start_point
+        self._start_path_point = self._last_path_point = start_point
         self.points = [self._convert_path_point(start_point)]
         self._kinds_and_special_points: list[tuple[str, CurvePoint]] = []
         self.complete, self.has_returned, self.status = False, False, "not begun"
@@ -173,7 +173,7 @@ class GrowingCurve:
         curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
-            parameter=system.name,
+            parameter=system.parameter_name,
             values=np.array([point.value for point in points]),
             omega=np.array([point.omega for point in points]),
             iterations=np.array([point.iterations for point in points]),
@@ -205,7 +205,7 @@ class GrowingCurve:
 
     def progress(self) -> float:
         """Return the completed fraction of the way from start to end, 0 to 1."""
-        return min(1.0, max(0.0, self._last_point.parameter))
+        return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
         """Describe the progress: completed percentage, range and number of points."""
@@ -217,7 +217,7 @@ class GrowingCurve:
 
         The values are printed in their unit; default: the value at the last point.
         """
-        axis = parameter_axis(self.system.name, True)
+        axis = parameter_axis(self.system.parameter_name, True)
         point_count_text = counted(len(self.points), "point")
         return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count_text}"
 
@@ -243,11 +243,11 @@ class GrowingCurve:
         if self.complete:
             return
         system = self.system
-        last_point = self._last_point
+        last_point = self._last_path_point
         longest_step = self._step_limits.longest_step
         self.status = "under way"
         events: list[Event] = [event_class() for event_class in system.event_classes]
-        events += [Target(1.0), ClosedLoop(self._start_point, system)]
+        events += [Target(1.0), ClosedLoop(self._start_path_point, system)]
         if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
@@ -290,7 +290,7 @@ class GrowingCurve:
         self.points += map(
             self._curve_point, parameters, segment.unknowns, all_iterations, multipliers_and_counts
         )
-        self._last_point = segment[-1]
+        self._last_path_point = segment[-1]
         kinds_and_values = tuple(
             (kind, curve_point.value) for kind, curve_point in kinds_and_special_points
         )

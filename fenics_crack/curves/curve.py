@@ -35,8 +35,8 @@ from fenics_crack.curves.balance_equations import (
 )
 from fenics_crack.curves.orbits import OrbitEquations, system_along
 from fenics_crack.curves.peak import (
+    LargestResponse,
     Peak,
-    Top,
     damping_by_half_power_width,
     interpolate_peak_and_damping,
 )
@@ -555,7 +555,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
-    def top(self, dof: int | None = None) -> Top:
+    def top(self, dof: int | None = None) -> LargestResponse:
         """Find the place and height of the largest response at a dof.
 
         None stands for the watched dof. :meth:`peak` examines the response, too.
@@ -563,7 +563,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         amplitudes = self.amplitude(dof)
         index = int(np.argmax(amplitudes))
         peak_value, peak_amplitude, _ = interpolate_peak_and_damping(self.values, amplitudes, index)
-        return Top(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
+        return LargestResponse(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
         """Return the largest response at a dof, with error, verdict and damping.

@@ -68,7 +68,7 @@ class OrbitEquations(CurveSystem):
     event_classes = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
-        self.problem, self.name, self.start, self.end = problem, parameter, start, end
+        self.problem, self.parameter_name, self.start, self.end = problem, parameter, start, end
         self.balance_class = EQUATIONS_CLASS_BY_PARAMETER[parameter]
         self.logarithmic, self.subharmonic = self.balance_class.logarithmic, problem.subharmonic
         self._start_flow = self._make_flow(start)
@@ -89,7 +89,7 @@ class OrbitEquations(CurveSystem):
 
     def flow(self, value: float) -> ContactFlow:
         """Return the exact flow at a parameter value; the last flow is kept."""
-        if self.name == "omega" or value == self.start:
+        if self.parameter_name == "omega" or value == self.start:
             return self._start_flow
         if self._last_value_and_flow[0] != value:
             self._last_value_and_flow = value, self._make_flow(value)
@@ -130,7 +130,7 @@ class OrbitEquations(CurveSystem):
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return the state z at phase zero for unknowns x at a parameter value."""
         state = (unknown + self._scaled_rest_state(value)) / self.scale
-        if self.name == "speed":
+        if self.parameter_name == "speed":
             state = state @ self._state_transformation(value).T
         return np.asarray(state)
 
@@ -143,7 +143,7 @@ class OrbitEquations(CurveSystem):
 
         Over the speed, z is converted to the modes at the curve's start.
         """
-        if self.name == "speed":
+        if self.parameter_name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
 
@@ -190,9 +190,9 @@ class OrbitEquations(CurveSystem):
     @cached_property
     def compiled_equations(self) -> ShootingEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
-        is_over_damping = self.name == "damping"
+        is_over_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
-        if self.name in ("stiffness", "speed", "friction") or (
+        if self.parameter_name in ("stiffness", "speed", "friction") or (
             is_over_damping and self._start_flow.friction_law
         ):
             return None
@@ -203,7 +203,7 @@ class OrbitEquations(CurveSystem):
             if self._scaled_rest_and_change.any()
             else {}
         )
-        if self.name != "omega":
+        if self.parameter_name != "omega":
             end_flow = self.flow(self.end)
             # The kernel changes this flow, so it is not shared.
             kernel_flow = self._make_flow(
@@ -246,13 +246,13 @@ class OrbitEquations(CurveSystem):
 
         def monodromy() -> np.ndarray:
             tangent_matrix = motion.track.tangent
-            if self.name == "speed":
+            if self.parameter_name == "speed":
                 transformation = self._state_transformation(value)
                 tangent_matrix = np.linalg.solve(transformation, tangent_matrix @ transformation)
             return np.asarray(self.scale[:, None] * tangent_matrix / self.scale)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed" or self._start_flow.friction_law:
+            if self.parameter_name == "speed" or self._start_flow.friction_law:
                 step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)

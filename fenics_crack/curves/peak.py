@@ -33,7 +33,7 @@ RISING_AT_END_TEXT = "still rising at the end of the range"
 
 
 @dataclass(frozen=True)
-class Top:
+class LargestResponse:
     """Largest response of a curve at one dof, interpolated between its points.
 
     The attributes are described in :class:`Peak`.
@@ -46,7 +46,7 @@ class Top:
 
 
 @dataclass(frozen=True, repr=False)
-class Peak(Described, Top):
+class Peak(Described, LargestResponse):
     """Largest response of a curve at one dof.
 
     Attributes

@@ -265,7 +265,7 @@ def shoot(
         start_state = orbit_equations.state(settled_unknown)
         orbit = search_orbit(
             flow, solution.omega, [start_state[None]], subharmonic, prefer_stable=False,
-            starts=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
+            start_strategies=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
         ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         reconverged_orbit = find_orbit(

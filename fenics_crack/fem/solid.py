@@ -44,9 +44,9 @@ MILLIMETRE = 1e-3
 """Unit of length for meshing parts [m]."""
 FILE_MARK_BY_ENDING = {".brep": b"DBRep_DrawableShape"}
 """Text near the beginning of a file, by its ending; other files are STEP."""
-MESHING_SECONDS = 600
+ALLOWED_MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
-MESHING_MEMORY = 2**33
+ALLOWED_MESHING_BYTES = 2**33
 """Maximum address space for meshing a part [byte]."""
 INNER_FRONT_DISTANCE_RATIO = 0.4
 """Distance from a front's middle up to which depth and ligament are measured, over its length."""
@@ -247,8 +247,8 @@ def _run_mesher(
         contents = run_reader(
             Path(solid_mesher.__file__),
             Path(path),
-            MESHING_SECONDS,
-            MESHING_MEMORY,
+            ALLOWED_MESHING_SECONDS,
+            ALLOWED_MESHING_BYTES,
             request=request,
         )
         if isinstance(contents, str):

@@ -191,7 +191,11 @@ def read_labels(path: Path) -> np.ndarray:
 
 
 def _make_matrix_from_triangle(
-    entries: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int, sign: int = 1
+    entries: np.ndarray,
+    row_indices: np.ndarray,
+    column_indices: np.ndarray,
+    n: int,
+    transpose_sign: int = 1,
 ) -> sparse.csr_matrix:
     """Make a symmetric or skew-symmetric matrix from one triangle.
 
@@ -199,11 +203,11 @@ def _make_matrix_from_triangle(
 
     Parameters
     ----------
-    entries, rows, columns : (m,)
+    entries, row_indices, column_indices : (m,)
         Nonzero entries and their positions.
     n : int
         Number of rows of the matrix.
-    sign : int
+    transpose_sign : int
         1 for a symmetric matrix, -1 for a skew-symmetric one.
 
     Raises
@@ -211,27 +215,27 @@ def _make_matrix_from_triangle(
     ValueError
         Some entries have a mirrored entry and others have none.
     """
-    is_off_diagonal, is_above = rows != columns, rows < columns
+    is_off_diagonal, is_above = row_indices != column_indices, row_indices < column_indices
     if np.any(is_above) and np.any(is_off_diagonal & ~is_above):
         has_twin = np.isin(
-            n * columns[is_off_diagonal] + rows[is_off_diagonal],
-            n * rows[is_off_diagonal] + columns[is_off_diagonal],
+            n * column_indices[is_off_diagonal] + row_indices[is_off_diagonal],
+            n * row_indices[is_off_diagonal] + column_indices[is_off_diagonal],
         )
         if has_twin.all():
-            return sparse.csr_matrix((entries, (rows, columns)), (n, n))
+            return sparse.csr_matrix((entries, (row_indices, column_indices)), (n, n))
         if has_twin.any():
-            row_number = rows[is_off_diagonal][has_twin][0] + 1
-            column_number = columns[is_off_diagonal][has_twin][0] + 1
+            row_number = row_indices[is_off_diagonal][has_twin][0] + 1
+            column_number = column_indices[is_off_diagonal][has_twin][0] + 1
             raise ValueError(
                 f"row {row_number}, column {column_number} is there on both sides of the diagonal, "
                 "others on one"
             )
     rows_and_columns = (
-        np.append(rows, columns[is_off_diagonal]),
-        np.append(columns, rows[is_off_diagonal]),
+        np.append(row_indices, column_indices[is_off_diagonal]),
+        np.append(column_indices, row_indices[is_off_diagonal]),
     )
     return sparse.csr_matrix(
-        (np.append(entries, sign * entries[is_off_diagonal]), rows_and_columns), (n, n)
+        (np.append(entries, transpose_sign * entries[is_off_diagonal]), rows_and_columns), (n, n)
     )
 
 

@@ -289,25 +289,25 @@ def solve_modes_with_factor(
             f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
         )
     omega = np.sqrt(squares)
-    shapes *= _choose_signs(structure, shapes)
+    shapes *= _mode_signs(structure, shapes)
     if ties is None:
         structure.compute_once(_make_empty_modes_list, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
-def find_known_modes(structure: Structure, count: int) -> Modes | None:
+def find_known_modes(structure: Structure, n_modes: int) -> Modes | None:
     """Return the lowest open modes if no solver is needed, else None.
 
     They were computed before, or the structure's coordinates are modes.
     """
     if structure.whole is not structure:  # small and dense
         if (omega_and_shapes := structure.known_omega_and_shapes(is_bonded=False)) is not None:
-            return Modes(omega_and_shapes[0][:count], omega_and_shapes[1][:, :count], structure)
+            return Modes(omega_and_shapes[0][:n_modes], omega_and_shapes[1][:, :n_modes], structure)
     cached_omega_and_shapes = structure.compute_once(_make_empty_modes_list, from_matrices=True)
-    if not cached_omega_and_shapes or len(cached_omega_and_shapes[0]) < count:
+    if not cached_omega_and_shapes or len(cached_omega_and_shapes[0]) < n_modes:
         return None
     return Modes(
-        cached_omega_and_shapes[0][:count], cached_omega_and_shapes[1][:, :count], structure
+        cached_omega_and_shapes[0][:n_modes], cached_omega_and_shapes[1][:, :n_modes], structure
     )
 
 
@@ -320,48 +320,49 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
     return []
 
 
-def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
+def _make_solver(structure: Structure, prefix: str, n_modes: int, krylov_size: int) -> Any:
     """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
     solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(solver.ProblemType.GHEP)
-    solver.setDimensions(count, min(structure.n_dofs, krylov_size))
+    solver.setDimensions(n_modes, min(structure.n_dofs, krylov_size))
     solver.getST().getKSP().setType("preonly")
     return solver
 
 
-def _run_solver_to_convergence(solver: Any, count: int) -> None:
+def _run_solver_to_convergence(solver: Any, n_modes: int) -> None:
     """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
     solver.setFromOptions()
     try:
         solver.solve()
     except PETSc.Error as error:  # rounding leaves the mass indefinite in what SLEPc spans
         solver.destroy()
-        raise ConvergenceError(f"modes: SLEPc cannot find {count}: {ROUNDING_ADVICE}") from error
+        raise ConvergenceError(f"modes: SLEPc cannot find {n_modes}: {ROUNDING_ADVICE}") from error
     n_converged = solver.getConverged()
-    if n_converged < count:
+    if n_converged < n_modes:
         solver.destroy()
-        raise ConvergenceError(f"modes: only {n_converged} of {count} converged: {ROUNDING_ADVICE}")
+        problem = f"only {n_converged} of {n_modes} converged"
+        raise ConvergenceError(f"modes: {problem}: {ROUNDING_ADVICE}")
 
 
 def _solve_near_zero(
-    factor: Inverse, structure: Structure, count: int, square_scale: float, ties: Any
+    stiffness_inverse: Inverse, structure: Structure, n_modes: int, square_scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the modes closest to zero frequency, with the factor of K (collective).
+    """Find the modes closest to zero frequency, with the inverse of K (collective).
 
-    If the stiffness K is singular, K + s M is factored instead, with a small part s of ``scale``
-    [rad^2/s^2]. ``ties`` bond the crack (:func:`find_independent_ties`).
+    If the stiffness K is singular, K + s M is factored instead, with a small part s of
+    ``square_scale`` [rad^2/s^2]. ``ties`` bond the crack (:func:`find_independent_ties`).
 
     Returns
     -------
-    (count,) [rad^2/s^2]
+    (n_modes,) [rad^2/s^2]
         omega^2, ascending.
-    (n_local, count)
+    (n_local, n_modes)
         Shapes.
     """
-    if not factor.n_null_pivots:
-        squares, shapes = _solve_near_shift(factor, structure, count, 0.0)
+    if not stiffness_inverse.n_null_pivots:
+        squares, shapes = _solve_near_shift(stiffness_inverse, structure, n_modes, 0.0)
         if squares[0] > MATRIX_TOLERANCE * square_scale:  # a singular K may give values below 0
             return squares, shapes
     shift = -1e-6 * square_scale
@@ -369,33 +370,33 @@ def _solve_near_zero(
         structure.stiffness, -shift, structure.mass, definite=True, border=ties
     )
     with shifted_factor as inverse:
-        return _solve_near_shift(inverse, structure, count, shift)
+        return _solve_near_shift(inverse, structure, n_modes, shift)
 
 
-def krylov_size(count: int) -> int:
+def krylov_size(n_modes: int) -> int:
     """Return the number of Krylov vectors for some modes.
 
-    SLEPc's default is twice the count. For many modes fewer vectors are as quick; for few modes
-    some more avoid a second sweep.
+    SLEPc's default is twice the number of modes. For many modes fewer vectors are as quick; for few
+    modes some more avoid a second sweep.
     """
-    return max(min(2 * count, count + 150), count + 15)
+    return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 
 
 def _solve_near_shift(
-    factor: Inverse, structure: Structure, count: int, shift: float
+    shifted_inverse: Inverse, structure: Structure, n_modes: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
 
-    ``factor`` solves K - shift M.
+    ``shifted_inverse`` solves K - shift M.
 
     Returns
     -------
-    (count,) [rad^2/s^2]
+    (n_modes,) [rad^2/s^2]
         omega^2, ascending.
-    (n_local, count)
+    (n_local, n_modes)
         Mass-normalised shapes.
     """
-    solver = _make_solver(structure, "crack_modes_", count, krylov_size(count))
+    solver = _make_solver(structure, "crack_modes_", n_modes, krylov_size(n_modes))
     solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
@@ -407,13 +408,13 @@ def _solve_near_shift(
     preconditioner = spectral_transform.getKSP().getPC()
     preconditioner.setType("python")
     preconditioner.setPythonContext(
-        SimpleNamespace(apply=lambda _, rhs, solution: factor.apply(rhs, solution))
+        SimpleNamespace(apply=lambda _, rhs, solution: shifted_inverse.apply(rhs, solution))
     )
-    _run_solver_to_convergence(solver, count)
+    _run_solver_to_convergence(solver, n_modes)
     vector, mass_vector = structure.mass.createVecs()
-    squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
+    squares = np.array([solver.getEigenvalue(index).real for index in range(n_modes)])
     ascending_order = np.argsort(squares)
-    shapes = np.empty((count, structure.n_local))
+    shapes = np.empty((n_modes, structure.n_local))
     for row, index in zip(shapes, ascending_order, strict=True):
         solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, mass_vector)
@@ -500,7 +501,7 @@ def independent_part(
     return columns
 
 
-def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+def _mode_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Return signs that make the largest component of each shape positive.
 
     A symmetric structure has several equally large components. Then the first by position and

@@ -54,7 +54,7 @@ from fenics_crack.model.receptance import ResidualFlexibility, find_loaded_row_m
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
-METHODS = ("massless", "free_interface")
+REDUCTION_METHODS = ("massless", "free_interface")
 MIN_REFERENCE_ERROR_SHARE = 0.1
 """Minimum share of a reference; a smaller one shows nothing of the truncated part."""
 DEFAULT_MODES_OF_LARGE_STRUCTURE = 50
@@ -106,7 +106,7 @@ def reduce_structure(
     --------
     >>> reduced = fc.reduce_structure(structure, modes=10)
     """
-    check_choice("method", method, METHODS)
+    check_choice("method", method, REDUCTION_METHODS)
     check_mass(structure, "reduce the whole one")
     uniform_rule = _uniform_damping_rule_or_none(structure)
     is_modally_damped = uniform_rule is None and isinstance(structure.damping, ModalDamping)

@@ -101,7 +101,7 @@ class Attractor:
 
 
 def find_attractor(
-    orbits: FlowOrbitEquations, start_unknown: np.ndarray, max_periods: int | None = None
+    orbit_equations: FlowOrbitEquations, start_unknown: np.ndarray, max_periods: int | None = None
 ) -> Attractor:
     """Return the exact motion after many periods from a start.
 
@@ -109,7 +109,7 @@ def find_attractor(
 
     Parameters
     ----------
-    orbits : FlowOrbitEquations
+    orbit_equations : FlowOrbitEquations
         Flow, load frequency and period.
     start_unknown : (flow.size,)
         State at phase zero, in the scaled unknowns x of ``orbits``.
@@ -121,7 +121,7 @@ def find_attractor(
     begin(f"the exact motion over up to {max_periods} periods")
     states_at_periods, state_iterator = (
         start_unknown[None],
-        follow_periods(orbits, start_unknown, max_periods),
+        follow_periods(orbit_equations, start_unknown, max_periods),
     )
     while new_states := list(
         islice(state_iterator, len(states_at_periods) - 1 + MAX_RETURN_PERIODS)
@@ -133,17 +133,17 @@ def find_attractor(
         )
         state_size = np.linalg.norm(last_state)
         for lag_index in np.flatnonzero(lag_distances <= MAX_SETTLED_CHANGE * state_size):
-            n_orbit_load_periods = int(1 + lag_index) * orbits.subharmonic
+            n_orbit_load_periods = int(1 + lag_index) * orbit_equations.subharmonic
             orbit = find_orbit(
-                orbits.flow,
-                orbits.omega,
-                orbits.state(last_state),
+                orbit_equations.flow,
+                orbit_equations.omega,
+                orbit_equations.state(last_state),
                 subharmonic=n_orbit_load_periods,
             )
             if orbit is None:
                 continue
             relative_decay_per_period = 1.0 - abs(orbit.multipliers[0])
-            distance_to_orbit = np.linalg.norm(orbits.unknown(orbit.state) - last_state)
+            distance_to_orbit = np.linalg.norm(orbit_equations.unknown(orbit.state) - last_state)
             # A state at the distance d from an orbit with the multiplier mu moves by at least
             # (1 - |mu|) d in a period.
             allowed_movement = 2.0 * lag_distances[lag_index] + MAX_LOCATION_RESIDUAL * state_size
@@ -156,18 +156,18 @@ def find_attractor(
                 return Attractor(
                     orbit,
                     description,
-                    (len(states_at_periods) - 1) * orbits.subharmonic,
-                    orbits,
+                    (len(states_at_periods) - 1) * orbit_equations.subharmonic,
+                    orbit_equations,
                     last_state,
                 )
-    description = (
-        f"does not settle: {describe_closest_return(states_at_periods, orbits.subharmonic, 'it')}"
-    )
+    subharmonic = orbit_equations.subharmonic
+    closest_return_text = describe_closest_return(states_at_periods, subharmonic, "it")
+    description = f"does not settle: {closest_return_text}"
     return Attractor(
         None,
         description,
-        (len(states_at_periods) - 1) * orbits.subharmonic,
-        orbits,
+        (len(states_at_periods) - 1) * orbit_equations.subharmonic,
+        orbit_equations,
         states_at_periods[-1],
     )
 
@@ -197,7 +197,7 @@ def find_irregular_motion(
     Source: Benettin et al., Meccanica 15 (1980) 9-20.
     """
     begin("growth of a disturbance of the exact motion")
-    period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
+    period, weights = 2.0 * np.pi * subharmonic / omega, flow.energy_weights(omega / subharmonic)
     state_change = np.random.default_rng(1).normal(size=flow.size) / weights
     remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget

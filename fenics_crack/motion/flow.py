@@ -376,7 +376,7 @@ class ContactFlow(Flow):
         """
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
-    def weights(self, base_omega: float) -> np.ndarray:
+    def energy_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the energy norm |w z|: (size,).
 
         Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
@@ -395,7 +395,7 @@ class ContactFlow(Flow):
         Energy weights are divided by the mode's frequency, at least ``base_omega``, so modal
         displacements have weight 1. For h the divisor is the first mode's.
         """
-        weights = self.weights(base_omega)
+        weights = self.energy_weights(base_omega)
         mode_rates = weights[: self.n_modes]
         place_rates = np.full(self.size - 2 * self.n_modes, mode_rates[0])
         return weights / np.concatenate([mode_rates, mode_rates, place_rates])
@@ -703,7 +703,7 @@ class Samples:
         """Return the displacement of the structure: (n, n_dofs) [m]."""
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
 
-    def products(self, rows: np.ndarray) -> np.ndarray:
+    def row_products(self, rows: np.ndarray) -> np.ndarray:
         """Return products of rows (m, n_dofs) with the displacement: (n, m)."""
         flow, modal_displacement = self.flow, self.states[:, : self.flow.n_modes]
         load_basis = fourier_basis_for(flow.modal_load, self.omega * self.time)

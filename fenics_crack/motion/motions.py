@@ -287,7 +287,7 @@ class Harmonics:
         return self.harmonic(multiple) / self.fundamental
 
 
-class Point(Harmonics):
+class PointDisplacement(Harmonics):
     """Displacement of a point: a product in a record.
 
     Attributes
@@ -306,7 +306,7 @@ class Point(Harmonics):
         )
 
 
-class Faces:
+class CrackFaces:
     """The crack faces in a record.
 
     Attributes
@@ -519,7 +519,7 @@ class ObservedMotion:
             else:
                 self._face_numbers.append(_read_face_numbers(dof_record))
             shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
-            point_iterator = (Point(dof_record, row) for row in range(len(rows)))
+            point_iterator = (PointDisplacement(dof_record, row) for row in range(len(rows)))
             number_dicts_of_records.append(
                 [shared_numbers | read_at(Place.POINT, point) for point in point_iterator]
             )
@@ -573,5 +573,5 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
     face_numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
         missing_requirements = FRICTION if record.friction_coefficient is None else FILES
-        face_numbers |= read_at(Place.FACES, Faces(record), missing_requirements)
+        face_numbers |= read_at(Place.FACES, CrackFaces(record), missing_requirements)
     return face_numbers | dict(record.exact_numbers)

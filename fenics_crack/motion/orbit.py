@@ -184,7 +184,9 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     def energy_norm(self, change: np.ndarray) -> float:
         """Return the energy norm of a state's change (flow.size,)."""
-        return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
+        return float(
+            np.linalg.norm(self.flow.energy_weights(self.omega / self.subharmonic) * change)
+        )
 
     @cached_property
     def inverse(self) -> IMinusMSolver:
@@ -192,7 +194,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         M is the monodromy matrix. Raises LinAlgError if I - M is singular.
         """
-        weights = self.flow.weights(self.omega / self.subharmonic)
+        weights = self.flow.energy_weights(self.omega / self.subharmonic)
         return _make_i_minus_m_solver(self.flow, self.motion.track, weights)
 
     def samples(self, time: np.ndarray) -> Samples:
@@ -265,7 +267,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             len(self.flow.modal_load) // 2 * self.omega
         )
         nodes, gauss_weights, _ = gauss_legendre_rule()
-        column_blocks = samples.products(rows), samples.gaps, samples.forces
+        column_blocks = samples.row_products(rows), samples.gaps, samples.forces
         node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(nodes))
         piece_ends, alternating_signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
         barycentric_weights = alternating_signs * np.sqrt((1.0 - nodes**2) * gauss_weights)
@@ -340,7 +342,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         ``rows`` (m, n_dofs) are factors of the displacement.
         """
         samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
-        return self._integrate_coefficients(samples.products(rows), harmonics)
+        return self._integrate_coefficients(samples.row_products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
@@ -434,7 +436,9 @@ class PeriodicOrbit(ObservedMotion, Described):
             pair_friction_work = integrate_power(
                 samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:]
             )
-        load_work = float(integrate_power(load_basis, samples.products(flow.structure.force)).sum())
+        load_work = float(
+            integrate_power(load_basis, samples.row_products(flow.structure.force)).sum()
+        )
         return Work(load_work, damping_work, pair_friction_work)
 
     @cached_property
@@ -628,7 +632,7 @@ def predict_orbit(
     Prediction or None
         None if the motion cannot be integrated.
     """
-    weights = flow.weights(omega / subharmonic)
+    weights = flow.energy_weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
         end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
@@ -758,7 +762,7 @@ class _NewtonOrbitSearch:
                 math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period)),
             )
         self.allowed_taylor_pieces = self._remaining_pieces = allowed_taylor_pieces
-        self._weights = flow.weights(omega / subharmonic)
+        self._weights = flow.energy_weights(omega / subharmonic)
         self.state, self.n_integrated_periods = state, 0
 
     def size(self, change: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT
 from fenics_crack.balance.harmonic_balance import (
-    FIRST_MODES,
+    FIRST_MODE_COUNT,
     mode_counts,
     slide_along_lines,
     solve_linear,
@@ -151,7 +151,7 @@ def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
         most = min(most, len(whole.compute_once(make_empty_receptance_list)[0].squares) // 2)
-    return mode_counts(whole, FIRST_MODES if large else kept.modes, most)
+    return mode_counts(whole, FIRST_MODE_COUNT if large else kept.modes, most)
 
 
 def reduced_to(whole: Study, modes: int) -> Study:
@@ -170,8 +170,8 @@ def with_more_modes(whole: Study, most: int = MAX_MODES_FOR_MONODROMY) -> Iterat
     of ten plates took the second number or more.
     """
     chosen, structure = modes_chosen(whole, most), whole.structure
-    if chosen[:1] == [FIRST_MODES] and structure.has_matrices:
-        receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
+    if chosen[:1] == [FIRST_MODE_COUNT] and structure.has_matrices:
+        receptance(structure, min(4 * FIRST_MODE_COUNT, structure.n_dofs - structure.n_pairs))
     yield from (reduced_to(whole, modes) for modes in chosen)
     if not chosen:
         yield reduced(whole)

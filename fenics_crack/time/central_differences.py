@@ -64,7 +64,7 @@ from fenics_crack.model.reduced import MASS_REMEDY, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
-NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
+SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -256,7 +256,7 @@ class _ModalDifferences(Scheme):
     (n, n) if it couples them.
     """
 
-    name, remedy = NAME, MORE_STEPS_REMEDY
+    name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: March) -> None:
         self._structure_with_friction_rows = add_friction_pairs(request.contact, request.structure)
@@ -409,7 +409,7 @@ class _CentralDifferences(Scheme):
         A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
     """
 
-    name, remedy = NAME, MORE_STEPS_REMEDY
+    name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: March) -> None:
         self.structure, dt = request.structure, request.step_size

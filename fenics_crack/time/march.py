@@ -40,7 +40,7 @@ from fenics_crack.numerics.fourier import (
 )
 from fenics_crack.numerics.newton import motion_size
 
-MEMORY_LIMIT = 2**31
+ALLOWED_RECORD_BYTES = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
 Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
@@ -105,10 +105,10 @@ class March:
         check_number("settle", self.settle, 0.0)
         max_dofs_per_rank = max(self.structure.comm.allgather(len(self.recorded_dofs)))
         n_instants = self.n_kept_periods * self.steps_per_period
-        if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > MEMORY_LIMIT:
+        if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > ALLOWED_RECORD_BYTES:
             contents_text, limit_text = (
                 f"{n_instants} instants of {max_dofs_per_rank} dofs",
-                f"{MEMORY_LIMIT // 2**30} GiB",
+                f"{ALLOWED_RECORD_BYTES // 2**30} GiB",
             )
             allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
             raise InputError("record_periods", self.record_periods, allowed)
