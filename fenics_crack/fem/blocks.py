@@ -245,12 +245,14 @@ def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
     return unit_scene, unit
 
 
-def _scale_nodes(unit: float) -> None:
+def _scale_nodes(metres_per_unit: float) -> None:
     """Scale the nodes of gmsh's current model to metres."""
-    if unit != 1.0:
-        numbers, positions, _ = gmsh.model.mesh.getNodes()
-        for number, position in zip(numbers, unit * positions.reshape(-1, 3), strict=True):
-            gmsh.model.mesh.setNode(number, position, [])
+    if metres_per_unit != 1.0:
+        node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
+        for node_number, node_position in zip(
+            node_numbers, metres_per_unit * node_positions.reshape(-1, 3), strict=True
+        ):
+            gmsh.model.mesh.setNode(node_number, node_position, [])
 
 
 # --- graded sides ---------------------------------------------------------------------------------
@@ -263,9 +265,11 @@ def _graded_columns_and_rows(
 
     ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
     """
-    (width, height), size = scene.geometry.sides, scene.mesh.given("size")
+    (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
-        element_counts = [max(1, round(side_length / size)) for side_length in (width, height)]
+        element_counts = [
+            max(1, round(side_length / element_size)) for side_length in (width, height)
+        ]
         return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
             ElementInterval(0.0, height, element_counts[1], 1.0)
         ]
@@ -287,9 +291,9 @@ def _graded_columns_and_rows(
         crack_levels_and_sizes.append((level, min(face.tip_size for face in graded_faces)))
         faces += graded_faces
     tip_positions_and_sizes = [(face.tip, face.tip_size) for face in faces]
-    return _graded_intervals(width, tip_positions_and_sizes, faces, size), _graded_intervals(
-        height, crack_levels_and_sizes, [], size
-    )
+    return _graded_intervals(
+        width, tip_positions_and_sizes, faces, element_size
+    ), _graded_intervals(height, crack_levels_and_sizes, [], element_size)
 
 
 def _graded_intervals(
@@ -756,7 +760,7 @@ class DiskRim:
         self,
         foot_points: list[int],
         foot_curves: list[int],
-        columns: list[ElementInterval],
+        foot_columns: list[ElementInterval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw the rim in blocks below a plate's foot, and append them to ``surfaces``.
@@ -766,38 +770,46 @@ class DiskRim:
         dict
             The curves' dimension and tags, by the rim side's name.
         """
-        size, geo = _element_length(self.scene), gmsh.model.geo
+        element_size, geo = _element_length(self.scene), gmsh.model.geo
         angle_beside_blade = self.half_angle - math.asin(
-            (columns[-1].stop - self.blade_middle) / self.outer_radius
+            (foot_columns[-1].stop - self.blade_middle) / self.outer_radius
         )
-        lengths = self.outer_radius * angle_beside_blade, self.outer_radius - self.inner_radius
+        arc_and_radial_lengths = (
+            self.outer_radius * angle_beside_blade,
+            self.outer_radius - self.inner_radius,
+        )
         element_counts = [
-            max(1, round(length / size)) if columns[0].n_elements else 0 for length in lengths
+            max(1, round(arc_or_radial_length / element_size)) if foot_columns[0].n_elements else 0
+            for arc_or_radial_length in arc_and_radial_lengths
         ]
         interval_beside_blade, radial_interval = (
             ElementInterval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
         )
         center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
-        x_positions = [columns[0].start, *(column_interval.stop for column_interval in columns)]
-        angles = [
+        x_positions = [
+            foot_columns[0].start,
+            *(column_interval.stop for column_interval in foot_columns),
+        ]
+        point_angles = [
             math.asin((x_position - self.blade_middle) / self.outer_radius)
             for x_position in x_positions
         ]
-        angles = [-self.half_angle, *angles, self.half_angle]
+        point_angles = [-self.half_angle, *point_angles, self.half_angle]
         left_corner, right_corner = (
-            geo.addPoint(*self.point_at(self.outer_radius, angle), 0.0)
-            for angle in (-self.half_angle, self.half_angle)
+            geo.addPoint(*self.point_at(self.outer_radius, point_angle), 0.0)
+            for point_angle in (-self.half_angle, self.half_angle)
         )
         outer_points = [left_corner, *foot_points, right_corner]
         inner_points = [
-            geo.addPoint(*self.point_at(self.inner_radius, angle), 0.0) for angle in angles
+            geo.addPoint(*self.point_at(self.inner_radius, point_angle), 0.0)
+            for point_angle in point_angles
         ]
-        intervals = [interval_beside_blade, *columns, interval_beside_blade]
+        arc_intervals = [interval_beside_blade, *foot_columns, interval_beside_blade]
         radial_curves = [
             _add_curve(inner_point, outer_point, radial_interval)
             for inner_point, outer_point in zip(inner_points, outer_points, strict=True)
         ]
-        arc_ends_and_intervals = zip(pairwise(inner_points), intervals, strict=True)
+        arc_ends_and_intervals = zip(pairwise(inner_points), arc_intervals, strict=True)
         inner_curves = [
             _add_curve(*arc_end_points, interval, center)
             for arc_end_points, interval in arc_ends_and_intervals
@@ -807,7 +819,7 @@ class DiskRim:
             for start, end in (outer_points[:2], outer_points[-2:])
         ]
         outer_curves[1:1] = foot_curves
-        for column_index in range(len(intervals)):
+        for column_index in range(len(arc_intervals)):
             loop_curves = [
                 inner_curves[column_index],
                 radial_curves[column_index + 1],

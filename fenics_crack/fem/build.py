@@ -117,11 +117,11 @@ def pair_crack_faces(
     both_faces_measure = plate.measure_on(*CRACK_FACE_NAMES)
     pressure_space, node_areas, pressure_gap_columns = assemble_columns(dofs, t, both_faces_measure)
     first_node = pressure_space.dofmap.index_map.local_range[0]
-    points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
+    node_points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
     node_table_by_face = []
     for face_name in CRACK_FACE_NAMES:
         nodes = dofs.nodes_on(face_name, pressure_space)
-        node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
+        node_table = np.column_stack([nodes + first_node, node_areas[nodes], node_points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
     lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
         plate.crack_paths_or_surfaces, *node_table_by_face
@@ -129,47 +129,56 @@ def pair_crack_faces(
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
     gap = lower_gap + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
-    points, areas, pair_node_index = (
+    node_points, areas, pair_node_index = (
         lower_node_table[:, 2:],
         lower_node_table[:, 1],
         np.arange(n_inside),
     )
-    fields: dict[str, Any] = {}
+    solid_pair_fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
-            shares = _front_pressure_shares(
+            node_shares_of_pairs = _front_pressure_shares(
                 dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
             )
         else:
-            pair_node_index, shares = _patch_shares(
-                points, crack_index, distances_on_crack, n_inside, max_patches
+            pair_node_index, node_shares_of_pairs = _patch_shares(
+                node_points, crack_index, distances_on_crack, n_inside, max_patches
             )
-        nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
-        areas[pair_node_index] = shares.T @ areas
+        nodal_force_shares = sparse.csc_matrix(node_shares_of_pairs.multiply(areas[:, None]))
+        areas[pair_node_index] = node_shares_of_pairs.T @ areas
         nodal_force_shares.data /= np.repeat(
             areas[pair_node_index], np.diff(nodal_force_shares.indptr)
         )
         gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-        fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
+        solid_pair_fields = (
+            {"nodes": node_points, "pressure_matrix": node_shares_of_pairs}
+            if dimension == 3
+            else {}
+        )
     if max_patches is None:
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
                 plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
             ).values()])  # fmt: skip
-            fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
+            solid_pair_fields = (
+                {"nodes": node_points, "pressure_matrix": node_shares_of_pairs[:, kept_pairs]}
+                if solid_pair_fields
+                else {}
+            )
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
-    points, areas, crack_index, distances_on_crack = (
-        values[pair_node_index] for values in (points, areas, crack_index, distances_on_crack)
+    node_points, areas, crack_index, distances_on_crack = (
+        node_array[pair_node_index]
+        for node_array in (node_points, areas, crack_index, distances_on_crack)
     )
     if dimension == 3:
-        fields["tangential_gap_matrix"] = _free_rows(
+        solid_pair_fields["tangential_gap_matrix"] = _free_rows(
             _tangential_gaps(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
-        points, areas, crack_index, distances_on_crack,
+        node_points, areas, crack_index, distances_on_crack,
         _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
-        **fields,
+        **solid_pair_fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
@@ -280,8 +289,10 @@ def _patch_shares(
             ]
         else:
             crack_nodes = crack_nodes[_select_distant_points(points[crack_nodes], n_patches)]
-            distances = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
-            patch_functions = [distances.argmin(axis=1) == patch for patch in range(n_patches)]
+            distances_to_patch_nodes = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
+            patch_functions = [
+                distances_to_patch_nodes.argmin(axis=1) == patch for patch in range(n_patches)
+            ]
         patch_nodes = np.append(patch_nodes, crack_nodes)
         pressure_shares = np.column_stack(
             [
@@ -300,11 +311,13 @@ def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
 
     The last point is selected first, then repeatedly the point farthest from all selected ones.
     """
-    indices, distances = [len(points) - 1], np.full(len(points), np.inf)
-    while len(indices) < n_points:
-        distances = np.minimum(distances, np.linalg.norm(points - points[indices[-1]], axis=1))
-        indices.append(int(distances.argmax()))
-    return np.sort(indices)
+    selected_indices, distances_to_selected = [len(points) - 1], np.full(len(points), np.inf)
+    while len(selected_indices) < n_points:
+        distances_to_selected = np.minimum(
+            distances_to_selected, np.linalg.norm(points - points[selected_indices[-1]], axis=1)
+        )
+        selected_indices.append(int(distances_to_selected.argmax()))
+    return np.sort(selected_indices)
 
 
 def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
@@ -342,15 +355,15 @@ def _columns_of_nodes(
         t * ufl.inner(normal, ufl.TestFunction(space)) * both_faces_measure
     )
     normal_integrals = normal_integrals.reshape(-1, dimension)
-    weights = np.linalg.norm(normal_integrals, axis=1)
-    face_nodes = np.flatnonzero(weights)
-    normals = normal_integrals[face_nodes] / weights[face_nodes, None]
+    node_areas = np.linalg.norm(normal_integrals, axis=1)
+    face_nodes = np.flatnonzero(node_areas)
+    normals = normal_integrals[face_nodes] / node_areas[face_nodes, None]
     row_indices = dimension * face_nodes[:, None] + np.arange(dimension)
     column_indices = np.repeat(dofs.first_node + face_nodes, dimension)
     matrix_shape = len(dofs.structure_dof_numbers), space.dofmap.index_map.size_global
     return (
         space,
-        weights,
+        node_areas,
         sparse.csc_matrix((normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape),
     )
 
@@ -365,15 +378,15 @@ def _columns_of_pressures(
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
     work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * both_faces_measure
-    matrix = compat.assembled_petsc_matrix(work_form)
-    columns = local_rows(matrix).tocsc()
-    matrix.destroy()
-    weights = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
-    all_weights = gather_rows(dofs.comm, weights)
+    petsc_gap_matrix = compat.assembled_petsc_matrix(work_form)
+    gap_columns = local_rows(petsc_gap_matrix).tocsc()
+    petsc_gap_matrix.destroy()
+    node_areas = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
+    all_node_areas = gather_rows(dofs.comm, node_areas)
     reciprocal_areas = np.divide(
-        1.0, all_weights, out=np.zeros_like(all_weights), where=all_weights > 0.0
+        1.0, all_node_areas, out=np.zeros_like(all_node_areas), where=all_node_areas > 0.0
     )
-    return space, weights, sparse.csc_matrix(columns @ sparse.diags(reciprocal_areas))
+    return space, node_areas, sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas))
 
 
 def _match_faces(
@@ -400,17 +413,22 @@ def _match_faces(
     n_inside : int
         Number of pairs off tips and fronts.
     """
-    size = np.ptp(lower_node_table[:, 2:], axis=0).max()
+    crack_extent = np.ptp(lower_node_table[:, 2:], axis=0).max()
     is_front_node = np.isin(lower_node_table[:, 0], upper_node_table[:, 0])
     lower_node_table[is_front_node, 1] *= 0.5
     crack_index, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
     # Equal distances, as along a front, are sorted by coordinates.
-    sort_positions = np.round(lower_node_table[:, 2:] / size, 7).T
-    order = np.lexsort(
-        (*sort_positions, np.round(distances_on_crack / size, 7), crack_index, is_front_node)
+    sort_positions = np.round(lower_node_table[:, 2:] / crack_extent, 7).T
+    node_order = np.lexsort(
+        (
+            *sort_positions,
+            np.round(distances_on_crack / crack_extent, 7),
+            crack_index,
+            is_front_node,
+        )
     )
-    lower_node_table, crack_index = lower_node_table[order], crack_index[order]
-    distances_on_crack = distances_on_crack[order]
+    lower_node_table, crack_index = lower_node_table[node_order], crack_index[node_order]
+    distances_on_crack = distances_on_crack[node_order]
     n_front = int(is_front_node.sum())
     n_inside = len(lower_node_table) - n_front
     has_matching_faces = len(lower_node_table) == len(upper_node_table) and n_inside > 0
@@ -424,7 +442,7 @@ def _match_faces(
             np.min(distances_to_upper_nodes, axis=1),
             np.argmin(distances_to_upper_nodes, axis=1),
         )
-        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * size and len(
+        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * crack_extent and len(
             np.unique(partners)
         ) == len(partners)
         position_text = ", ".join(

@@ -1191,7 +1191,9 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
-    sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+    sqrt_fractions, edge_fractions = (
+        coordinate_grid.ravel() for coordinate_grid in np.meshgrid(x, x, indexing="ij")
+    )
     map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
     mapped_shapes = np.column_stack(
         [
@@ -1221,7 +1223,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
             corner_offsets = triangle_corners[corner_order[0]] - front.curve(t, 0)
-            points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
+            quadrature_points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
                 corner_offsets,
                 (1.0 - corner_fractions)[:, None] * front.curve(t, 1) * (t_stop - t_start),
@@ -1229,16 +1231,19 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
         else:
-            points, shape_values = rule_points @ triangle_corners[corner_order], rule_points
+            quadrature_points, shape_values = (
+                rule_points @ triangle_corners[corner_order],
+                rule_points,
+            )
             triangle_sides = triangle_corners[1:] - triangle_corners[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
-        t = front.nearest_parameters(points)
-        r = np.linalg.norm(points - front.curve(t, 0), axis=1)
+        t = front.nearest_parameters(quadrature_points)
+        r = np.linalg.norm(quadrature_points - front.curve(t, 0), axis=1)
         domain_radii = front.radius(front.frame_and_curvature(t)[2])
-        kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        weighted_kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
         crack_node_index = crack_node_tree.query(triangle_corners[corner_order])[1]
         factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
-            kernel[:, None] * shape_values
+            weighted_kernel[:, None] * shape_values
         )
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
     return np.asarray((structure_pairs.pressure_matrix.T @ factors.T).T / structure_pairs.areas)

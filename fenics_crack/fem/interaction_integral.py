@@ -89,13 +89,15 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
         crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
-        length = float(crack.corner_arc_lengths[-1])
-        tip_ends = [("crack tip" if crack.has_mouth else "right crack tip", crack.points, length)]
+        crack_length = float(crack.corner_arc_lengths[-1])
+        tip_ends = [
+            ("crack tip" if crack.has_mouth else "right crack tip", crack.points, crack_length)
+        ]
         if not crack.has_mouth:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
-        for name, points, arc_length in tip_ends:
-            tip_point = points[-1]
-            corner_offsets = tip_point - points[:-1]
+        for tip_name, points_to_tip, arc_length in tip_ends:
+            tip_point = points_to_tip[-1]
+            corner_offsets = tip_point - points_to_tip[:-1]
             growth_direction = corner_offsets[-1] / np.linalg.norm(corner_offsets[-1])
             is_off_line = np.abs(
                 corner_offsets @ [-growth_direction[1], growth_direction[0]]
@@ -115,7 +117,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             )
             tips.append(
                 Tip(
-                    f"the {name}{crack_note}",
+                    f"the {tip_name}{crack_note}",
                     crack_index,
                     tip_point,
                     growth_direction,
@@ -375,14 +377,18 @@ def _pressure_row(
         np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pair_index]))
     ]
     pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pair_index])
-    points, rule_weights = _singular_rule(pair_distances, tip.radius)
+    quadrature_distances, rule_weights = _singular_rule(pair_distances, tip.radius)
     kolosov, field_scale = _kolosov_and_field_scale(scene)
     point_weights = (
-        2.0 * (kolosov + 1.0) * field_scale * _weight_function(points, tip.radius) * rule_weights
+        2.0
+        * (kolosov + 1.0)
+        * field_scale
+        * _weight_function(quadrature_distances, tip.radius)
+        * rule_weights
     )
     hat_values = np.array(
         [
-            np.interp(points, pair_distances, identity_row)
+            np.interp(quadrature_distances, pair_distances, identity_row)
             for identity_row in np.eye(len(crack_pair_index))
         ]
     )

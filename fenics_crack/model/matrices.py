@@ -265,11 +265,15 @@ def _build_labelled_matrix(
             distinct_directions[distinct_keys % len(distinct_directions)],
         ]
     )
-    rows, columns = label_indices.reshape(-1, 2).T
+    row_indices, column_indices = label_indices.reshape(-1, 2).T
     n = len(labels)
     if has_both_triangles:
-        return LabelledMatrix(sparse.csr_matrix((entries, (rows, columns)), (n, n)), labels)
-    return LabelledMatrix(_make_matrix_from_triangle(entries, rows, columns, n), labels)
+        return LabelledMatrix(
+            sparse.csr_matrix((entries, (row_indices, column_indices)), (n, n)), labels
+        )
+    return LabelledMatrix(
+        _make_matrix_from_triangle(entries, row_indices, column_indices, n), labels
+    )
 
 
 def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
@@ -361,26 +365,26 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
     Nastran, DMAP Programmer's Guide, OUTPUT4.
     """
     lines = numbered_lines(path, "$")
-    number, line, number_width = 0, "", 16
+    line_number, line, number_width = 0, "", 16
 
     def read_integers(count: int) -> list[int]:
-        nonlocal number, line
-        number, line = next(lines)
+        nonlocal line_number, line
+        line_number, line = next(lines)
         return [int(line[start : start + 8]) for start in range(0, 8 * count, 8)]
 
     def read_floats(count: int) -> list[float]:
-        nonlocal number, line
-        numbers: list[float] = []
-        while len(numbers) < count:
-            number, line = next(lines)
+        nonlocal line_number, line
+        column_entries: list[float] = []
+        while len(column_entries) < count:
+            line_number, line = next(lines)
             text = line.upper().replace("D", "E")
-            numbers += [
+            column_entries += [
                 float(text[start : start + number_width])
                 for start in range(0, len(text), number_width)
             ]
-        if len(numbers) > count:
+        if len(column_entries) > count:
             raise ValueError
-        return numbers
+        return column_entries
 
     try:
         while True:
@@ -396,20 +400,22 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
             while True:
                 column, first_row, n_words_left = read_integers(3)
                 while n_words_left > 0:
-                    length, row, n_header_words = n_words_left, first_row, 0
+                    n_words, row, n_header_words = n_words_left, first_row, 0
                     if first_row == 0 and n_rows < 0:
-                        (length, row), n_header_words = read_integers(2), 2
-                        length -= 1
+                        (n_words, row), n_header_words = read_integers(2), 2
+                        n_words -= 1
                     elif first_row == 0:
-                        number, line = next(lines)
-                        length, row, n_header_words = int(line) // 65536 - 1, int(line) % 65536, 1
+                        line_number, line = next(lines)
+                        n_words, row, n_header_words = int(line) // 65536 - 1, int(line) % 65536, 1
                     # Strings count their words, dense columns their numbers.
-                    numbers = read_floats(length // words_per_number if n_header_words else length)
-                    n_words_left -= length + n_header_words
+                    column_entries = read_floats(
+                        n_words // words_per_number if n_header_words else n_words
+                    )
+                    n_words_left -= n_words + n_header_words
                     if is_wanted and column <= n_columns:
-                        entries += numbers
+                        entries += column_entries
                         entry_positions += [
-                            (row - 1 + offset, column - 1) for offset in range(len(numbers))
+                            (row - 1 + offset, column - 1) for offset in range(len(column_entries))
                         ]
                 if column > n_columns:
                     break
@@ -424,7 +430,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
         raise ValueError(f"it has no whole matrix whose name begins with {kind}") from None
     except ValueError:
         expected_format = "a real matrix that OUTPUT4 writes as text"
-        raise ValueError(f"line {number}: {line[:80]!r} is not of {expected_format}") from None
+        raise ValueError(f"line {line_number}: {line[:80]!r} is not of {expected_format}") from None
 
 
 # --- Matrix Market --------------------------------------------------------------------------------
@@ -786,8 +792,11 @@ def check_parts(
     stiffness = make_petsc_matrix("stiffness", stiffness, comm, n)
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
-    with Factor(mass) as factor:
-        n_negative_pivots, n_zero_pivots = factor.n_negative_pivots, factor.n_null_pivots
+    with Factor(mass) as factored_mass:
+        n_negative_pivots, n_zero_pivots = (
+            factored_mass.n_negative_pivots,
+            factored_mass.n_null_pivots,
+        )
     if n_negative_pivots or n_zero_pivots:
         problem = f"{n_negative_pivots} negative and {n_zero_pivots} zero eigenvalues"
         raise InputError("mass", problem, "positive definite")
@@ -803,7 +812,7 @@ def check_parts(
         problem = f"zero in column {empty_columns[0] + 1} of {gap.shape[1]}"
         requirement = "a pair in each: a gap that depends on no displacement never opens or closes"
         raise InputError("gap", problem, requirement)
-    parts = {
+    part_by_name = {
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own_rows],
@@ -815,8 +824,8 @@ def check_parts(
         if tangential.shape[1] not in (gap.shape[1], 2 * gap.shape[1]):
             requirement = f"of shape {gap.shape}, as gap is, or with twice the columns"
             raise InputError("tangential", tangential.shape, requirement)
-        parts["tangential"] = tangential[own_rows]
-    return parts
+        part_by_name["tangential"] = tangential[own_rows]
+    return part_by_name
 
 
 def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
@@ -876,11 +885,12 @@ def add_harmonics(
         load_coefficients, max([len(load_coefficients) // 2, *harmonics])
     )
     for order, cosine_and_sine in harmonics.items():
-        name = f"harmonics[{order}]"
+        key = f"harmonics[{order}]"
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
-            raise InputError(name, cosine_and_sine, "(cosine, sine), each (n,) or None")
+            raise InputError(key, cosine_and_sine, "(cosine, sine), each (n,) or None")
         new_coefficients[2 * order - 1 : 2 * order + 1] += [
-            _read_load_columns_as_rows(name, part, n)[0, own_rows] for part in cosine_and_sine
+            _read_load_columns_as_rows(key, cosine_or_sine, n)[0, own_rows]
+            for cosine_or_sine in cosine_and_sine
         ]
     return new_coefficients
 
@@ -912,9 +922,9 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.n
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
     spring_matrix = distribute_rows(gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm)
-    total = weighted_sum(stiffness, 1.0, spring_matrix)
+    stiffness_with_springs = weighted_sum(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
-    return total
+    return stiffness_with_springs
 
 
 def _check_symmetric(name: str, matrix: Any) -> None:
@@ -937,8 +947,10 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     diagonal_quotients.pointwiseDivide(diagonal_quotients, mass.getDiagonal())
     quotient_magnitudes = diagonal_quotients.copy()
     quotient_magnitudes.abs()
-    with factored_sum(matrix, MATRIX_TOLERANCE * quotient_magnitudes.max()[1], mass) as factor:
-        n_negative_pivots = factor.n_negative_pivots
+    with factored_sum(
+        matrix, MATRIX_TOLERANCE * quotient_magnitudes.max()[1], mass
+    ) as factored_matrix:
+        n_negative_pivots = factored_matrix.n_negative_pivots
     if n_negative_pivots:
         raise InputError(
             name, counted(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"

@@ -293,12 +293,15 @@ class AllModes:
         if self.damping.ndim == 1:
             # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
             velocity_scale = np.maximum(np.sqrt(np.abs(self.squares)), 1.0 / h)
-            system = np.zeros((n_modes, 3, 3))
-            system[:, 0, 1] = velocity_scale
-            system[:, 1, 0], system[:, 1, 1] = -self.squares / velocity_scale, -self.damping
-            system[:, 1, 2] = 1.0
-            e = scipy.linalg.expm(h * system)
-            blocks = (
+            state_matrix = np.zeros((n_modes, 3, 3))
+            state_matrix[:, 0, 1] = velocity_scale
+            state_matrix[:, 1, 0], state_matrix[:, 1, 1] = (
+                -self.squares / velocity_scale,
+                -self.damping,
+            )
+            state_matrix[:, 1, 2] = 1.0
+            e = scipy.linalg.expm(h * state_matrix)
+            transition_blocks = (
                 e[:, 0, 0],
                 e[:, 0, 1] / velocity_scale,
                 e[:, 1, 0] * velocity_scale,
@@ -306,13 +309,15 @@ class AllModes:
             )
             displacement_by_forces = (e[:, 0, 2] / velocity_scale)[:, None] * self.gaps_by_mode
             velocity_by_forces = e[:, 1, 2][:, None] * self.gaps_by_mode
-            return np.array(blocks), np.vstack([displacement_by_forces, velocity_by_forces])
-        system = np.zeros((2 * n_modes + n_pairs,) * 2)
-        system[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
-        system[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
-        system[n_modes : 2 * n_modes, n_modes : 2 * n_modes] = -self.damping
-        system[n_modes : 2 * n_modes, 2 * n_modes :] = self.gaps_by_mode
-        e = scipy.linalg.expm(h * system)[: 2 * n_modes]
+            return np.array(transition_blocks), np.vstack(
+                [displacement_by_forces, velocity_by_forces]
+            )
+        state_matrix = np.zeros((2 * n_modes + n_pairs,) * 2)
+        state_matrix[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
+        state_matrix[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
+        state_matrix[n_modes : 2 * n_modes, n_modes : 2 * n_modes] = -self.damping
+        state_matrix[n_modes : 2 * n_modes, 2 * n_modes :] = self.gaps_by_mode
+        e = scipy.linalg.expm(h * state_matrix)[: 2 * n_modes]
         return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
 
     def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:

@@ -160,8 +160,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         return Modes(omega[:count], shapes[:, :count], structure)
     if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
         return cached_modes
-    with Factor(structure.stiffness, definite=True) as factor:
-        return solve_modes_with_factor(factor, structure, int(count), ties)
+    with Factor(structure.stiffness, definite=True) as factored_stiffness:
+        return solve_modes_with_factor(factored_stiffness, structure, int(count), ties)
 
 
 def count_bonded_modes(structure: Structure) -> int:
@@ -186,15 +186,15 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     (n_local, n_ties)
         Columns of the pairs' matrix B, rows of this rank.
     """
-    gap = sparse.csc_matrix(structure.gap)
-    gram = structure.sum_over_ranks((gap.T @ gap).toarray())
-    gram_diagonal = np.diag(gram)
-    if np.all(gram_diagonal > 0.0) and np.count_nonzero(gram) == len(gram):
-        return gap  # orthogonal: no two pairs share a node
-    upper_factor, pivot_order = scipy.linalg.qr(gram, mode="r", pivoting=True)
+    gap_matrix = sparse.csc_matrix(structure.gap)
+    gram_matrix = structure.sum_over_ranks((gap_matrix.T @ gap_matrix).toarray())
+    gram_diagonal = np.diag(gram_matrix)
+    if np.all(gram_diagonal > 0.0) and np.count_nonzero(gram_matrix) == len(gram_matrix):
+        return gap_matrix  # orthogonal: no two pairs share a node
+    upper_factor, pivot_order = scipy.linalg.qr(gram_matrix, mode="r", pivoting=True)
     pivot_sizes = np.abs(np.diag(upper_factor))
-    allowed_rounding = 10.0 * len(gram) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
-    return gap[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
+    allowed_rounding = 10.0 * len(gram_matrix) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
+    return gap_matrix[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
 
 
 def _count_modes(structure: Structure, ties: Any) -> int:
@@ -242,9 +242,9 @@ class BondedInverse:
 
 
 def solve_modes_with_factor(
-    factor: Inverse, structure: Structure, count: int, ties: Any = None
+    stiffness_inverse: Inverse, structure: Structure, count: int, ties: Any = None
 ) -> Modes:
-    """Find the lowest modes of a structure, given the factor of its stiffness (collective).
+    """Find the lowest modes of a structure, given the inverse of its stiffness (collective).
 
     Every dof of the structure has mass.
 
@@ -262,7 +262,9 @@ def solve_modes_with_factor(
     square_scale = float(np.min(diagonal_quotients[diagonal_quotients > 0.0], initial=np.inf))
     square_scale = square_scale if np.isfinite(square_scale) else 1.0
     begin(counted(count, "natural mode"))
-    inverse: Inverse = factor if ties is None else BondedInverse(factor, structure, ties)
+    inverse: Inverse = (
+        stiffness_inverse if ties is None else BondedInverse(stiffness_inverse, structure, ties)
+    )
     n_requested, available_count = count, _count_modes(structure, ties)
     while True:
         squares, shapes = _solve_near_zero(inverse, structure, n_requested, square_scale, ties)
@@ -425,13 +427,15 @@ def _solve_near_shift(
     return squares[ascending_order], shapes.T
 
 
-def count_below(structure: Structure, square: float, ties: Any = None) -> int:
-    """Return the number of modes with omega^2 < square (collective).
+def count_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
+    """Return the number of modes with omega^2 < ``squared_omega`` (collective).
 
-    These are the negative pivots of K - square M (Sylvester).
+    These are the negative pivots of K - ``squared_omega`` M (Sylvester).
     """
-    with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
-        return int(factor.n_negative_pivots)
+    with factored_sum(
+        structure.stiffness, -squared_omega, structure.mass, border=ties
+    ) as factored_matrix:
+        return int(factored_matrix.n_negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:
@@ -451,13 +455,17 @@ def largest_frequency(structure: Structure) -> float:
 def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """Multiply a PETSc matrix with columns (n_local, m): the same shape (collective)."""
     products = np.empty(columns.shape)
-    for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
-        block = np.array(columns[:, start : start + MAX_BLOCK_COLUMNS], order="F")
-        sizes = (matrix.sizes[1], (PETSc.DECIDE, block.shape[1]))
-        block_matrix = PETSc.Mat().createDense(sizes, array=block, comm=matrix.comm)
+    for start_column in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
+        column_block = np.array(
+            columns[:, start_column : start_column + MAX_BLOCK_COLUMNS], order="F"
+        )
+        block_sizes = (matrix.sizes[1], (PETSc.DECIDE, column_block.shape[1]))
+        block_matrix = PETSc.Mat().createDense(block_sizes, array=column_block, comm=matrix.comm)
         block_matrix.assemble()
         product_matrix = matrix.matMult(block_matrix)
-        products[:, start : start + MAX_BLOCK_COLUMNS] = product_matrix.getDenseArray()
+        products[:, start_column : start_column + MAX_BLOCK_COLUMNS] = (
+            product_matrix.getDenseArray()
+        )
         block_matrix.destroy()
         product_matrix.destroy()
     return products
@@ -590,9 +598,11 @@ def count_damped_modes(structure: Structure) -> int:
     count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
         raise InputError("damping modes", count, f"at most n_dofs = {structure.n_modes}")
-    ratio = np.asarray(damping.ratio, dtype=float)
-    if ratio.ndim == 1 and len(ratio) != count:
-        raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
+    damping_ratios = np.asarray(damping.ratio, dtype=float)
+    if damping_ratios.ndim == 1 and len(damping_ratios) != count:
+        raise InputError(
+            "damping ratio", f"{len(damping_ratios)} ratios", f"one or {count}, one per mode"
+        )
     return count
 
 
@@ -796,8 +806,11 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
-    count = min(FEW_MODES, structure.n_modes)
-    open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)
+    n_modes = min(FEW_MODES, structure.n_modes)
+    open_modes, bonded_modes = (
+        solve_modes(structure, n_modes),
+        solve_bonded_modes(structure, n_modes),
+    )
     return BilinearFrequencies(
         open_modes.omega, bonded_modes.omega[find_bonded_mode_indices(open_modes, bonded_modes)]
     )

@@ -85,13 +85,13 @@ class Rotation:
         if speed == 0.0:
             return self.at_rest
         static_shape_stiffness, stiffness = self.stiffnesses(speed)
-        with Factor(stiffness) as factor:
-            if factor.n_negative_pivots or factor.n_null_pivots:
+        with Factor(stiffness) as factored_stiffness:
+            if factored_stiffness.n_negative_pivots or factored_stiffness.n_null_pivots:
                 raise InputError(
                     "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
                 )
-        with Factor(static_shape_stiffness, definite=True) as factor:
-            rotation_displacement = factor.solve(speed**2 * self.force[None]).T
+        with Factor(static_shape_stiffness, definite=True) as factored_stiffness:
+            rotation_displacement = factored_stiffness.solve(speed**2 * self.force[None]).T
         static_shape_stiffness.destroy()
         load_coefficients = self.at_rest.force.copy()
         load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
@@ -115,9 +115,11 @@ class Rotation:
             self.at_rest.stiffness, speed_squared, self.rotation_stiffness
         )
         displaced_shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
-        stiffness = weighted_sum(static_shape_stiffness, speed_squared, displaced_shape_stiffness)
+        motion_stiffness = weighted_sum(
+            static_shape_stiffness, speed_squared, displaced_shape_stiffness
+        )
         displaced_shape_stiffness.destroy()
-        return static_shape_stiffness, stiffness
+        return static_shape_stiffness, motion_stiffness
 
     def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """Return these terms of rotation about a changed structure at rest."""
@@ -154,13 +156,13 @@ def static_state(
         No set of closed pairs was found.
     """
     contact_forces = np.zeros(structure.n_pairs)
-    with Factor(structure.stiffness, definite=True) as factor:
-        displacement = factor.solve(constant_load[None])[0]
+    with Factor(structure.stiffness, definite=True) as factored_stiffness:
+        displacement = factored_stiffness.solve(constant_load[None])[0]
         gap_without_contact = structure.apply_bt(displacement[None])[0] - clearance
         if np.any(
             gap_without_contact > ZERO_TOLERANCE * np.abs(gap_without_contact).max(initial=0.0)
         ):
-            pair_responses = factor.solve(structure.gap.T.toarray())
+            pair_responses = factored_stiffness.solve(structure.gap.T.toarray())
             compliance = structure.apply_bt(pair_responses)
             contact_forces = solve_complementarity(
                 0.5 * (compliance + compliance.T), gap_without_contact
@@ -222,9 +224,13 @@ def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
     gyroscopic = 2.0 * structure.sum_over_ranks(
         modes.shapes.T @ multiply(structure.mass, shape_cross_products)
     )
-    omega_matrix, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
-    matrix = np.block([[zero, omega_matrix], [-omega_matrix, -gyroscopic]])
-    return np.asarray(np.linalg.eigvalsh(1j * matrix)[n_modes:] / modes.omega - 1.0)
+    omega_matrix, zero_matrix = np.diag(modes.omega), np.zeros((n_modes, n_modes))
+    gyroscopic_eigenproblem_matrix = np.block(
+        [[zero_matrix, omega_matrix], [-omega_matrix, -gyroscopic]]
+    )
+    return np.asarray(
+        np.linalg.eigvalsh(1j * gyroscopic_eigenproblem_matrix)[n_modes:] / modes.omega - 1.0
+    )
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from helpers import (
     dense_matrices,
     duffing,
     duffing_system,
-    evaluate_series,
+    evaluate,
     log_slope,
     newton_roots,
     oscillator,
@@ -72,10 +72,10 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
     pairs, theta, d = structure.gap.toarray(), instants(harmonics), differentiation(harmonics)
     base = omega / subharmonic
     problem = Problem(structure, omega, LAWS[law], harmonics, subharmonic=subharmonic)
-    drive = evaluate_series(problem.load, 1.0, theta)
+    drive = evaluate(problem.load, 1.0, theta)
 
     def left(solution: fc.PeriodicSolution) -> float:
-        u = evaluate_series(solution.displacement_coefficients, 1.0, theta)
+        u = evaluate(solution.displacement_coefficients, 1.0, theta)
         force = LAWS[law].force(u @ pairs - structure.clearance)
         motion = base**2 * d @ d @ u @ mass + base * d @ u @ dashpots.T + u @ stiffness
         return relative(motion + force @ pairs.T, drive)
@@ -143,7 +143,7 @@ def test_duffing_with_spurious_roots() -> None:
     assert len(roots) == 27 and len(real) == 9
     found = np.array(newton_roots(duffing_system(1, 3)))
     assert len(found) == 9
-    values = np.array([evaluate_series(gap, 1.0, instants(1))[:, 0] for gap in found])
+    values = np.array([evaluate(gap, 1.0, instants(1))[:, 0] for gap in found])
     nearest = np.abs(values[:, None] - real).max(axis=2)
     assert np.all(nearest.min(axis=1) < 1e-9) and len(set(nearest.argmin(axis=1))) == 9
 
@@ -193,10 +193,7 @@ def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics
     which it is closed has one linear solution, which counts if it has these signs."""
     compliance = Problem(structure, omega, fc.UnilateralPenalty(k), harmonics).compliance()
     rows = 2 * harmonics + 1
-    value, response = (
-        evaluate_series(np.eye(rows), 1.0, instants(harmonics)),
-        np.empty((rows, rows)),
-    )
+    value, response = (evaluate(np.eye(rows), 1.0, instants(harmonics)), np.empty((rows, rows)))
     moved = compliance.matrices[:, :, 0] * to_complex(np.eye(rows))
     response[0], response[1::2], response[2::2] = moved[0].real, moved[1:].real, -moved[1:].imag
     in_time = value @ response @ np.linalg.inv(value)

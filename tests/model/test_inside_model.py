@@ -489,7 +489,7 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
     del eigensolutions[:]
     for varied, factor in ((structure, 1.0), (half, 0.5), (none, 0.0), (other, 1.0)):
         found = all_modes(varied)
-        assert found.shapes is first.shapes and found.pairs is first.pairs
+        assert found.shapes is first.shapes and found.gaps_by_mode is first.gaps_by_mode
         expected = factor * found.shapes.T @ matrix @ found.shapes
         inside = np.diag(found.damping) if found.damping.ndim == 1 else found.damping
         np.testing.assert_allclose(inside, expected, atol=1e-10)
