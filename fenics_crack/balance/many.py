@@ -299,15 +299,21 @@ def _find_orbit_of_case(
         orbit_table.states[neighbour_indices]
         * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
     )
-    guesses = list(neighbour_states[:1])
+    state_guesses = list(neighbour_states[:1])
     if len(neighbour_states) > np.any(offsets, axis=0).sum() + 1:
-        weights = 1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
-        regression_rows = weights * np.column_stack([np.ones(len(offsets)), offsets])
-        guesses.insert(
-            0, np.linalg.lstsq(regression_rows, weights * neighbour_states, rcond=None)[0][0]
+        regression_weights = (
+            1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
+        )
+        regression_rows = regression_weights * np.column_stack([np.ones(len(offsets)), offsets])
+        state_guesses.insert(
+            0,
+            np.linalg.lstsq(regression_rows, regression_weights * neighbour_states, rcond=None)[0][
+                0
+            ],
         )
     orbits_or_none = (
-        find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE) for state in guesses
+        find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE)
+        for state in state_guesses
     )
     orbit, orbit_table.status[case] = next(filter(None, orbits_or_none), None), "neighbour"
     # Without damping the largest modulus is 1.

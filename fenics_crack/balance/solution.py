@@ -201,23 +201,23 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             self._displacement_rows_mean_if_still @ rows.T
         )
 
-        def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return motion_gap_and_force(*self.at_phase(TURN * fractions))
+        def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return motion_gap_and_force(*self.at_phase(TURN * period_fractions))
 
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            motion = basis @ motion_coefficients
+            row_products = basis @ motion_coefficients
             if static_motion_per_force is not None:
-                motion -= (force - basis @ self.force_rows) @ static_motion_per_force.T
-            return motion, gap, force
+                row_products -= (force - basis @ self.force_rows) @ static_motion_per_force.T
+            return row_products, gap, force
 
         n_instants = instants or len(self.instants())
-        fractions = np.arange(n_instants) / n_instants
-        motion, gap, force = motion_gap_and_force(*self.over_period(n_instants))
+        period_fractions = np.arange(n_instants) / n_instants
+        row_products, gap, force = motion_gap_and_force(*self.over_period(n_instants))
         yield Record(
-            self.omega, self.subharmonic, self.period * fractions, motion_coefficients,
-            motion, gap, force, structure=self.structure,
+            self.omega, self.subharmonic, self.period * period_fractions, motion_coefficients,
+            row_products, gap, force, structure=self.structure,
             friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
             evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,

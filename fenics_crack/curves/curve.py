@@ -493,8 +493,10 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def part(self, places: Sequence[int] | slice) -> Self:
         """Return a curve with some points alone, without bifurcations."""
-        columns = {name: column[places] for name, column in _array_fields(self).items()}
-        return replace(self, **columns, bifurcations=())
+        selected_array_by_name = {
+            name: point_array[places] for name, point_array in _array_fields(self).items()
+        }
+        return replace(self, **selected_array_by_name, bifurcations=())
 
     def bifurcation(
         self, kind: str, value: float, omega: float, point: np.ndarray,
@@ -615,9 +617,11 @@ class ResponseCurve(ObservedMotion, Tabular):
                 and (error_by_index[lower_index] > LARGE_ERROR)
                 != (error_by_index[upper_index] > LARGE_ERROR)
             }
-        indices = sorted(error_by_index)
+        estimated_indices = sorted(error_by_index)
         return np.interp(
-            np.arange(len(self)), indices, [error_by_index[index] for index in indices]
+            np.arange(len(self)),
+            estimated_indices,
+            [error_by_index[index] for index in estimated_indices],
         )
 
     def _estimate_displacement_error(self, index: int) -> float:

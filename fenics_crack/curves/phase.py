@@ -118,9 +118,9 @@ class PhasePoint(Linearisation):
             system.state(unknown, 1.0)
         )
         self.complex_work = system.drive.complex_work(self.contact_point)
-        value = system.value(parameter)
-        self._inverse_factor = 1.0 / value
-        self._inverse_factor_rate = -system.value_rate(value) / value**2
+        load_factor = system.value(parameter)
+        self._inverse_factor = 1.0 / load_factor
+        self._inverse_factor_rate = -system.value_rate(load_factor) / load_factor**2
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
@@ -144,8 +144,10 @@ class PhasePoint(Linearisation):
 
     def _phase_change(self, work_change: complex) -> float:
         """Return the change in Re P / Im P by a change in the complex work P."""
-        work = self.complex_work
-        return (work_change.real - work.real / work.imag * work_change.imag) / work.imag
+        complex_work = self.complex_work
+        return (
+            work_change.real - complex_work.real / complex_work.imag * work_change.imag
+        ) / complex_work.imag
 
     def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
         """Return the change in P by a change in the slow gap (2H+1, n_pairs) [m]."""
@@ -232,17 +234,17 @@ class ResonanceSystem(CurveSystem):
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
         self.start, self.end = factor_range
-        self.frequency_equations = equations = BalanceAlongFrequency(
+        self.frequency_equations = frequency_equations = BalanceAlongFrequency(
             problem, problem.omega, 0.5 * problem.omega
         )
-        slow_gap_coefficients = equations.system(problem.omega).slow_gap(
+        slow_gap_coefficients = frequency_equations.system(problem.omega).slow_gap(
             nearby_point.gap, nearby_point.force
         )
         slow_gap_coefficients = slow_gap_coefficients / self.start
         self.vibration_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
         self.start_unknown = np.append(slow_gap_coefficients / self.vibration_size, 1.0)
-        self.problem, self.drive = equations.problem, drive
-        self.n_time_means, self.shape = equations.n_time_means, self.start_unknown.shape
+        self.problem, self.drive = frequency_equations.problem, drive
+        self.n_time_means, self.shape = frequency_equations.n_time_means, self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
         return self.frequency_equations.rounding(0.0)

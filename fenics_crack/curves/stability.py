@@ -106,26 +106,26 @@ def monodromy_of_linear_flow(
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
-    coarser_product = matrix = _multiply_steps(
+    coarser_product = extrapolated_matrix = _multiply_steps(
         modes, contact, gap_coefficients, base_omega, n_steps
     )
     change_norm = matrix_norm = np.inf
     while n_steps < 2**13 and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf:
         n_steps *= 2
-        product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
-        coarser_matrix = matrix
-        matrix = product + (product - coarser_product) / 3.0
-        coarser_product = product
+        finer_product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
+        coarser_matrix = extrapolated_matrix
+        extrapolated_matrix = finer_product + (finer_product - coarser_product) / 3.0
+        coarser_product = finer_product
         scaled_change_and_matrix = (
             state_scale[:, None] * change_or_matrix / state_scale
-            for change_or_matrix in (matrix - coarser_matrix, matrix)
+            for change_or_matrix in (extrapolated_matrix - coarser_matrix, extrapolated_matrix)
         )
         change_norm, matrix_norm = (
             float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_change_and_matrix
         )
-    if not np.all(np.isfinite(matrix)):
+    if not np.all(np.isfinite(extrapolated_matrix)):
         raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
-    return matrix
+    return extrapolated_matrix
 
 
 def _multiply_steps(
@@ -141,32 +141,36 @@ def _multiply_steps(
     (2 n_modes, 2 n_modes)
         M_N, with an error of second order in the step length.
     """
-    h = 2.0 * np.pi / base_omega / n_steps
+    step_size = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
     gap_samples = sample_period(gap_coefficients, n_steps)
     if modes.residual_compliance is None:
-        kicks = h * contact.tangent(gap_samples)[:, :, None]
+        kicks = step_size * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[1]
+        kicks = (
+            step_size * smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[1]
+        )
     n_stretches = 1
     while (
         n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
     ):
         n_stretches *= 2
     kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
-    transition = modes.transition(h)[0]
-    states = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
+    transition = modes.transition(step_size)[0]
+    stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in kicks_of_stretches.swapaxes(0, 1):
-            states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
-            states = _step_without_contact_forces(modes, transition, states)
-        product = states[0]
-        for stretch_product in states[1:]:
-            product = stretch_product @ product
-        half_kick = np.zeros_like(product)
+            stretch_matrices[:, n_modes:] -= _velocity_change(
+                modes, kick, stretch_matrices[:, :n_modes]
+            )
+            stretch_matrices = _step_without_contact_forces(modes, transition, stretch_matrices)
+        monodromy_matrix = stretch_matrices[0]
+        for stretch_matrix in stretch_matrices[1:]:
+            monodromy_matrix = stretch_matrix @ monodromy_matrix
+        half_kick = np.zeros_like(monodromy_matrix)
         half_kick[n_modes:, :n_modes] = 0.5 * _velocity_change(modes, kicks[0], np.eye(n_modes))
-        product = product + product @ half_kick
-        return product - half_kick @ product
+        monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick
+        return monodromy_matrix - half_kick @ monodromy_matrix
 
 
 def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:

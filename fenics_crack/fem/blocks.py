@@ -461,14 +461,14 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
-    points = {
+    corner_tags = {
         (i, j): add_point(x, y if j else foot_heights[i], 0.0)
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
     doubled_corners = _doubled_corners(slits, len(columns))
-    upper_points = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
-    block_bottom_points = points | upper_points  # corners of blocks above a crack
+    upper_corner_tags = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
+    block_bottom_corner_tags = corner_tags | upper_corner_tags  # corners of blocks above a crack
 
     horizontal_curves, vertical_curves = {}, {}
     interval_by_face_block = {
@@ -482,35 +482,45 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     for i, column_division in enumerate(columns):
         for j in range(len(ys)):
             horizontal_curves[i, j] = _add_curve(
-                points[i, j], points[i + 1, j], interval_by_face_block.get((i, j), column_division)
+                corner_tags[i, j],
+                corner_tags[i + 1, j],
+                interval_by_face_block.get((i, j), column_division),
             )
     for j, row_interval in enumerate(rows):
         for i in range(len(xs)):
             vertical_curves[i, j] = _add_curve(
-                block_bottom_points[i, j], points[i, j + 1], row_interval
+                block_bottom_corner_tags[i, j], corner_tags[i, j + 1], row_interval
             )
     upper_curves = {
-        (i, j): _add_curve(block_bottom_points[i, j], block_bottom_points[i + 1, j], interval)
+        (i, j): _add_curve(
+            block_bottom_corner_tags[i, j], block_bottom_corner_tags[i + 1, j], interval
+        )
         for (i, j), interval in interval_by_face_block.items()
     }
     surfaces = _add_surfaces(
         len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
     )
     foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
-    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
+    dimension_and_curves_by_side: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
-        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
+        dimension_and_curves_by_side = rim.draw(
+            [corner_tags[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces
+        )
     _set_cell_kind(scene, surfaces)
 
     left_curves, right_curves = (
         [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
     )
-    single_corners = [indices for indices in points if indices not in doubled_corners]
+    single_corners = [
+        corner_indices for corner_indices in corner_tags if corner_indices not in doubled_corners
+    ]
     load_position = unit_scene.excitation.point
-    loaded_point_tags = [points[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position]
-    groups: dict[str, tuple[int, list[int]]] = {
+    loaded_point_tags = [
+        corner_tags[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position
+    ]
+    dimension_and_tags_by_group: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
-        **sides,
+        **dimension_and_curves_by_side,
         "lower_lip": (1, [horizontal_curves[block_indices] for block_indices in upper_curves]),
         "upper_lip": (1, list(upper_curves.values())),
         "load": (0, loaded_point_tags),
@@ -518,8 +528,11 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
         "right": (1, right_curves),
         "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
     }
-    tag_by_side = {name: group_tag for name, group_tag in _add_physical_groups(groups).items()
-                   if groups[name][0] == 1}  # fmt: skip
+    tag_by_side = {
+        name: group_tag
+        for name, group_tag in _add_physical_groups(dimension_and_tags_by_group).items()
+        if dimension_and_tags_by_group[name][0] == 1
+    }
     if rim is None:
         tag_by_side["bottom"] = tag_by_side["clamp"]
     return {name: (group_tag,) for name, group_tag in tag_by_side.items()}
@@ -605,19 +618,21 @@ def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
     gmsh.model.geo.synchronize()
 
 
-def _add_curve(start: int, end: int, interval: ElementInterval, center: int | None = None) -> int:
+def _add_curve(
+    start_tag: int, end_tag: int, interval: ElementInterval, center: int | None = None
+) -> int:
     """Add a line, or an arc around a center, divided into elements."""
     geo = gmsh.model.geo
-    points = (start, end) if center is None else (start, center, end)
-    curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
+    point_tags = (start_tag, end_tag) if center is None else (start_tag, center, end_tag)
+    curve_tag: int = (geo.addLine if center is None else geo.addCircleArc)(*point_tags)
     if (
         interval.n_elements
     ):  # else elements have lengths by :func:`_mesh_current_model_with_gradings`
         n_nodes_on_curve, length_ratio = interval.n_elements + 1, interval.length_ratio
         gmsh.model.geo.mesh.setTransfiniteCurve(
-            curve, n_nodes_on_curve, "Progression", length_ratio
+            curve_tag, n_nodes_on_curve, "Progression", length_ratio
         )
-    return curve
+    return curve_tag
 
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
@@ -716,30 +731,32 @@ class DiskRim:
         The stress is infinite there. A smaller ``mesh.size`` gives shorter elements and slower
         growth.
         """
-        (blade_width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
+        (blade_width, _), element_size = self.scene.geometry.sides, self.scene.mesh.given("size")
         corner_x_positions = np.array([0.0, blade_width])
         return [
             _Grading(
                 corner_x_positions,
                 self.foot_height(0.0),
-                BLADE_RIM_CORNER_SIZE_RATIO * size,
-                size / blade_width,
+                BLADE_RIM_CORNER_SIZE_RATIO * element_size,
+                element_size / blade_width,
             )
         ]
 
-    def name_of(self, center: tuple[float, float, float]) -> str:
+    def name_of(self, face_center: tuple[float, float, float]) -> str:
         """Name a face on a solid's rim, given the face's center of mass."""
         offset_across_blade, offset_along_blade = (
-            center[2] - self.blade_middle,
-            center[1] - self.axis_height,
+            face_center[2] - self.blade_middle,
+            face_center[1] - self.axis_height,
         )
-        radius = math.hypot(offset_across_blade, offset_along_blade)
-        angle = math.atan2(offset_across_blade, offset_along_blade)
-        if abs(abs(angle) - self.half_angle) < 1e-6:
-            return RIM_SIDE_NAMES[int(angle > 0.0)]
+        face_radius = math.hypot(offset_across_blade, offset_along_blade)
+        face_angle = math.atan2(offset_across_blade, offset_along_blade)
+        if abs(abs(face_angle) - self.half_angle) < 1e-6:
+            return RIM_SIDE_NAMES[int(face_angle > 0.0)]
         # The center of mass of the inner arc.
         arc_centroid_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
-        return "clamp" if abs(radius - arc_centroid_radius) < 1e-6 * self.outer_radius else "rim"
+        return (
+            "clamp" if abs(face_radius - arc_centroid_radius) < 1e-6 * self.outer_radius else "rim"
+        )
 
     def set_periodic(self, across_axis: int, left_tags: list[int], right_tags: list[int]) -> None:
         """Make gmsh mesh the right side like the left one, rotated.
@@ -934,10 +951,14 @@ def _crack_gradings(scene: Scene) -> list[_Grading]:
         if crack.edge is None:
             n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
         length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
-        tip_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
-        tip_positions = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])
+        tip_element_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
+        tip_positions = np.array(
+            [tip_position for tip_position in (left_end, right_end) if 0.0 < tip_position < width]
+        )
         size_growth_per_distance = max(length_ratio - 1.0, MAX_SIZE_PER_DISTANCE)
         gradings.append(
-            _Grading(tip_positions, crack.given("height"), tip_length, size_growth_per_distance)
+            _Grading(
+                tip_positions, crack.given("height"), tip_element_length, size_growth_per_distance
+            )
         )
     return gradings

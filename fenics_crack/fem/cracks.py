@@ -90,10 +90,15 @@ class CrackPath:
             Distance from the beginning to the nearest point on the path.
         """
         offsets, edge_fractions = offsets_from_edges(points, self.edges)
-        distances, corner_arc_lengths = np.linalg.norm(offsets, axis=2), self.corner_arc_lengths
+        distances_to_edges, corner_arc_lengths = (
+            np.linalg.norm(offsets, axis=2),
+            self.corner_arc_lengths,
+        )
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
-        edge_index, point_index = distances.argmin(axis=1), np.arange(len(points))
-        return distances[point_index, edge_index], nearest_arc_lengths[point_index, edge_index]
+        edge_index, point_index = distances_to_edges.argmin(axis=1), np.arange(len(points))
+        return distances_to_edges[point_index, edge_index], nearest_arc_lengths[
+            point_index, edge_index
+        ]
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return points below and above a point on the crack.
@@ -101,9 +106,11 @@ class CrackPath:
         None if the point is off the crack, or at a tip.
         """
         (distance_to_crack,), (arc_length,) = self.locate(np.array([point]))
-        length = float(self.corner_arc_lengths[-1])
+        path_length = float(self.corner_arc_lengths[-1])
         tip_distance = (
-            length - arc_length if self.has_mouth else min(arc_length, length - arc_length)
+            path_length - arc_length
+            if self.has_mouth
+            else min(arc_length, path_length - arc_length)
         )
         edge_index = np.searchsorted(self.corner_arc_lengths[1:-1], arc_length)
         return points_on_both_sides(
@@ -111,7 +118,7 @@ class CrackPath:
             distance_to_crack,
             tip_distance,
             _size_weighted_normals(self.edges[[edge_index]])[0],
-            length,
+            path_length,
         )
 
 
@@ -157,21 +164,21 @@ class CrackSurface:
             Distance between each point and the front, at most twice the crack's size. Without a
             front all are equal.
         """
-        distances, front_distances = np.empty(len(points)), np.empty(len(points))
+        surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
         block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_edges)))
         for block_start in range(0, len(points), block_size):
-            block = slice(block_start, block_start + block_size)
-            distances[block] = np.linalg.norm(
-                _offsets_from_triangles(points[block], self.triangles), axis=2
+            point_block = slice(block_start, block_start + block_size)
+            surface_distances[point_block] = np.linalg.norm(
+                _offsets_from_triangles(points[point_block], self.triangles), axis=2
             ).min(1)
             # Larger than any distance between the surface and its front.
             front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[block], self.front_edges)[0], axis=2
+                offsets_from_edges(points[point_block], self.front_edges)[0], axis=2
             )
-            front_distances[block] = edge_distances.min(axis=1, initial=front_distance_bound)
-        return distances, front_distances
+            front_distances[point_block] = edge_distances.min(axis=1, initial=front_distance_bound)
+        return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return points below and above a point on the crack.
@@ -297,9 +304,9 @@ def upward_sign(normal: np.ndarray) -> float:
 
     Up is along y; a level normal is judged along x, then along z.
     """
-    for axis in (1, 0, 2)[: len(normal)]:
-        if abs(normal[axis]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
-            return float(np.sign(normal[axis]))
+    for axis_index in (1, 0, 2)[: len(normal)]:
+        if abs(normal[axis_index]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
+            return float(np.sign(normal[axis_index]))
     return 1.0
 
 
@@ -615,10 +622,13 @@ def split_cracks(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
     crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
-    (facets, owner, local_corners), is_shared = cells.sorted_facets_and_owners, cells.is_shared
+    (sorted_facets, owner, local_corners), is_shared = (
+        cells.sorted_facets_and_owners,
+        cells.is_shared,
+    )
     is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
-    is_crack_facet = is_crack_node[facets].all(axis=1)
-    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
+    is_crack_facet = is_crack_node[sorted_facets].all(axis=1)
+    is_crack_facet[is_crack_facet] = rows_in(sorted_facets[is_crack_facet], crack_corners)
     inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
     require(
         len(inner_facets) == len(crack_facets),
@@ -626,7 +636,7 @@ def split_cracks(
         " of cracks not between cells",
         f"inside the structure, with a cell on either side of {facet_word}",
     )
-    outer_facets = facets[cells.is_boundary & is_crack_node[facets].any(axis=1)]
+    outer_facets = sorted_facets[cells.is_boundary & is_crack_node[sorted_facets].any(axis=1)]
     is_split = is_crack_node.copy()
     is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
     facet_labels = label_connected_rows(crack_corners)
@@ -639,7 +649,10 @@ def split_cracks(
         -1, cells.n_corners
     )
     side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
-    side_cells, is_fixed_corner = owner[side_facet_index], ~is_split[facets[side_facet_index]]
+    side_cells, is_fixed_corner = (
+        owner[side_facet_index],
+        ~is_split[sorted_facets[side_facet_index]],
+    )
     side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
     side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
     side_labels = label_connected_rows(side_corner_stars)
@@ -675,8 +688,8 @@ def split_cracks(
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
-    nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
-    return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
+    new_cell_nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
+    return new_cell_nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
 def require(condition: object, problem: str, requirement: str) -> None:
@@ -723,9 +736,9 @@ def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) ->
     """
     from scipy.sparse.csgraph import connected_components
 
-    facets, owner, local_corners = cells.sorted_facets_and_owners
-    passable_facets = np.flatnonzero(is_passable & is_split[facets[:-1]].any(axis=1))
-    is_split_corner = is_split[facets[passable_facets]]
+    sorted_facets, owner, local_corners = cells.sorted_facets_and_owners
+    passable_facets = np.flatnonzero(is_passable & is_split[sorted_facets[:-1]].any(axis=1))
+    is_split_corner = is_split[sorted_facets[passable_facets]]
     flat_corner_index, neighbour_corner_index = (
         owner[facet_rows][:, None] * cells.n_corners + local_corners[facet_rows]
         for facet_rows in (passable_facets, passable_facets + 1)

@@ -451,25 +451,29 @@ def _fit_curve(
         a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(x)), rcond=None)[0]
         quadratic_form = np.array([[a, b], [b, c]])
         if np.linalg.det(quadratic_form) > 0.0:
-            center = np.linalg.solve(quadratic_form, [d, e])
+            scaled_center = np.linalg.solve(quadratic_form, [d, e])
             eigenvalues, eigenvectors = np.linalg.eigh(
-                quadratic_form / (1.0 + center @ quadratic_form @ center)
+                quadratic_form / (1.0 + scaled_center @ quadratic_form @ scaled_center)
             )
             unit_points = (
-                (np.column_stack([x, y]) - center) @ eigenvectors * np.sqrt(np.abs(eigenvalues))
+                (np.column_stack([x, y]) - scaled_center)
+                @ eigenvectors
+                * np.sqrt(np.abs(eigenvalues))
             )
             if (
                 np.all(eigenvalues > 0.0)
                 and np.abs(np.linalg.norm(unit_points, axis=1) - 1.0).max() < 1e-5
             ):
                 t = np.unwrap(np.arctan2(unit_points[:, 1], unit_points[:, 0]))
-                sign = np.sign(t[-1] - t[0])
+                turning_sign = np.sign(t[-1] - t[0])
                 half_axes = (
-                    extents[0] * (eigenvectors / np.sqrt(eigenvalues)) @ np.diag([1.0, sign])
+                    extents[0]
+                    * (eigenvectors / np.sqrt(eigenvalues))
+                    @ np.diag([1.0, turning_sign])
                 )
-                return sign * t, partial(
+                return turning_sign * t, partial(
                     _evaluate_ellipse,
-                    centroid + extents[0] * center @ axes[:2],
+                    centroid + extents[0] * scaled_center @ axes[:2],
                     half_axes.T @ axes[:2],
                 )
     edge_lengths = np.linalg.norm(np.diff(node_positions, axis=0), axis=1)
@@ -606,19 +610,19 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
         0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
     )
     station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
-    points = front.curve(front.station_parameters, 0)
-    directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
+    station_points = front.curve(front.station_parameters, 0)
+    growth_directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
     return [
         Station(
             f"{front.name} at {quantity(float(station_arc_length), 'm')}",
             front.crack,
-            point,
-            direction,
+            station_point,
+            growth_direction,
             float(station_arc_length),
             station_pairs,
         )
-        for point, direction, station_arc_length, station_pairs in zip(
-            points, directions, station_arc_lengths, adjacent_pairs, strict=True
+        for station_point, growth_direction, station_arc_length, station_pairs in zip(
+            station_points, growth_directions, station_arc_lengths, adjacent_pairs, strict=True
         )
     ]
 
@@ -821,30 +825,30 @@ class _IntegrationDomain:
             Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
             derivative of the unit K field along e_1.
         """
-        n_rows = 3 * len(self.front.station_parameters)
-        factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
+        n_functionals = 3 * len(self.front.station_parameters)
+        factors, nodal_fields = np.zeros((2, len(self.points), n_functionals, 3))
         for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
             nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
         is_at_front = (
             cKDTree(self.front.node_positions).query(self.corners[:, 0])[0]
             < POSITION_TOLERANCE * self.front.straight_radius
         )
-        groups = (
+        cells_and_gauss_numbers = (
             (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
             (np.flatnonzero(~is_at_front), GAUSS_ELSEWHERE),
         )
         for chunk_cells, n_gauss in (
             (cell_chunk, n_side_points)
-            for group_cells, n_side_points in groups
+            for group_cells, n_side_points in cells_and_gauss_numbers
             for cell_chunk in _split_into_chunks(
                 group_cells[comm.rank :: comm.size], n_side_points**3
             )
         ):
-            (rule_points, weights), (facet_rule_points, facet_weights) = (
+            (rule_points, volume_weights), (facet_rule_points, facet_weights) = (
                 _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
             )
             tensor_integrals = self._integrate_tensors(
-                chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
+                chunk_cells, rule_points, self.volumes[chunk_cells, None] * volume_weights, None
             )
             for corner_index in range(4):
                 is_outer = self.is_outer_facet[chunk_cells, corner_index]
@@ -853,20 +857,20 @@ class _IntegrationDomain:
                     barycentric_gradients = self.barycentric_gradients[
                         chunk_cells[is_outer], corner_index
                     ]
-                    areas = (
+                    facet_areas = (
                         3.0
                         * self.volumes[chunk_cells[is_outer]]
                         * np.linalg.norm(barycentric_gradients, axis=1)
                     )
-                    normals = (
+                    outward_normals = (
                         -barycentric_gradients
                         / np.linalg.norm(barycentric_gradients, axis=1)[:, None]
                     )
                     tensor_integrals[is_outer] += self._integrate_tensors(
                         chunk_cells[is_outer],
                         surface_rule_points,
-                        areas[:, None] * facet_weights,
-                        normals,
+                        facet_areas[:, None] * facet_weights,
+                        outward_normals,
                     )
             basis_gradients = self._basis_gradients(chunk_cells).reshape(len(chunk_cells), 10, 12)
             cell_fields = (
@@ -888,7 +892,7 @@ class _IntegrationDomain:
             np.add.at(
                 factors,
                 self.cells[chunk_cells],
-                cell_factors.reshape(len(chunk_cells), 10, n_rows, 3),
+                cell_factors.reshape(len(chunk_cells), 10, n_functionals, 3),
             )
         return self.intensity_per_integral[:, None] * comm.allreduce(factors), nodal_fields
 
@@ -925,7 +929,7 @@ class _IntegrationDomain:
         frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
         offsets = positions - front.curve(t, 0)
         xi, y = ((offsets * frame_vectors[..., axis_index, :]).sum(-1) for axis_index in range(2))
-        radius = front.radius(curvature)
+        domain_radius = front.radius(curvature)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
@@ -938,7 +942,7 @@ class _IntegrationDomain:
             hat_slope_by_t / speed[..., None],
             curvature,
             curvature_slope,
-            radius,
+            domain_radius,
         )
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
@@ -948,14 +952,14 @@ class _IntegrationDomain:
         front and on the front's element edges w is 0: such an edge is a chord, and the chord's
         middle is on neither crack side.
         """
-        positions = self.points[self.cells[cell_index]]
-        frame_vectors, xi, y, r, hat, _, _, _, radius = self._front_coordinates(
-            positions, cell_index
+        node_positions = self.points[self.cells[cell_index]]
+        frame_vectors, xi, y, r, hat, _, _, _, domain_radius = self._front_coordinates(
+            node_positions, cell_index
         )
-        is_node_at_front = r < 1e-6 * radius
+        is_node_at_front = r < 1e-6 * domain_radius
         is_node_at_front[:, 4:] = is_node_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
-        r = np.where(is_node_at_front, radius, r)
-        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / radius)[0])
+        r = np.where(is_node_at_front, domain_radius, r)
+        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
             _, a_by_xi, _ = self._plane_field(mode, xi, y, r)
@@ -1014,12 +1018,12 @@ class _IntegrationDomain:
         else:
             angular_part = np.array([zeros, zeros, 4.0 * sin_half_angle])
             angular_slope = np.array([zeros, zeros, 2.0 * cos_half_angle])
-        scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
+        field_scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
         root_r = np.sqrt(r)
         return (
-            scale * root_r * angular_part,
-            scale / root_r * (0.5 * cos_angle * angular_part - sin_angle * angular_slope),
-            scale / root_r * (0.5 * sin_angle * angular_part + cos_angle * angular_slope),
+            field_scale * root_r * angular_part,
+            field_scale / root_r * (0.5 * cos_angle * angular_part - sin_angle * angular_slope),
+            field_scale / root_r * (0.5 * sin_angle * angular_part + cos_angle * angular_slope),
         )
 
     def _integrate_tensors(

@@ -398,11 +398,11 @@ def _facets_after_split(
         owner_cells = owner[
             np.minimum(np.searchsorted(facet_keys, split_facet_keys), len(facet_keys) - 1)
         ]
-        columns = np.argmax(
+        cell_node_columns = np.argmax(
             cells.cell_nodes[owner_cells][:, None, :] == facet_nodes[split_rows][:, :, None], axis=2
         )
         new_facets_by_name[name][split_rows] = np.take_along_axis(
-            split_cell_nodes[owner_cells], columns, axis=1
+            split_cell_nodes[owner_cells], cell_node_columns, axis=1
         )
     return new_facets_by_name
 
@@ -452,7 +452,10 @@ def _tag_combinations(
     for index, combination in enumerate(combinations):
         combination_edges = all_edges[np.sort(first_edge_index[combination_index.ravel() == index])]
         tagged_edges.append((index + 1, " and ".join(curve_names[combination]), combination_edges))
-    curve_tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in combinations.T]
+    curve_tags = [
+        tuple((np.flatnonzero(is_combination_on_curve) + 1).tolist())
+        for is_combination_on_curve in combinations.T
+    ]
     return dict(zip(edges_by_name, curve_tags, strict=True)), tagged_edges
 
 

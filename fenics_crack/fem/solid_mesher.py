@@ -400,11 +400,11 @@ def _draw_crack_face(crack: CrackData) -> Tags:
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
     if crack["is_round"]:
-        curve = occ.addEllipse(
+        ellipse_tag = occ.addEllipse(
             0.0, 0.0, 0.0, a, min(b, MAX_ELLIPSE_AXIS_RATIO * a),
             angle1=ELLIPSE_START_ANGLE, angle2=ELLIPSE_START_ANGLE + 2.0 * math.pi,
         )  # fmt: skip
-        face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
+        face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([ellipse_tag])]))]
     else:
         face_dim_tags = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
     e_2 = np.cross(normal, e_1)
@@ -414,17 +414,19 @@ def _draw_crack_face(crack: CrackData) -> Tags:
         math.acos(np.clip(normal[2], -1.0, 1.0)),
         0.0 if is_horizontal else math.atan2(normal[1], normal[0]),
     )
-    for axis, angle in zip(((0, 0, 1), (0, 1, 0), (0, 0, 1)), euler_angles, strict=True):
-        occ.rotate(face_dim_tags, 0.0, 0.0, 0.0, *axis, angle)
+    for rotation_axis, euler_angle in zip(
+        ((0, 0, 1), (0, 1, 0), (0, 0, 1)), euler_angles, strict=True
+    ):
+        occ.rotate(face_dim_tags, 0.0, 0.0, 0.0, *rotation_axis, euler_angle)
     occ.translate(face_dim_tags, *(crack["middle"] - (crack["reach"] is None) * a * np.array(e_1)))
     return face_dim_tags
 
 
-def _sample_curve(curve: int) -> np.ndarray:
+def _sample_curve(curve_tag: int) -> np.ndarray:
     """Return points on a curve, including its ends: (n, 3)."""
-    (start,), (stop,) = gmsh.model.getParametrizationBounds(1, curve)
-    parameters = np.linspace(start, stop, N_CURVE_INTERVALS + 1)
-    return np.reshape(gmsh.model.getValue(1, curve, parameters), (-1, 3))
+    (first_parameter,), (last_parameter,) = gmsh.model.getParametrizationBounds(1, curve_tag)
+    parameters = np.linspace(first_parameter, last_parameter, N_CURVE_INTERVALS + 1)
+    return np.reshape(gmsh.model.getValue(1, curve_tag, parameters), (-1, 3))
 
 
 def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
@@ -433,10 +435,10 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     It consists of the rim's curves on the border of the ellipse or rectangle.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
-    curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
+    front_curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
     for rim_curve in rim:
-        points = _sample_curve(rim_curve)
-        x, y, _ = ((points - crack["middle"]) @ frame.T).T
+        rim_points = _sample_curve(rim_curve)
+        x, y, _ = ((rim_points - crack["middle"]) @ frame.T).T
         if is_straight:
             relative_border_position, extent_behind_front = (
                 1.0 + x / half_axes[0],
@@ -449,8 +451,8 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
                 np.abs(x) / half_axes[0], np.abs(y) / half_axes[1]
             )
         if np.abs(relative_border_position - 1.0).max() < 1e-5:
-            curves.append(rim_curve)
-            point_arrays.append(points)
+            front_curves.append(rim_curve)
+            point_arrays.append(rim_points)
     extent_behind_front = extent_behind_front if is_straight else crack["reach"]
     element_length_ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
     curve_end_points = np.array(
@@ -461,7 +463,7 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
         < 1e-5 * extent_behind_front
     )
     return {
-        "curves": curves, "points": np.concatenate(point_arrays),
+        "curves": front_curves, "points": np.concatenate(point_arrays),
         "ends": curve_end_points[is_same_end.sum(axis=1) == 1],
         "shortest": float(
             extent_behind_front / (element_length_ratio ** np.arange(crack["elements"])).sum()
@@ -624,21 +626,21 @@ def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
         "numbers" and "positions" of the nodes. "heads": dimension, tag, kind, and number of nodes
         of each group; "names": its name; "nodes": all nodes in succession.
     """
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    headers, names, node_arrays = [], [], [np.zeros(0, dtype=np.uint64)]
-    for dimension, tag, name, entities in groups:
+    node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
+    headers, header_names, node_arrays = [], [], [np.zeros(0, dtype=np.uint64)]
+    for dimension, tag, group_name, entities in groups:
         for entity in entities:
-            kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
+            element_kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
             headers += [
-                (dimension, tag, kind, len(nodes_of_kind))
-                for kind, nodes_of_kind in zip(kinds, element_nodes, strict=True)
+                (dimension, tag, element_kind, len(nodes_of_kind))
+                for element_kind, nodes_of_kind in zip(element_kinds, element_nodes, strict=True)
             ]
-            names += [name] * len(kinds)
+            header_names += [group_name] * len(element_kinds)
             node_arrays += element_nodes
     return {
-        "numbers": numbers, "positions": positions.reshape(-1, 3),
+        "numbers": node_numbers, "positions": node_positions.reshape(-1, 3),
         "heads": np.array(headers, dtype=np.int64).reshape(-1, 4),
-        "names": np.array(names, dtype=str), "nodes": np.concatenate(node_arrays),
+        "names": np.array(header_names, dtype=str), "nodes": np.concatenate(node_arrays),
     }  # fmt: skip
 
 

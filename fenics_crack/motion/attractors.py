@@ -215,13 +215,13 @@ def find_irregular_motion(
     growth_per_period = math.exp(
         total_log_growth / (len(cumulative_log_growths) - 1 - transient_end_index)
     )
-    orbits = FlowOrbitEquations(flow, omega, state, subharmonic)
+    orbit_equations = FlowOrbitEquations(flow, omega, state, subharmonic)
     return Attractor(
         None,
         "is irregular: a small disturbance grows"
         f" {float(f'{growth_per_period:.2g}'):,g}-fold in a period",
         (len(cumulative_log_growths) - 1) * subharmonic,
-        orbits,
-        orbits.start_unknown,
+        orbit_equations,
+        orbit_equations.start_unknown,
         growth_per_period,
     )

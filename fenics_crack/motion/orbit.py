@@ -179,8 +179,8 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         The norm is the energy norm.
         """
-        change = self.motion.state - self.state
-        return self.energy_norm(change) / (self.energy_norm(self.state) or 1.0)
+        state_change = self.motion.state - self.state
+        return self.energy_norm(state_change) / (self.energy_norm(self.state) or 1.0)
 
     def energy_norm(self, change: np.ndarray) -> float:
         """Return the energy norm of a state's change (flow.size,)."""
@@ -641,16 +641,16 @@ def predict_orbit(
             np.zeros(flow.size), state_jumps, interval_counts
         )[-1]
         solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, weights)
-        changes = solution_track.carry_changes(
+        state_changes = solution_track.carry_changes(
             solve_i_minus_m(period_end_change, FORCING_TERM), state_jumps, interval_counts
         )[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
     part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
-    gap_changes = changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
+    gap_changes = state_changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     return Prediction(
         relative_to_motion(gap_changes, part_start_gaps),
-        states + changes,
+        states + state_changes,
         solution_track,
         solve_i_minus_m,
     )
@@ -778,10 +778,10 @@ class _NewtonOrbitSearch:
         nonlinearity |simplified step - (1 - damping) step|.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
-        min_damping = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
+        min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._follow(self.state)
-        damping, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
+        damping_factor, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
         steps_with_same_m: list[np.ndarray] = []
         if forms_monodromy and solve_i_minus_m is not None:
             steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
@@ -793,7 +793,7 @@ class _NewtonOrbitSearch:
                 is_m_current = True
                 steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
             newton_step = steps_with_same_m[-1]
-            trial_state = self.state + damping * newton_step
+            trial_state = self.state + damping_factor * newton_step
             trial_motion = self._follow(trial_state)
             simplified_step = solve_i_minus_m(
                 trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
@@ -803,30 +803,33 @@ class _NewtonOrbitSearch:
                 simplified_step = simplified_step + projection_factor * later_step
             step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
             nonlinear_part_size = (
-                self.size(simplified_step - (1.0 - damping) * newton_step) + sys.float_info.min
+                self.size(simplified_step - (1.0 - damping_factor) * newton_step)
+                + sys.float_info.min
             )
             state_size = self.size(trial_state)
-            if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
+            if not simplified_size <= (1.0 - 0.25 * damping_factor) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
                 if not is_m_current:
                     steps_with_same_m = []
                     continue
-                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinear_part_size)
-                if damping < min_damping:
+                damping_factor = min(
+                    0.5 * damping_factor, 0.5 * damping_factor**2 * step_size / nonlinear_part_size
+                )
+                if damping_factor < min_damping_factor:
                     return False
                 continue
             self.state, self.motion, is_m_current = trial_state, trial_motion, False
             if simplified_size <= step_tolerance * state_size:
                 return True
             # After a good step M serves once more.
-            if forms_monodromy and damping == 1.0 and simplified_size <= 0.1 * step_size:
+            if forms_monodromy and damping_factor == 1.0 and simplified_size <= 0.1 * step_size:
                 steps_with_same_m.append(
                     simplified_step / (1.0 - self._fraction_along(simplified_step, newton_step))
                 )
                 continue
             steps_with_same_m = []
-            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinear_part_size)
+            damping_factor = min(1.0, 0.5 * damping_factor**2 * step_size / nonlinear_part_size)
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:

@@ -337,7 +337,7 @@ def find_zero_and_residual(
         fraction: (point, function(point)) for fraction, point in zip((0.0, 1.0), ends, strict=True)
     }
 
-    def evaluate(fraction: float) -> float:
+    def function_value_at(fraction: float) -> float:
         if fraction not in points_and_values_by_fraction:
             scale = fraction * (1.0 - fraction) * full_chord_length
             tangent_weights = scale * np.array([1.0 - fraction, -fraction])
@@ -367,7 +367,10 @@ def find_zero_and_residual(
         return points_and_values_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
-    kept_function_value, last_function_value = evaluate(kept_fraction), evaluate(last_fraction)
+    kept_function_value, last_function_value = (
+        function_value_at(kept_fraction),
+        function_value_at(last_fraction),
+    )
     with suppress(ConvergenceError):
         while (
             kept_function_value * last_function_value < 0.0
@@ -379,7 +382,7 @@ def find_zero_and_residual(
             )
             if fraction in (kept_fraction, last_fraction):
                 break
-            new_function_value = evaluate(fraction)
+            new_function_value = function_value_at(fraction)
             if new_function_value * last_function_value < 0.0:
                 kept_fraction, kept_function_value = last_fraction, last_function_value
             else:  # the Illinois method: halve the value at the end that stays
