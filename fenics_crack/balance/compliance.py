@@ -287,11 +287,11 @@ class ModalCompliance:
 
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
         """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
-        compliance = self._all_modes.seen_by_pairs(modal_receptance)
+        dynamic_pair_compliance = self._all_modes.seen_by_pairs(modal_receptance)
         return (
-            compliance
+            dynamic_pair_compliance
             if self._all_modes.residual_compliance is None
-            else compliance + self._all_modes.residual_compliance
+            else dynamic_pair_compliance + self._all_modes.residual_compliance
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:

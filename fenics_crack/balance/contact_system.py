@@ -43,7 +43,7 @@ from weakref import ref
 import numpy as np
 
 from fenics_crack.balance.compliance import ComplianceModel, resized_compliance_model
-from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
+from fenics_crack.balance.contact_integrals import ContactIntegrals, multiply_compliance_and_force
 from fenics_crack.balance.friction_integrals import (
     FrictionForces,
     FrictionIntegrals,
@@ -251,7 +251,7 @@ class ContactSystem:
             self,
             unknown,
             self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
-            lambda point: respond(
+            lambda point: multiply_compliance_and_force(
                 self.dynamic_less_static_compliance,
                 softness_rate * point.linearised_forces.by_softness(),
             ),
@@ -334,7 +334,7 @@ class ContactPoint(DenseLinearisation):
         return (
             self.unknown
             - system.linear_gap
-            + respond(system.dynamic_less_static_compliance, self.force)
+            + multiply_compliance_and_force(system.dynamic_less_static_compliance, self.force)
         )
 
     @cached_property
@@ -351,7 +351,7 @@ class ContactPoint(DenseLinearisation):
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return change + respond(
+        return change + multiply_compliance_and_force(
             self.system.dynamic_less_static_compliance, self.linearised_forces.apply(change)
         )
 
@@ -362,7 +362,7 @@ class ContactPoint(DenseLinearisation):
         factors = self._factors
         if system.reachable_gap_basis is not None:
             response_in_basis = (
-                respond(
+                multiply_compliance_and_force(
                     system.dynamic_less_static_compliance, self.linearised_forces.apply(right_side)
                 )
                 @ system.reachable_gap_basis
@@ -389,7 +389,7 @@ class ContactPoint(DenseLinearisation):
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
         unknown_change = self.solve(
-            -respond(self.system.dynamic_less_static_compliance, force_change)
+            -multiply_compliance_and_force(self.system.dynamic_less_static_compliance, force_change)
         )
         return self.system.gap(self.gap_change(unknown_change), force_change)
 
@@ -764,6 +764,6 @@ class CompiledPoint(Linearisation):
 def residual_by_friction_scale(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
     assert isinstance(point.linearised_forces, FrictionForces)
-    return respond(
+    return multiply_compliance_and_force(
         point.system.dynamic_less_static_compliance, point.linearised_forces.by_friction_scale()
     )

@@ -42,7 +42,7 @@ from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     ExactIntegrals,
     contact_integrals,
-    respond,
+    multiply_compliance_and_force,
 )
 from fenics_crack.balance.contact_system import (
     ContactPoint,
@@ -697,7 +697,9 @@ class Search:
         )
         self._simpler_point = system_with_friction.linearise(
             system_with_friction.linear_gap
-            - respond(system_with_friction.dynamic_less_static_compliance, frictionless_force)
+            - multiply_compliance_and_force(
+                system_with_friction.dynamic_less_static_compliance, frictionless_force
+            )
         )
         if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
             yield from self._guesses_from_orbit()

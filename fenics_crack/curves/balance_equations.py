@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
+from fenics_crack.balance.contact_integrals import ContactIntegrals, multiply_compliance_and_force
 from fenics_crack.balance.contact_system import (
     CompiledEquations,
     ContactPoint,
@@ -321,7 +321,7 @@ class BalanceAlongContactStiffness(BalanceEquations):
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         return (
-            respond(
+            multiply_compliance_and_force(
                 point.system.dynamic_less_static_compliance,
                 point.linearised_forces.by_log_stiffness(),
             )

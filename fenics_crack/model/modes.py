@@ -242,7 +242,7 @@ class BondedInverse:
 
 
 def solve_modes_with_factor(
-    stiffness_inverse: Inverse, structure: Structure, count: int, ties: Any = None
+    stiffness_inverse: Inverse, structure: Structure, n_modes: int, ties: Any = None
 ) -> Modes:
     """Find the lowest modes of a structure, given the inverse of its stiffness (collective).
 
@@ -253,7 +253,7 @@ def solve_modes_with_factor(
     ties : (n_local, n_ties), optional
         From :func:`find_independent_ties`: bond the crack.
     """
-    if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
+    if ties is None and (cached_modes := find_known_modes(structure, n_modes)) is not None:
         return cached_modes
     diagonal_quotients = (
         structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
@@ -261,24 +261,29 @@ def solve_modes_with_factor(
     diagonal_quotients = gather_rows(structure.comm, diagonal_quotients)  # [rad^2/s^2]
     square_scale = float(np.min(diagonal_quotients[diagonal_quotients > 0.0], initial=np.inf))
     square_scale = square_scale if np.isfinite(square_scale) else 1.0
-    begin(counted(count, "natural mode"))
-    inverse: Inverse = (
+    begin(counted(n_modes, "natural mode"))
+    used_inverse: Inverse = (
         stiffness_inverse if ties is None else BondedInverse(stiffness_inverse, structure, ties)
     )
-    n_requested, available_count = count, _count_modes(structure, ties)
+    n_requested_modes, available_count = n_modes, _count_modes(structure, ties)
     while True:
-        squares, shapes = _solve_near_zero(inverse, structure, n_requested, square_scale, ties)
+        squares, shapes = _solve_near_zero(
+            used_inverse, structure, n_requested_modes, square_scale, ties
+        )
         if squares[0] < -1e-8 * square_scale:
             negative_square_text = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", negative_square_text, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.
-        square_bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * square_scale)
-        n_found = np.sum(squares < square_bound)
-        if n_requested == available_count or count_below(structure, square_bound, ties) <= n_found:
+        square_bound = squares[n_modes - 1] - 1e-6 * max(squares[n_modes - 1], 0.01 * square_scale)
+        n_modes_below_bound = np.sum(squares < square_bound)
+        if (
+            n_requested_modes == available_count
+            or count_below(structure, square_bound, ties) <= n_modes_below_bound
+        ):
             break
-        n_requested = min(2 * n_requested + 2, available_count)
-    squares, shapes = squares[:count], shapes[:, :count]
+        n_requested_modes = min(2 * n_requested_modes + 2, available_count)
+    squares, shapes = squares[:n_modes], shapes[:, :n_modes]
     # Rounding of K is relative to the sum of K_ii phi_i^2, omega^2 if each dof moved alone. The
     # largest K_ii / M_ii is no measure: elements that shrink towards a tip make it arbitrarily
     # large, while a low mode moves them hardly more than others.
@@ -531,11 +536,15 @@ def _mode_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
         sort_keys[dof_rows] = np.column_stack(
             [structure.nodes.points[node_indices], component_indices]
         )
-    own_peaks = np.maximum(shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0))
-    peaks = np.max(gather_rows(structure.comm, own_peaks[None]), axis=0)
+    local_largest_components = np.maximum(
+        shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0)
+    )
+    largest_components = np.max(gather_rows(structure.comm, local_largest_components[None]), axis=0)
     signs = np.empty(shapes.shape[1])
-    for mode_index, peak in enumerate(peaks):
-        large_row_indices = np.flatnonzero(np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * peak)
+    for mode_index, largest_component in enumerate(largest_components):
+        large_row_indices = np.flatnonzero(
+            np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * largest_component
+        )
         keys_and_signs = np.column_stack(
             [sort_keys[large_row_indices].round(12), np.sign(shapes[large_row_indices, mode_index])]
         )

@@ -123,10 +123,10 @@ class ReducedStructure(Structure):
     ) -> None:
         gap, force = source.apply_bt(basis.T), source.sum_over_ranks(source.force @ basis)
         tangential_gap = source.apply_tangential(basis.T)
-        fields = _make_body_fields(
+        field_by_name = _make_body_fields(
             source, squares, damping, gap, tangential_gap, force, np.zeros((0, 0))
         )
-        super().__init__(ReducedBody(**fields, basis=basis, reference=reference))
+        super().__init__(ReducedBody(**field_by_name, basis=basis, reference=reference))
 
     @property
     def _size_description(self) -> str:
@@ -284,10 +284,12 @@ class MasslessStructure(QuasiStaticReduction):
         pair_columns = np.vstack([modal_pairs, compliance[:, : modal_pairs.shape[1]]])
         gap, tangential_columns = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangential_columns
-        fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        fields["inverse_compliance_root"] = _factor_of_inverse(compliance)
-        fields["error_share_removed_by_reference"] = share
-        Structure.__init__(self, MasslessBody(**fields, reference=reference))
+        field_by_name = _make_body_fields(
+            source, squares, damping, gap, tangential_gap, force, compliance
+        )
+        field_by_name["inverse_compliance_root"] = _factor_of_inverse(compliance)
+        field_by_name["error_share_removed_by_reference"] = share
+        Structure.__init__(self, MasslessBody(**field_by_name, reference=reference))
 
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]

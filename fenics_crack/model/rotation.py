@@ -234,7 +234,7 @@ def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Ritz:
+class RitzProjection:
     """A rotating structure projected on a basis V for all speeds (Ritz method).
 
     Every rank has all arrays. At the speed of ``structure``, the projected stiffness is I.
@@ -274,7 +274,7 @@ class Ritz:
     @classmethod
     def of_range(
         cls, structure: Structure, start: float, stop: float, modes: int, n_bonded: int = 0
-    ) -> Ritz:
+    ) -> RitzProjection:
         """Project a structure on a basis for a range of speeds (collective).
 
         Parameters
@@ -294,19 +294,19 @@ class Ritz:
             reduced_structure = reduce_structure(
                 structure_at_speed, modes=modes, method="free_interface", reference=False
             )
-            shapes, omega = reduced_structure.basis, reduced_structure.omega
+            new_shapes, new_omegas = reduced_structure.basis, reduced_structure.omega
             if n_bonded:
                 bonded_modes = solve_modes(structure_at_speed, n_bonded, lips="tied")
-                shapes = np.hstack([shapes, bonded_modes.shapes])
-                omega = np.append(omega, bonded_modes.omega)
+                new_shapes = np.hstack([new_shapes, bonded_modes.shapes])
+                new_omegas = np.append(new_omegas, bonded_modes.omega)
                 del bonded_modes
-            if not np.all(omega > 0.0):  # pivots need not show what rounding hides
+            if not np.all(new_omegas > 0.0):  # pivots need not show what rounding hides
                 raise InputError(
                     "rotation.speed", float(speed), describe_unstable_speed(structure, float(speed))
                 )
-            new_columns = independent_part(structure, structure.stiffness, basis, shapes)
+            new_columns = independent_part(structure, structure.stiffness, basis, new_shapes)
             basis = np.hstack([basis, new_columns])
-            del structure_at_speed, reduced_structure, shapes, new_columns
+            del structure_at_speed, reduced_structure, new_shapes, new_columns
             collect_garbage(structure.comm)
 
         def project_matrix(petsc_matrix: object) -> np.ndarray:
@@ -379,7 +379,7 @@ class RunUpBody(ReducedBody):
     speed: float
     shapes: np.ndarray
     truncated_flexibility_root: np.ndarray
-    ritz: Ritz
+    ritz: RitzProjection
     dense_stiffness: np.ndarray
 
 
@@ -404,10 +404,10 @@ class RunUpStructure(QuasiStaticReduction):
     shapes: np.ndarray = body_property("shapes")
     truncated_flexibility_root: np.ndarray = body_property("truncated_flexibility_root")
 
-    def __init__(self, ritz: Ritz, speed: float) -> None:
-        stiffness, load_coefficients = ritz.stiffness_and_load(speed)
+    def __init__(self, ritz: RitzProjection, speed: float) -> None:
+        dense_stiffness, load_coefficients = ritz.stiffness_and_load(speed)
         try:
-            inverse_factor = np.linalg.inv(np.linalg.cholesky(stiffness))
+            inverse_factor = np.linalg.inv(np.linalg.cholesky(dense_stiffness))
         except np.linalg.LinAlgError:
             raise InputError(
                 "speed", speed, describe_unstable_speed(ritz.structure, speed)
@@ -417,7 +417,7 @@ class RunUpStructure(QuasiStaticReduction):
             (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
         inverse_squares = inverse_squares[: -ritz.n_modes - 1 : -1]
-        columns = inverse_factor.T @ eigenvectors[:, ::-1]
+        scaled_eigenvectors = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(inverse_squares)
         body = RunUpBody(
@@ -425,9 +425,9 @@ class RunUpStructure(QuasiStaticReduction):
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
-            shapes=columns[:, : ritz.n_modes] * omega,
-            truncated_flexibility_root=columns[:, ritz.n_modes :],
-            dense_stiffness=stiffness,
+            shapes=scaled_eigenvectors[:, : ritz.n_modes] * omega,
+            truncated_flexibility_root=scaled_eigenvectors[:, ritz.n_modes :],
+            dense_stiffness=dense_stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 
@@ -516,4 +516,4 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
         raise InputError("structure", repr(structure), "one that rotates, of a scene's [rotation]")
     if not isinstance(structure.damping, DampingRule | None):
         raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
-    return RunUpStructure(Ritz.of_range(structure, start, stop, modes), rotation.speed)
+    return RunUpStructure(RitzProjection.of_range(structure, start, stop, modes), rotation.speed)

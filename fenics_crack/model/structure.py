@@ -731,14 +731,20 @@ class Structure(Coordinates):
             A shape does not fit, an entry is not finite or larger than 1e60, a matrix is not
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
-        load_parts = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = check_parts(mass, stiffness, (gap, tangential), load_parts, clearance, comm)
+        load_part_by_key = {
+            "force_mean": force_mean,
+            "force_cos": force_cos,
+            "force_sin": force_sin,
+        }
+        part_by_name = check_parts(
+            mass, stiffness, (gap, tangential), load_part_by_key, clearance, comm
+        )
         if not isinstance(damping, DampingRule | None):
-            mass_matrix = parts["mass"]
+            mass_matrix = part_by_name["mass"]
             damping = make_petsc_matrix(
                 "damping", damping, mass_matrix.comm.tompi4py(), mass_matrix.size[0]
             )
-        return cls(Body(**parts, damping=damping))
+        return cls(Body(**part_by_name, damping=damping))
 
 
 def _is_mean_kept(load_weights: np.ndarray) -> bool:

@@ -263,28 +263,31 @@ class PeriodicOrbit(ObservedMotion, Described):
         each piece of the period, the polynomial through Gauss nodes. With a given number of
         ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
         """
-        samples, piece_lengths = self._gauss_samples_and_lengths(
+        gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
             len(self.flow.modal_load) // 2 * self.omega
         )
-        nodes, gauss_weights, _ = gauss_legendre_rule()
-        column_blocks = samples.row_products(rows), samples.gaps, samples.forces
-        node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(nodes))
-        piece_ends, alternating_signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
-        barycentric_weights = alternating_signs * np.sqrt((1.0 - nodes**2) * gauss_weights)
+        gauss_nodes, gauss_weights, _ = gauss_legendre_rule()
+        column_blocks = gauss_samples.row_products(rows), gauss_samples.gaps, gauss_samples.forces
+        node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(gauss_nodes))
+        piece_ends, alternating_signs = (
+            np.cumsum(piece_lengths),
+            (-1.0) ** np.arange(len(gauss_nodes)),
+        )
+        barycentric_weights = alternating_signs * np.sqrt((1.0 - gauss_nodes**2) * gauss_weights)
         column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
 
-        def evaluate(period_fractions: np.ndarray) -> Any:
+        def interpolate_at(period_fractions: np.ndarray) -> Any:
             time = self.period * np.mod(period_fractions, 1.0)
             piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
             piece_coordinate = (
                 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
             )
-            node_distances = piece_coordinate[:, None] - nodes
+            node_distances = piece_coordinate[:, None] - gauss_nodes
             node_distances = np.where(node_distances == 0.0, sys.float_info.min, node_distances)
             node_weights = barycentric_weights / node_distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
-            column_indices = len(nodes) * piece_index[:, None] + node_indices_in_piece
-            row_starts = len(nodes) * np.arange(len(time) + 1)
+            column_indices = len(gauss_nodes) * piece_index[:, None] + node_indices_in_piece
+            row_starts = len(gauss_nodes) * np.arange(len(time) + 1)
             interpolation_matrix = sparse.csr_matrix(
                 (node_weights.ravel(), column_indices.ravel(), row_starts),
                 (len(time), len(node_values)),
@@ -293,7 +296,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
-        row_products, row_gaps, row_forces = evaluate(period_fractions)
+        row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
             track, exact_numbers = self.motion.track, dict(self.sliding)
             exact_numbers |= (
@@ -305,7 +308,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             row_products, row_gaps, row_forces,
             structure=self.structure,
             friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
-            evaluate_at_period_fractions=evaluate,
+            evaluate_at_period_fractions=interpolate_at,
             exact_numbers=exact_numbers,
         )  # fmt: skip
 
@@ -314,9 +317,11 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
-        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
-        row_gaps, row_forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
-        node_values = np.hstack([row_gaps, row_forces, samples.states[:, :n_modes]])
+        gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
+            0
+        ]
+        row_gaps, row_forces, n_modes = gauss_samples.gaps, gauss_samples.forces, self.flow.n_modes
+        node_values = np.hstack([row_gaps, row_forces, gauss_samples.states[:, :n_modes]])
         column_splits = np.cumsum([row_gaps.shape[1], row_forces.shape[1]])
         stacked_coefficients = self._integrate_coefficients(node_values, harmonics)
         gap_coefficients, force_coefficients, modal_coefficients = np.split(
@@ -341,8 +346,10 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         ``rows`` (m, n_dofs) are factors of the displacement.
         """
-        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
-        return self._integrate_coefficients(samples.row_products(rows), harmonics)
+        gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
+            0
+        ]
+        return self._integrate_coefficients(gauss_samples.row_products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
@@ -360,8 +367,8 @@ class PeriodicOrbit(ObservedMotion, Described):
             weighted_phasor = 2.0 * time_weights[sample_slice] * base_phasor
             weighted_basis[0] = time_weights[sample_slice]
             # Products take a tenth of the time of sines and cosines.
-            for order in range(1, harmonics + 1):
-                weighted_basis[2 * order - 1], weighted_basis[2 * order] = (
+            for harmonic_order in range(1, harmonics + 1):
+                weighted_basis[2 * harmonic_order - 1], weighted_basis[2 * harmonic_order] = (
                     weighted_phasor.real,
                     weighted_phasor.imag,
                 )
@@ -412,7 +419,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes.
         """
         flow = self.flow
-        samples, piece_lengths = self._gauss_samples_and_lengths(
+        gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
             len(flow.modal_load) // 2 * self.omega
         )
         _, gauss_weights, differentiation = gauss_legendre_rule()
@@ -425,19 +432,21 @@ class PeriodicOrbit(ObservedMotion, Described):
                 np.einsum("k,pkc,pkc->c", gauss_weights, node_forces.reshape(shape), rates)
             )
 
-        load_basis = fourier_basis_for(flow.modal_load, self.omega * samples.time)
-        velocities = samples.states[:, flow.n_modes :]
+        load_basis = fourier_basis_for(flow.modal_load, self.omega * gauss_samples.time)
+        modal_velocities = gauss_samples.states[:, flow.n_modes :]
         time_weights = (0.5 * piece_lengths[:, None] * gauss_weights).ravel()
-        damping_power = np.sum(velocities * flow.modal_model.damping_force(velocities), axis=1)
+        damping_power = np.sum(
+            modal_velocities * flow.modal_model.damping_force(modal_velocities), axis=1
+        )
         damping_work = float(time_weights @ damping_power)
         n_pairs = flow.structure.n_pairs
         pair_friction_work = np.zeros(n_pairs)
         if flow.friction_law:
             pair_friction_work = integrate_power(
-                samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:]
+                gauss_samples.forces[:, n_pairs:], gauss_samples.gaps[:, n_pairs:]
             )
         load_work = float(
-            integrate_power(load_basis, samples.row_products(flow.structure.force)).sum()
+            integrate_power(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
         )
         return Work(load_work, damping_work, pair_friction_work)
 

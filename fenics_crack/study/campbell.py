@@ -49,7 +49,12 @@ from fenics_crack.model.modes import (
     multiply,
     solve_modes,
 )
-from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, static_state
+from fenics_crack.model.rotation import (
+    RitzProjection,
+    RunUpStructure,
+    coriolis_shifts,
+    static_state,
+)
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
@@ -374,7 +379,7 @@ def campbell(
     count = min(few, most) if count is None else count
     # That of an open mode's shape may come later, where the bond has taken it past others.
     n_tied = min(count + 2, most) if top.n_pairs else 0
-    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
+    small = RitzProjection.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
     peaks = partial(_at_resonance, small.force[1] - 1j * small.force[2], top)
 
     @cache
@@ -399,7 +404,7 @@ def campbell(
     return replace(found, met=_met(found, replace(small, structure=top)))
 
 
-def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
+def _met(found: Campbell, small: RitzProjection) -> tuple[tuple[int, AtLoad], ...]:
     """Return the resonances at the load where its engine order crosses natural frequencies."""
     scene, order, law = (
         found.scene,

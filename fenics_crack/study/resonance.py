@@ -26,7 +26,7 @@ from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.rotation import Ritz, RunUpStructure
+from fenics_crack.model.rotation import RitzProjection, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS, Study, reduced, reduction_of
@@ -140,7 +140,7 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
             speed = meeting_speed(order, scene.speed, omega, slopes[mode])
             if math.isnan(speed):
                 raise ConvergenceError(f"engine order {order} does not meet it")
-            rotor = RunUpStructure(Ritz.of_range(whole, speed, speed, n_modes), speed)
+            rotor = RunUpStructure(RitzProjection.of_range(whole, speed, speed, n_modes), speed)
             return at_load(scene, law, rotor, order * speed, "speed", with_rest=True)
         if scene.disk is not None or (reduction is None and is_small(whole)):
             structure = reduced(study, judged=False).structure

@@ -186,8 +186,8 @@ class _ByEvents(Scheme):
     def __init__(self, request: March) -> None:
         self._request, self._flow = request, exact_flow_or_error(request.structure, request.contact)
         self._period = 2.0 * np.pi / request.omega
-        fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
-        self._instants = fractions * self._period
+        period_fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
+        self._instants = period_fractions * self._period
         self._state = self._flow.state(*request.start)
 
     def fill_period(self, window: Window, period_number: int) -> None:
@@ -238,9 +238,9 @@ class ExponentialFlow(Flow):
             2.0 * np.pi / omega / steps_per_period,
         )
         modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
-        transition, response = modes.transition(self.step_size)
-        halved_response = 0.5 * response  # Gamma
-        gap_response = modes.gaps_by_mode.T @ halved_response[:n_modes]
+        transition, force_response = modes.transition(self.step_size)
+        halved_force_response = 0.5 * force_response  # Gamma
+        gap_response = modes.gaps_by_mode.T @ halved_force_response[:n_modes]
         self.gap_rows = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
         enumerated_loads = enumerate(to_complex(self.modal_load))
         response_harmonics = [
@@ -258,15 +258,17 @@ class ExponentialFlow(Flow):
             displacement_coefficients @ modes.gaps_by_mode + self.load_gap
         )
         step_compliance = self.compliance + gap_response
-        set_members: dict[str, Any]
-        if (mu := coefficient_of(contact)) is None:
+        contact_struct_members: dict[str, Any]
+        if (friction_coefficient := coefficient_of(contact)) is None:
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
-            set_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
+            contact_struct_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
-            self._initial_friction_solver = FrictionContactSolver(self.compliance, mu)
+            self._initial_friction_solver = FrictionContactSolver(
+                self.compliance, friction_coefficient
+            )
             self._sticking_places = np.empty(n_rows // 2)
-            self._friction_solver = FrictionContactSolver(step_compliance, mu)
-            set_members = {
+            self._friction_solver = FrictionContactSolver(step_compliance, friction_coefficient)
+            contact_struct_members = {
                 "friction_solver": self._friction_solver.handle,
                 "sticking_places": self._sticking_places,
             }
@@ -274,10 +276,11 @@ class ExponentialFlow(Flow):
             "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
             has_coupled_modes=modes.damping.ndim == 2, transition=transition,
             gap_rows=as_doubles(modes.gaps_by_mode.T),
-            force_response=as_doubles(halved_response.T), gap_response=as_doubles(gap_response),
+            force_response=as_doubles(halved_force_response.T),
+            gap_response=as_doubles(gap_response),
             steady_gap=self.linear_gap, steady_states=self.steady_states,
             work=np.empty(4 * n_modes + 2 * n_rows),
-            **set_members,
+            **contact_struct_members,
         )  # fmt: skip
 
     def displacement_from_phase_zero(
@@ -304,21 +307,23 @@ class ExponentialFlow(Flow):
             periods * self.steps_per_period,
         )
         state, sticking_places = np.split(require_shape(state, self.size), [n_modal_states])
-        states, forces = (
+        modal_states, contact_forces = (
             np.empty((n_requested_steps + 1, n_modal_states)),
             np.empty((n_requested_steps + 1, len(self.softness))),
         )
-        is_closed = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
-        states[0] = state
+        pair_states = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
+        modal_states[0] = state
         initial_gap = self.gap_rows @ (state - self.steady_states[0]) + self.linear_gap[0]
         if self.friction_law:
-            forces[:1], is_closed[:1], new_sticking_places, _ = self._initial_friction_solver.solve(
-                initial_gap[None], sticking_places
+            contact_forces[:1], pair_states[:1], new_sticking_places, _ = (
+                self._initial_friction_solver.solve(initial_gap[None], sticking_places)
             )
             self._sticking_places[:] = new_sticking_places[0]
         else:
-            forces[:1], is_closed[:1] = self._initial_contact_solver.solve(initial_gap[None])
-        array_pointers = map(pointer, (states, forces, is_closed))
+            contact_forces[:1], pair_states[:1] = self._initial_contact_solver.solve(
+                initial_gap[None]
+            )
+        array_pointers = map(pointer, (modal_states, contact_forces, pair_states))
         n_steps_made = kernel.march_exponential(
             self._kernel_data.address, n_requested_steps, *array_pointers
         )
@@ -328,7 +333,11 @@ class ExponentialFlow(Flow):
             )
         sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
         return ExponentialSteps(
-            self, states, forces, is_closed > 0, np.append(states[-1], sticking_places)
+            self,
+            modal_states,
+            contact_forces,
+            pair_states > 0,
+            np.append(modal_states[-1], sticking_places),
         )
 
 

@@ -283,22 +283,28 @@ class TimeHistory(ObservedMotion, Tabular):
         The last four periods determine the limit if two Floquet multipliers still decay (minimal
         polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2).
         """
-        records = [record[-RECORDED_PERIODS:] for record in self._watched_periods]
-        n_periods = len(records[0])
+        watched_arrays = [
+            watched_array[-RECORDED_PERIODS:] for watched_array in self._watched_periods
+        ]
+        n_periods = len(watched_arrays[0])
         if n_periods < 3:
             return math.nan
-        sizes = _moving_part_sizes([record[-1] for record in records])
-        scaled_records = [
-            record.reshape(n_periods, -1) / size
-            for record, size in zip(records, sizes, strict=True)
+        moving_part_sizes = _moving_part_sizes(
+            [watched_array[-1] for watched_array in watched_arrays]
+        )
+        scaled_arrays = [
+            watched_array.reshape(n_periods, -1) / moving_part_size
+            for watched_array, moving_part_size in zip(
+                watched_arrays, moving_part_sizes, strict=True
+            )
         ]
-        scaled_changes = np.diff(np.hstack(scaled_records), axis=0)
+        scaled_changes = np.diff(np.hstack(scaled_arrays), axis=0)
         extrapolation_weights = np.append(
             np.linalg.lstsq(scaled_changes[:-1].T, -scaled_changes[-1], rcond=None)[0], 1.0
         )
         weighted_offsets = [
-            np.tensordot(extrapolation_weights, scaled_record[:-1] - scaled_record[-1], 1)
-            for scaled_record in scaled_records
+            np.tensordot(extrapolation_weights, scaled_array[:-1] - scaled_array[-1], 1)
+            for scaled_array in scaled_arrays
         ]
         max_offset_norm = max(
             float(np.linalg.norm(weighted_offset)) for weighted_offset in weighted_offsets
@@ -377,7 +383,7 @@ class TimeHistory(ObservedMotion, Tabular):
         ):
             allowed = "None, to record all displacements, of which these are made"
             raise InputError("dofs", "some", allowed)
-        motion = structure.sum_over_ranks(
+        row_products = structure.sum_over_ranks(
             self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T
         )
         n_steps, gap, force = self.steps_per_period, self.gap, self.contact_force
@@ -386,8 +392,8 @@ class TimeHistory(ObservedMotion, Tabular):
             force = np.hstack([force, self.tangential_force])
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / n_steps / np.ptp(self.time), 1, self.time,
-            fourier_coefficients(motion[-n_steps:], min(10, (n_steps - 1) // 2)),
-            motion, gap, force,
+            fourier_coefficients(row_products[-n_steps:], min(10, (n_steps - 1) // 2)),
+            row_products, gap, force,
             structure=structure,
             friction_coefficient=self.friction,
             instants_per_load_period=n_steps,
@@ -449,19 +455,25 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
 
     The scheme's PETSc objects are freed.
     """
-    structure, n_kept, steps = request.structure, request.n_kept_periods, request.steps_per_period
-    widths = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
-    records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
-    gap, force, recorded_displacement = records
-    displacement_at_load = np.empty((steps, len(request.loaded_dofs)))
+    structure, n_kept, steps_per_period = (
+        request.structure,
+        request.n_kept_periods,
+        request.steps_per_period,
+    )
+    column_counts = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
+    kept_arrays: list[np.ndarray] = [
+        np.empty((n_kept * steps_per_period, n_columns)) for n_columns in column_counts
+    ]
+    gap, force, recorded_displacement = kept_arrays
+    displacement_at_load = np.empty((steps_per_period, len(request.loaded_dofs)))
     n_periods = 0
-    previous: tuple[np.ndarray, np.ndarray] | None = None
+    previous_period_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
         begin("")
     from tqdm import tqdm
 
-    started = clock.perf_counter()
+    start_seconds = clock.perf_counter()
     with (
         StopRequest() as stop_request,
         reaching(lambda: f"{n_periods} of {request.periods} periods"),
@@ -470,7 +482,8 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             range(request.periods), scheme.name, unit="period", disable=is_hidden
         ):
             period_rows = slice(
-                period_number % n_kept * steps, (period_number % n_kept + 1) * steps
+                period_number % n_kept * steps_per_period,
+                (period_number % n_kept + 1) * steps_per_period,
             )
             window = Window(
                 gap[period_rows],
@@ -485,19 +498,21 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             )
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
             # Slow modes hardly move the gaps.
-            newest = gap_motion, gathered_displacement_at_load
-            change, previous = (
-                np.inf if previous is None else _largest_relative_change(newest, previous),
-                newest,
+            newest_period_arrays = gap_motion, gathered_displacement_at_load
+            relative_change, previous_period_arrays = (
+                np.inf
+                if previous_period_arrays is None
+                else _largest_relative_change(newest_period_arrays, previous_period_arrays),
+                newest_period_arrays,
             )
-            if change < request.settle or stop_request.asked(structure.comm):
+            if relative_change < request.settle or stop_request.asked(structure.comm):
                 break
-    seconds = clock.perf_counter() - started
+    seconds = clock.perf_counter() - start_seconds
 
-    n_kept_rows = min(n_periods, n_kept) * steps
-    oldest_row = n_periods % n_kept * steps if n_periods > n_kept else 0
+    n_kept_rows = min(n_periods, n_kept) * steps_per_period
+    oldest_row = n_periods % n_kept * steps_per_period if n_periods > n_kept else 0
     gap, force, recorded_displacement = (
-        np.roll(record[:n_kept_rows], -oldest_row, axis=0) for record in records
+        np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
     final_state = scheme.state()
     for petsc_object in scheme.petsc_objects:
@@ -505,13 +520,14 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     n_pairs, friction_coefficient = structure.n_pairs, coefficient_of(request.contact)
     has_friction = friction_coefficient is not None
     return TimeHistory(
-        time=np.arange(n_periods * steps - n_kept_rows, n_periods * steps) * request.step_size,
+        time=np.arange(n_periods * steps_per_period - n_kept_rows, n_periods * steps_per_period)
+        * request.step_size,
         gap=gap[:, :n_pairs],
-        settled=change,
+        settled=relative_change,
         created_energy=scheme.created_energy_ratio,
         periods=n_periods,
         seconds=seconds,
-        steps_per_period=steps,
+        steps_per_period=steps_per_period,
         structure=structure,
         recorded=recorded_displacement,
         recorded_dofs=request.recorded_dofs,
@@ -560,32 +576,38 @@ def initial_state(
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
     initial = getattr(initial, "result", initial)  # of a Run
     has_friction = friction_of(contact) is not None
-    state: tuple[np.ndarray, ...]
+    state_parts: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
-        coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        state_coefficients = coefficients, differentiate(coefficients, omega)
-        state = tuple(
-            evaluate_series(part_coefficients, omega, np.zeros(1))[0]
-            for part_coefficients in state_coefficients
+        displacement_coefficients, omega = initial.displacement_coefficients, initial.base_omega
+        state_coefficients = (
+            displacement_coefficients,
+            differentiate(displacement_coefficients, omega),
+        )
+        state_parts = tuple(
+            evaluate_series(state_part_coefficients, omega, np.zeros(1))[0]
+            for state_part_coefficients in state_coefficients
         )
         if has_friction and friction_of(initial.contact) is not None:
-            state = *state, initial.sticking_places(np.zeros(1))[0]
+            state_parts = *state_parts, initial.sticking_places(np.zeros(1))[0]
     else:
         try:
-            state = tuple(numbers(part) for part in initial)
+            state_parts = tuple(numbers(state_part) for state_part in initial)
         except TypeError:
-            state = ()
+            state_parts = ()
     expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
     shape_match_flags = [
-        part.shape == shape for part, shape in zip(state, expected_shapes, strict=False)
+        state_part.shape == expected_shape
+        for state_part, expected_shape in zip(state_parts, expected_shapes, strict=False)
     ]
-    has_right_shapes = all(shape_match_flags) and len(state) in ((2, 3) if has_friction else (2,))
+    has_right_shapes = all(shape_match_flags) and len(state_parts) in (
+        (2, 3) if has_friction else (2,)
+    )
     allowed = (
         "a solution of this structure, or finite displacement and velocity of shape "
         f"{expected_shapes[0]} as two arrays, with friction a third of finite places, of shape "
         f"{expected_shapes[2]}"
     )
-    input_error = InputError("initial", [part.shape for part in state], allowed)
-    is_finite = all(np.all(np.isfinite(part)) for part in state)
+    input_error = InputError("initial", [state_part.shape for state_part in state_parts], allowed)
+    is_finite = all(np.all(np.isfinite(state_part)) for state_part in state_parts)
     raise_together(structure.comm, None if has_right_shapes and is_finite else input_error)
-    return state
+    return state_parts

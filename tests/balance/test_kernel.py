@@ -39,8 +39,8 @@ from fenics_crack.balance import contact_system
 from fenics_crack.balance.contact_integrals import (
     CoupledIntegrals,
     ExactIntegrals,
-    respond,
-    respond_to_columns,
+    multiply_compliance_and_force,
+    multiply_compliance_and_tangent,
 )
 from fenics_crack.balance.contact_system import CompiledEquations
 from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER, BalanceEquations
@@ -201,9 +201,9 @@ WRONG = {
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
     "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
-    "responses, other pairs": lambda: respond(np.ones((2, 3, 3)), np.ones((3, 2))),
-    "responses, an even number of rows": lambda: respond(np.ones((3, 2, 2)), np.ones((4, 2))),
-    "columns, an even number of rows": lambda: respond_to_columns(
+    "responses, other pairs": lambda: multiply_compliance_and_force(np.ones((2, 3, 3)), np.ones((3, 2))),
+    "responses, an even number of rows": lambda: multiply_compliance_and_force(np.ones((3, 2, 2)), np.ones((4, 2))),
+    "columns, an even number of rows": lambda: multiply_compliance_and_tangent(
         np.ones((3, 2, 2)), np.ones((2, 4, 5))
     ),
     "system, fewer stiffnesses": lambda: CompiledEquations(
@@ -539,7 +539,7 @@ def test_respond_to_columns(harmonics: int, pairs: int, columns: int, seed: int)
         + 1j * np.where(np.arange(harmonics + 1) > 0, 1, 0)[:, None, None] * (matrices[1])
     )
     tangent = random.normal(size=(pairs, rows, columns))
-    found = respond_to_columns(matrices, tangent).reshape(rows, pairs, columns, pairs)
+    found = multiply_compliance_and_tangent(matrices, tangent).reshape(rows, pairs, columns, pairs)
     for pair in range(pairs):
         moved = np.einsum("kp,kc->kpc", matrices[:, :, pair], to_complex(tangent[pair]))
         assert np.allclose(found[0, :, :, pair], moved[0].real, rtol=0.0, atol=1e-12)
