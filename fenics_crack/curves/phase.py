@@ -224,7 +224,7 @@ class ResonanceSystem(CurveSystem):
         Size of the slow gap's vibration at this point, over v.
     """
 
-    name, logarithmic = "resonance", True
+    parameter_name, logarithmic = "resonance", True
 
     def __init__(
         self,

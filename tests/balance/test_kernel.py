@@ -201,8 +201,12 @@ WRONG = {
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
     "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
-    "responses, other pairs": lambda: multiply_compliance_and_force(np.ones((2, 3, 3)), np.ones((3, 2))),
-    "responses, an even number of rows": lambda: multiply_compliance_and_force(np.ones((3, 2, 2)), np.ones((4, 2))),
+    "responses, other pairs": lambda: multiply_compliance_and_force(
+        np.ones((2, 3, 3)), np.ones((3, 2))
+    ),
+    "responses, an even number of rows": lambda: multiply_compliance_and_force(
+        np.ones((3, 2, 2)), np.ones((4, 2))
+    ),
     "columns, an even number of rows": lambda: multiply_compliance_and_tangent(
         np.ones((3, 2, 2)), np.ones((2, 4, 5))
     ),
