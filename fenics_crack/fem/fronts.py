@@ -107,7 +107,7 @@ class Front:
         Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
     is_closed : bool
         True if the front has no ends.
-    at_surface : tuple of bool
+    ends_at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
     allowed_radius : float [m]
         Upper bound for the domain's radius.
@@ -120,7 +120,7 @@ class Front:
     parameters: np.ndarray
     curve: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
-    at_surface: tuple[bool, bool]
+    ends_at_surface: tuple[bool, bool]
     allowed_radius: float
 
     @cached_property
@@ -158,7 +158,7 @@ class Front:
     def corner_stations(self) -> list[int]:
         """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
-        end_flags_and_stations = zip(self.at_surface, (0, n_stations - 1), strict=True)
+        end_flags_and_stations = zip(self.ends_at_surface, (0, n_stations - 1), strict=True)
         return (
             []
             if self.is_closed

@@ -263,9 +263,13 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     one drawable kind, and nodes carry all dofs.
     """
     nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
-    vtk_type = next(iter(model.cells)) if len(model.cells) == 1 and nodes_have_all_dofs else 0
+    vtk_type = (
+        next(iter(model.cells_by_vtk_type))
+        if len(model.cells_by_vtk_type) == 1 and nodes_have_all_dofs
+        else 0
+    )
     vtk_type = 0 if vtk_type in (13, 26) else vtk_type  # VTK's wedges are not drawn
-    cells = model.cells[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
+    cells = model.cells_by_vtk_type[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
     highest_rows = node_dofs.max(axis=1)
     is_used = highest_rows >= 0
     is_used[cells] = True
@@ -630,7 +634,7 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     for n_facet_corners in (3, 4):
         facets_and_centres_of_kinds = [
             _all_cell_facets(model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets)
-            for vtk_type, cells in model.cells.items()
+            for vtk_type, cells in model.cells_by_vtk_type.items()
             for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
             if local_facets.shape[1] == n_facet_corners
         ]

@@ -349,8 +349,9 @@ def _run_solver_to_convergence(solver: Any, n_modes: int) -> None:
     n_converged = solver.getConverged()
     if n_converged < n_modes:
         solver.destroy()
-        problem = f"only {n_converged} of {n_modes} converged"
-        raise ConvergenceError(f"modes: {problem}: {ROUNDING_ADVICE}")
+        raise ConvergenceError(
+            f"modes: only {n_converged} of {n_modes} converged: {ROUNDING_ADVICE}"
+        )
 
 
 def _solve_near_zero(

@@ -160,9 +160,9 @@ def find_attractor(
                     orbit_equations,
                     last_state,
                 )
-    subharmonic = orbit_equations.subharmonic
-    closest_return_text = describe_closest_return(states_at_periods, subharmonic, "it")
-    description = f"does not settle: {closest_return_text}"
+    description = "does not settle: " + describe_closest_return(
+        states_at_periods, orbit_equations.subharmonic, "it"
+    )
     return Attractor(
         None,
         description,
@@ -202,7 +202,9 @@ def find_irregular_motion(
     remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):
-            motion = flow.advance(state, omega, period, budget=Budget(pieces=remaining_pieces))
+            motion = flow.advance(
+                state, omega, period, budget=Budget(allowed_pieces=remaining_pieces)
+            )
             state_change = motion.track @ (state_change / np.linalg.norm(weights * state_change))
             state, remaining_pieces = motion.state, remaining_pieces - motion.n_taylor_pieces
             cumulative_log_growths.append(

@@ -53,14 +53,14 @@ class Budget:
 
     Attributes
     ----------
-    pieces : int
+    allowed_pieces : int
         Maximum pieces of the motion, each with a Taylor series.
-    intervals : int
+    allowed_intervals : int
         Maximum intervals between events: pairs open, close, stick or slip.
     """
 
-    pieces: int = 100_000
-    intervals: int = 20_000
+    allowed_pieces: int = 100_000
+    allowed_intervals: int = 20_000
 
 
 class BudgetError(ConvergenceError):
@@ -500,8 +500,8 @@ class ContactFlow(Flow):
         arrays by name.
         """
         budget = budget or Budget()
-        if self._track_buffer_length < budget.intervals:
-            self._track_buffer_length = max_intervals = budget.intervals
+        if self._track_buffer_length < budget.allowed_intervals:
+            self._track_buffer_length = max_intervals = budget.allowed_intervals
             pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
             self._track_arrays = {"sets": pair_state_buffer, "lengths": np.empty(max_intervals)}
             if self.friction_law:
@@ -512,7 +512,10 @@ class ContactFlow(Flow):
                 }
             self._base_struct = Struct("flow_motion", **self._track_arrays)
         track_arrays = self._track_arrays
-        limits_by_name = {"max_pieces": budget.pieces, "max_intervals": budget.intervals}
+        limits_by_name = {
+            "max_pieces": budget.allowed_pieces,
+            "max_intervals": budget.allowed_intervals,
+        }
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
             return {

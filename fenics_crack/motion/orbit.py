@@ -623,7 +623,9 @@ def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     Events are not counted. For a large model the result is False.
     """
     pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.pieces
+    return (
+        flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.allowed_pieces
+    )
 
 
 def predict_orbit(
@@ -849,7 +851,7 @@ class _NewtonOrbitSearch:
     def _follow(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, on the remaining budget."""
         self.n_integrated_periods += 1
-        budget = Budget(pieces=self._remaining_pieces)
+        budget = Budget(allowed_pieces=self._remaining_pieces)
         motion = self._flow.advance(state, self._omega, self._period, budget=budget)
         self._remaining_pieces -= motion.n_taylor_pieces
         return motion

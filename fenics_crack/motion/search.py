@@ -315,7 +315,7 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
         return
     orbit_equations = task.orbit_equations
     homotopy = Homotopy(orbit_equations, SearchOptions.piece_budget(task.flow) // 2)
-    path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
+    path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.allowed_pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
         solution_point = solve_in_plane(

@@ -386,14 +386,11 @@ class _ModalDifferences(Scheme):
         modal_velocity = _last_velocity(
             self._request.step_size, self._increment, self._acceleration_at_phase_zero
         )
-        displacement_and_velocity = (
+        has_friction = friction_of(self._request.contact) is not None
+        return (
             self._modes.shapes @ self._modal_displacement,
             self._modes.shapes @ modal_velocity,
-        )
-        return (
-            displacement_and_velocity
-            if friction_of(self._request.contact) is None
-            else (*displacement_and_velocity, self._sticking_places.copy())
+            *((self._sticking_places.copy(),) if has_friction else ()),
         )
 
 
@@ -480,15 +477,15 @@ class _CentralDifferences(Scheme):
 
     def state(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self.step_size, self.increment, self._acceleration_at_phase_zero)
-        displacement_and_velocity = self.displacement.copy(), velocity
+        has_friction = friction_of(self.contact) is not None
         return (
-            displacement_and_velocity
-            if friction_of(self.contact) is None
-            else (*displacement_and_velocity, self._sticking_places.copy())
+            self.displacement.copy(),
+            velocity,
+            *((self._sticking_places.copy(),) if has_friction else ()),
         )
 
     def advance(self, step_index: int) -> None:
-        """Integrate one step, from instant ``step`` of the period."""
+        """Integrate one step, from instant ``step_index`` of the period."""
         dt = self.step_size
         scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step_index)
         self.increment = self.increment + self._solve(scaled_net_force, dt * self.increment)
@@ -503,8 +500,8 @@ class _CentralDifferences(Scheme):
     def _load_minus_elastic_and_contact_force(self, step_index: int) -> np.ndarray:
         """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
-        ``step`` is the instant in the period. Forces of a constraint are left out: they belong to
-        the next step.
+        ``step_index`` is the instant in the period. Forces of a constraint are left out: they
+        belong to the next step.
         """
         self.gap = self._gap_of(self.displacement)
         net_force = -self._apply_operator(self.structure.stiffness.mult, self.displacement)

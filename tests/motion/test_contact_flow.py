@@ -309,15 +309,15 @@ def test_budget() -> None:
     flow = known(chain(), fc.UnilateralPenalty(50.0))
     for call, words in (
         (
-            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(intervals=20)),
+            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(allowed_intervals=20)),
             "open and close without end",
         ),
         (
-            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(pieces=20)),
+            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(allowed_pieces=20)),
             "too fast for that long",
         ),
         (
-            lambda: flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(intervals=20)),
+            lambda: flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(allowed_intervals=20)),
             "too fast for that long",
         ),
         (lambda: flow.advance(np.full(flow.size, np.nan), 0.8, 1e3), "not finite"),
