@@ -59,7 +59,7 @@ READERS = ("msh_file", "matrix_files", "model_files", "matrices")
 """Modules there that read files."""
 TEST_LIMIT = 60.0
 """Processor time of a test [s]; nearly all take less than a few seconds."""
-ALLOWED_RECORD_BYTES = 8 * 2**30
+MEMORY_LIMIT = 8 * 2**30
 """Address space of the tests [bytes]."""
 KINDS = ("sign", "term", "arguments", "comparison", "off by one", "constant")
 SIGNS = {"+": "-", "-": "+"}
@@ -424,7 +424,7 @@ class Copy:
             [sys.executable, "-m", "pytest", *options, *files], start_new_session=True,
             cwd=self.root, env={**os.environ, "PYTHONPATH": paths, ORDER: str(order)},
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (ALLOWED_RECORD_BYTES,) * 2),
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT,) * 2),
         )  # fmt: skip
         try:
             output, _ = process.communicate(timeout=limit)

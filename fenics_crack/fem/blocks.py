@@ -461,14 +461,14 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
-    corner_tags = {
+    corners = {
         (i, j): add_point(x, y if j else foot_heights[i], 0.0)
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
     doubled_corners = _doubled_corners(slits, len(columns))
-    upper_corner_tags = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
-    block_bottom_corner_tags = corner_tags | upper_corner_tags  # corners of blocks above a crack
+    upper_corners = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
+    bottom_corners = corners | upper_corners  # corners of blocks above a crack
 
     horizontal_curves, vertical_curves = {}, {}
     interval_by_face_block = {
@@ -479,60 +479,47 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
             [replace(interval, n_elements=0) for interval in intervals]
             for intervals in (columns, rows)
         )
-    for i, column_division in enumerate(columns):
+    for i, division in enumerate(columns):
         for j in range(len(ys)):
             horizontal_curves[i, j] = _add_curve(
-                corner_tags[i, j],
-                corner_tags[i + 1, j],
-                interval_by_face_block.get((i, j), column_division),
+                corners[i, j], corners[i + 1, j], interval_by_face_block.get((i, j), division)
             )
     for j, row_interval in enumerate(rows):
         for i in range(len(xs)):
             vertical_curves[i, j] = _add_curve(
-                block_bottom_corner_tags[i, j], corner_tags[i, j + 1], row_interval
+                bottom_corners[i, j], corners[i, j + 1], row_interval
             )
     upper_curves = {
-        (i, j): _add_curve(
-            block_bottom_corner_tags[i, j], block_bottom_corner_tags[i + 1, j], interval
-        )
+        (i, j): _add_curve(bottom_corners[i, j], bottom_corners[i + 1, j], interval)
         for (i, j), interval in interval_by_face_block.items()
     }
     surfaces = _add_surfaces(
         len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
     )
     foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
-    dimension_and_curves_by_side: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
+    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
-        dimension_and_curves_by_side = rim.draw(
-            [corner_tags[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces
-        )
+        sides = rim.draw([corners[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
     _set_cell_kind(scene, surfaces)
 
     left_curves, right_curves = (
         [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
     )
-    single_corners = [
-        corner_indices for corner_indices in corner_tags if corner_indices not in doubled_corners
-    ]
+    single_corners = [corner for corner in corners if corner not in doubled_corners]
     load_position = unit_scene.excitation.point
-    loaded_point_tags = [
-        corner_tags[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position
-    ]
-    dimension_and_tags_by_group: dict[str, tuple[int, list[int]]] = {
+    loaded_tags = [corners[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position]
+    groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
-        **dimension_and_curves_by_side,
+        **sides,
         "lower_lip": (1, [horizontal_curves[block_indices] for block_indices in upper_curves]),
         "upper_lip": (1, list(upper_curves.values())),
-        "load": (0, loaded_point_tags),
+        "load": (0, loaded_tags),
         "left": (1, left_curves),
         "right": (1, right_curves),
         "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
     }
-    tag_by_side = {
-        name: group_tag
-        for name, group_tag in _add_physical_groups(dimension_and_tags_by_group).items()
-        if dimension_and_tags_by_group[name][0] == 1
-    }
+    tag_by_side = {name: group_tag for name, group_tag in _add_physical_groups(groups).items()
+                   if groups[name][0] == 1}  # fmt: skip
     if rim is None:
         tag_by_side["bottom"] = tag_by_side["clamp"]
     return {name: (group_tag,) for name, group_tag in tag_by_side.items()}

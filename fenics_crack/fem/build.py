@@ -117,11 +117,11 @@ def pair_crack_faces(
     both_faces_measure = plate.measure_on(*CRACK_FACE_NAMES)
     pressure_space, node_areas, pressure_gap_columns = assemble_columns(dofs, t, both_faces_measure)
     first_node = pressure_space.dofmap.index_map.local_range[0]
-    node_points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
+    points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
     node_table_by_face = []
     for face_name in CRACK_FACE_NAMES:
         nodes = dofs.nodes_on(face_name, pressure_space)
-        node_table = np.column_stack([nodes + first_node, node_areas[nodes], node_points[nodes]])
+        node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
     lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
         plate.crack_paths_or_surfaces, *node_table_by_face
@@ -129,56 +129,50 @@ def pair_crack_faces(
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
     gap = lower_gap + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
-    node_points, areas, pair_node_index = (
+    points, areas, pair_node_index = (
         lower_node_table[:, 2:],
         lower_node_table[:, 1],
         np.arange(n_inside),
     )
-    solid_pair_fields: dict[str, Any] = {}
+    pair_fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
-            node_shares_of_pairs = _front_pressure_shares(
+            shares = _front_pressure_shares(
                 dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
             )
         else:
-            pair_node_index, node_shares_of_pairs = _patch_shares(
-                node_points, crack_index, distances_on_crack, n_inside, max_patches
+            pair_node_index, shares = _patch_shares(
+                points, crack_index, distances_on_crack, n_inside, max_patches
             )
-        nodal_force_shares = sparse.csc_matrix(node_shares_of_pairs.multiply(areas[:, None]))
-        areas[pair_node_index] = node_shares_of_pairs.T @ areas
+        nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
+        areas[pair_node_index] = shares.T @ areas
         nodal_force_shares.data /= np.repeat(
             areas[pair_node_index], np.diff(nodal_force_shares.indptr)
         )
         gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-        solid_pair_fields = (
-            {"nodes": node_points, "pressure_matrix": node_shares_of_pairs}
-            if dimension == 3
-            else {}
-        )
+        pair_fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
     if max_patches is None:
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
                 plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
             ).values()])  # fmt: skip
-            solid_pair_fields = (
-                {"nodes": node_points, "pressure_matrix": node_shares_of_pairs[:, kept_pairs]}
-                if solid_pair_fields
-                else {}
+            pair_fields = (
+                {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if pair_fields else {}
             )
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
-    node_points, areas, crack_index, distances_on_crack = (
+    points, areas, crack_index, distances_on_crack = (
         node_array[pair_node_index]
-        for node_array in (node_points, areas, crack_index, distances_on_crack)
+        for node_array in (points, areas, crack_index, distances_on_crack)
     )
     if dimension == 3:
-        solid_pair_fields["tangential_gap_matrix"] = _free_rows(
+        pair_fields["tangential_gap_matrix"] = _free_rows(
             _tangential_gaps(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
-        node_points, areas, crack_index, distances_on_crack,
+        points, areas, crack_index, distances_on_crack,
         _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
-        **solid_pair_fields,
+        **pair_fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs

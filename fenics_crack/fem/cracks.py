@@ -614,21 +614,16 @@ def split_cracks(
         A facet is not between two cells. A crack branches, crosses another, has not two sides,
         or has all its nodes on its front.
     """
-    n_corners, facet_word = (
-        cells.facet_corner_columns.shape[1],
-        ("edges", "facets")[positions.shape[1] - 2],
-    )
+    n_corners = cells.facet_corner_columns.shape[1]
+    facet_word = ("edges", "facets")[positions.shape[1] - 2]
     crack_corners, first_facet_index = np.unique(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
     crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
-    (sorted_facets, owner, local_corners), is_shared = (
-        cells.sorted_facets_and_owners,
-        cells.is_shared,
-    )
+    (facets, owner, local_corners), is_shared = (cells.sorted_facets_and_owners, cells.is_shared)
     is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
-    is_crack_facet = is_crack_node[sorted_facets].all(axis=1)
-    is_crack_facet[is_crack_facet] = rows_in(sorted_facets[is_crack_facet], crack_corners)
+    is_crack_facet = is_crack_node[facets].all(axis=1)
+    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
     inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
     require(
         len(inner_facets) == len(crack_facets),
@@ -636,7 +631,7 @@ def split_cracks(
         " of cracks not between cells",
         f"inside the structure, with a cell on either side of {facet_word}",
     )
-    outer_facets = sorted_facets[cells.is_boundary & is_crack_node[sorted_facets].any(axis=1)]
+    outer_facets = facets[cells.is_boundary & is_crack_node[facets].any(axis=1)]
     is_split = is_crack_node.copy()
     is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
     facet_labels = label_connected_rows(crack_corners)
@@ -649,10 +644,7 @@ def split_cracks(
         -1, cells.n_corners
     )
     side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
-    side_cells, is_fixed_corner = (
-        owner[side_facet_index],
-        ~is_split[sorted_facets[side_facet_index]],
-    )
+    side_cells, is_fixed_corner = (owner[side_facet_index], ~is_split[facets[side_facet_index]])
     side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
     side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
     side_labels = label_connected_rows(side_corner_stars)

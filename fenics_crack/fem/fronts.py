@@ -1227,7 +1227,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
             corner_offsets = triangle_corners[corner_order[0]] - front.curve(t, 0)
-            quadrature_points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
+            points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
                 corner_offsets,
                 (1.0 - corner_fractions)[:, None] * front.curve(t, 1) * (t_stop - t_start),
@@ -1235,19 +1235,16 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
         else:
-            quadrature_points, shape_values = (
-                rule_points @ triangle_corners[corner_order],
-                rule_points,
-            )
+            points, shape_values = (rule_points @ triangle_corners[corner_order], rule_points)
             triangle_sides = triangle_corners[1:] - triangle_corners[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
-        t = front.nearest_parameters(quadrature_points)
-        r = np.linalg.norm(quadrature_points - front.curve(t, 0), axis=1)
+        t = front.nearest_parameters(points)
+        r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         domain_radii = front.radius(front.frame_and_curvature(t)[2])
-        weighted_kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
         crack_node_index = crack_node_tree.query(triangle_corners[corner_order])[1]
         factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
-            weighted_kernel[:, None] * shape_values
+            kernel[:, None] * shape_values
         )
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
     return np.asarray((structure_pairs.pressure_matrix.T @ factors.T).T / structure_pairs.areas)

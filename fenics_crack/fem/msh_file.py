@@ -61,7 +61,7 @@ _MESH_HEADER_PATTERN = re.compile(
     rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s"
 )
 """First bytes of a mesh file in gmsh's format 2 or 4, text or binary."""
-_FACET_KIND_BY_DIMENSION_AND_CELL_KIND = {
+_FACET_KIND_BY_CELL_KIND = {
     2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26},
     3: {4: 2, 11: 9, 5: 3, 12: 10},
 }
@@ -163,13 +163,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
     ]
     cell_and_facet_groups += [
-        (
-            dimension - 1,
-            tag,
-            name,
-            _FACET_KIND_BY_DIMENSION_AND_CELL_KIND[dimension][kind],
-            group_nodes,
-        )
+        (dimension - 1, tag, name, _FACET_KIND_BY_CELL_KIND[dimension][kind], group_nodes)
         for tag, name, group_nodes in facet_groups
     ]
     _fill_model(positions, cell_and_facet_groups + point_groups)
@@ -262,8 +256,7 @@ def _select_cells(
     requirement += ": the load of a unit pressure is negative at corners of these"
     require(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
     is_one_cell_kind = (
-        len(cell_kinds) == 1
-        and cell_kinds <= _FACET_KIND_BY_DIMENSION_AND_CELL_KIND[dimension].keys()
+        len(cell_kinds) == 1 and cell_kinds <= _FACET_KIND_BY_CELL_KIND[dimension].keys()
     )
     require(
         is_one_cell_kind,
@@ -290,7 +283,7 @@ def _select_cells(
     )
     facets_by_name, point_groups = _select_named_groups(
         groups,
-        {0: _POINT_KIND, dimension - 1: _FACET_KIND_BY_DIMENSION_AND_CELL_KIND[dimension][kind]},
+        {0: _POINT_KIND, dimension - 1: _FACET_KIND_BY_CELL_KIND[dimension][kind]},
         used_numbers,
     )
     facet_names_text = (

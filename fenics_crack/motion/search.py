@@ -1,6 +1,6 @@
 """Search for a periodic orbit: a ladder of starts, and a budget.
 
-The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`Start` leads to an orbit:
+The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`StartStrategy` leads to an orbit:
 
 1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
    harmonics. Nearly all guesses lead to an orbit.

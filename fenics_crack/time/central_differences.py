@@ -272,10 +272,8 @@ class _ModalDifferences(Scheme):
         if (mu := coefficient_of(request.contact)) is not None:
             assert springs is not None
             self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
-            self._sticking_places, pair_states = (
-                np.zeros(n_rows // 2),
-                np.zeros(n_rows // 2, dtype=np.int8),
-            )
+            self._sticking_places = np.zeros(n_rows // 2)
+            pair_states = np.zeros(n_rows // 2, dtype=np.int8)
             friction_members = {
                 "friction_solver": self._friction_solver.handle,
                 "sticking_places": self._sticking_places,
@@ -313,9 +311,8 @@ class _ModalDifferences(Scheme):
         vibration_struct = Struct(
             "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
             squared_frequencies=contiguous(modes.squares),
-            gap_rows=contiguous(modes.gaps_by_mode.T),
             clearance=np.array(self._structure_with_friction_rows.clearance, dtype=float),
-            spring_stiffnesses=springs,
+            spring_stiffnesses=springs, gap_rows=contiguous(modes.gaps_by_mode.T),
             load_rows=contiguous(request.structure.force @ modes.shapes),
             load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
             work=np.empty(2 * n_modes + n_rows), **friction_members,

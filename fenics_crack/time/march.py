@@ -455,62 +455,51 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
 
     The scheme's PETSc objects are freed.
     """
-    structure, n_kept, steps_per_period = (
-        request.structure,
-        request.n_kept_periods,
-        request.steps_per_period,
-    )
-    column_counts = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
-    kept_arrays: list[np.ndarray] = [
-        np.empty((n_kept * steps_per_period, n_columns)) for n_columns in column_counts
-    ]
+    structure, n_kept, steps = (request.structure, request.n_kept_periods, request.steps_per_period)
+    widths = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
+    kept_arrays: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
     gap, force, recorded_displacement = kept_arrays
-    displacement_at_load = np.empty((steps_per_period, len(request.loaded_dofs)))
+    displacement_at_load = np.empty((steps, len(request.loaded_dofs)))
     n_periods = 0
-    previous_period_arrays: tuple[np.ndarray, np.ndarray] | None = None
+    previous_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
         begin("")
     from tqdm import tqdm
 
-    start_seconds = clock.perf_counter()
+    started = clock.perf_counter()
     with (
         StopRequest() as stop_request,
         reaching(lambda: f"{n_periods} of {request.periods} periods"),
     ):
-        for period_number in tqdm(
-            range(request.periods), scheme.name, unit="period", disable=is_hidden
-        ):
-            period_rows = slice(
-                period_number % n_kept * steps_per_period,
-                (period_number % n_kept + 1) * steps_per_period,
-            )
+        for period in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
+            period_rows = slice(period % n_kept * steps, (period % n_kept + 1) * steps)
             window = Window(
                 gap[period_rows],
                 force[period_rows],
                 recorded_displacement[period_rows],
                 displacement_at_load,
             )
-            scheme.fill_period(window, period_number)
-            n_periods = period_number + 1
+            scheme.fill_period(window, period)
+            n_periods = period + 1
             gathered_displacement_at_load = np.concatenate(
                 structure.comm.allgather(displacement_at_load), axis=1
             )
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
             # Slow modes hardly move the gaps.
-            newest_period_arrays = gap_motion, gathered_displacement_at_load
-            relative_change, previous_period_arrays = (
+            newest_arrays = gap_motion, gathered_displacement_at_load
+            change, previous_arrays = (
                 np.inf
-                if previous_period_arrays is None
-                else _largest_relative_change(newest_period_arrays, previous_period_arrays),
-                newest_period_arrays,
+                if previous_arrays is None
+                else _largest_relative_change(newest_arrays, previous_arrays),
+                newest_arrays,
             )
-            if relative_change < request.settle or stop_request.asked(structure.comm):
+            if change < request.settle or stop_request.asked(structure.comm):
                 break
-    seconds = clock.perf_counter() - start_seconds
+    seconds = clock.perf_counter() - started
 
-    n_kept_rows = min(n_periods, n_kept) * steps_per_period
-    oldest_row = n_periods % n_kept * steps_per_period if n_periods > n_kept else 0
+    n_kept_rows = min(n_periods, n_kept) * steps
+    oldest_row = n_periods % n_kept * steps if n_periods > n_kept else 0
     gap, force, recorded_displacement = (
         np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
@@ -520,14 +509,13 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     n_pairs, friction_coefficient = structure.n_pairs, coefficient_of(request.contact)
     has_friction = friction_coefficient is not None
     return TimeHistory(
-        time=np.arange(n_periods * steps_per_period - n_kept_rows, n_periods * steps_per_period)
-        * request.step_size,
+        time=np.arange(n_periods * steps - n_kept_rows, n_periods * steps) * request.step_size,
         gap=gap[:, :n_pairs],
-        settled=relative_change,
+        settled=change,
         created_energy=scheme.created_energy_ratio,
         periods=n_periods,
         seconds=seconds,
-        steps_per_period=steps_per_period,
+        steps_per_period=steps,
         structure=structure,
         recorded=recorded_displacement,
         recorded_dofs=request.recorded_dofs,

@@ -583,7 +583,7 @@ def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
         f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
     )
     found, wanted = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
-    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    np.testing.assert_array_equal(found.cells_by_vtk_type[12], wanted.cells_by_vtk_type[12])
 
 
 def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
@@ -591,13 +591,13 @@ def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
     write_ansys(tmp_path)
     path = tmp_path / "plate.cdb"
     wanted = read_model(path)
-    label = wanted.labels[wanted.cells[12][0, :4]].tolist()
+    label = wanted.labels[wanted.cells_by_vtk_type[12][0, :4]].tolist()
     surface = "".join(f"{x:9}" for x in [1, 2, 1, 1, 0, 0, 0, 0, 4, 0, 99, *label])
     text = path.read_text().replace("/PREP7", "/PREP7\nET,1,185\nET, 2, SURF154")
     path.write_text(text.replace(f"{-1:9}\nFINISH", f"{surface}\n{-1:9}\nFINISH"))
     found = read_model(path)
-    assert list(found.cells) == [12]
-    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    assert list(found.cells_by_vtk_type) == [12]
+    np.testing.assert_array_equal(found.cells_by_vtk_type[12], wanted.cells_by_vtk_type[12])
     path.write_text(path.read_text().replace("ET,1,185", "ET,1,SHELL181"))
     with pytest.raises(ValueError, match="none of its elements, of types 154, 181, is a solid"):
         read_model(path)
