@@ -134,7 +134,7 @@ def pair_crack_faces(
         lower_node_table[:, 1],
         np.arange(n_inside),
     )
-    pair_fields: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
             shares = _front_pressure_shares(
@@ -150,29 +150,26 @@ def pair_crack_faces(
             areas[pair_node_index], np.diff(nodal_force_shares.indptr)
         )
         gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-        pair_fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
+        fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
     if max_patches is None:
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
                 plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
             ).values()])  # fmt: skip
-            pair_fields = (
-                {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if pair_fields else {}
-            )
+            fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
     points, areas, crack_index, distances_on_crack = (
-        node_array[pair_node_index]
-        for node_array in (points, areas, crack_index, distances_on_crack)
+        values[pair_node_index] for values in (points, areas, crack_index, distances_on_crack)
     )
     if dimension == 3:
-        pair_fields["tangential_gap_matrix"] = _free_rows(
+        fields["tangential_gap_matrix"] = _free_rows(
             _tangential_gaps(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
         points, areas, crack_index, distances_on_crack,
         _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
-        **pair_fields,
+        **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs

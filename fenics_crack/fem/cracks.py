@@ -674,14 +674,13 @@ def split_cracks(
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_node_above = is_crack_node[cells.cell_nodes] & (
-        is_upper_corner @ cells.is_supporting_corner.T
-    )
+    is_near_upper_corner = is_upper_corner @ cells.is_supporting_corner.T
+    is_node_above = is_crack_node[cells.cell_nodes] & is_near_upper_corner
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
-    new_cell_nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
-    return new_cell_nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
+    nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
+    return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
 def require(condition: object, problem: str, requirement: str) -> None:

@@ -825,8 +825,8 @@ class _IntegrationDomain:
             Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
             derivative of the unit K field along e_1.
         """
-        n_functionals = 3 * len(self.front.station_parameters)
-        factors, nodal_fields = np.zeros((2, len(self.points), n_functionals, 3))
+        n_rows = 3 * len(self.front.station_parameters)
+        factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
         for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
             nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
         is_at_front = (
@@ -844,33 +844,28 @@ class _IntegrationDomain:
                 group_cells[comm.rank :: comm.size], n_side_points**3
             )
         ):
-            (rule_points, volume_weights), (facet_rule_points, facet_weights) = (
+            (rule_points, weights), (facet_rule_points, facet_weights) = (
                 _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
             )
             tensor_integrals = self._integrate_tensors(
-                chunk_cells, rule_points, self.volumes[chunk_cells, None] * volume_weights, None
+                chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
             )
             for corner_index in range(4):
                 is_outer = self.is_outer_facet[chunk_cells, corner_index]
                 if np.any(is_outer):
                     surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
-                    barycentric_gradients = self.barycentric_gradients[
-                        chunk_cells[is_outer], corner_index
-                    ]
-                    facet_areas = (
+                    gradients = self.barycentric_gradients[chunk_cells[is_outer], corner_index]
+                    areas = (
                         3.0
                         * self.volumes[chunk_cells[is_outer]]
-                        * np.linalg.norm(barycentric_gradients, axis=1)
+                        * np.linalg.norm(gradients, axis=1)
                     )
-                    outward_normals = (
-                        -barycentric_gradients
-                        / np.linalg.norm(barycentric_gradients, axis=1)[:, None]
-                    )
+                    normals = -gradients / np.linalg.norm(gradients, axis=1)[:, None]
                     tensor_integrals[is_outer] += self._integrate_tensors(
                         chunk_cells[is_outer],
                         surface_rule_points,
-                        facet_areas[:, None] * facet_weights,
-                        outward_normals,
+                        areas[:, None] * facet_weights,
+                        normals,
                     )
             basis_gradients = self._basis_gradients(chunk_cells).reshape(len(chunk_cells), 10, 12)
             cell_fields = (
@@ -892,7 +887,7 @@ class _IntegrationDomain:
             np.add.at(
                 factors,
                 self.cells[chunk_cells],
-                cell_factors.reshape(len(chunk_cells), 10, n_functionals, 3),
+                cell_factors.reshape(len(chunk_cells), 10, n_rows, 3),
             )
         return self.intensity_per_integral[:, None] * comm.allreduce(factors), nodal_fields
 
@@ -1195,9 +1190,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
-    sqrt_fractions, edge_fractions = (
-        coordinate_grid.ravel() for coordinate_grid in np.meshgrid(x, x, indexing="ij")
-    )
+    sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
     map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
     mapped_shapes = np.column_stack(
         [
@@ -1206,7 +1199,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             (1.0 - corner_fractions) * edge_fractions,
         ]
     )
-    for triangle_corners, corner_distances, corner_front_nodes in zip(
+    for triangle, corner_distances, corner_front_nodes in zip(
         crack.triangles[is_near],
         corner_front_distances[is_near],
         nearest_front_nodes[is_near],
@@ -1226,7 +1219,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
                     t_stop + parameter_period * (t_stop < t_start),
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
-            corner_offsets = triangle_corners[corner_order[0]] - front.curve(t, 0)
+            corner_offsets = triangle[corner_order[0]] - front.curve(t, 0)
             points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
                 corner_offsets,
@@ -1235,14 +1228,14 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
         else:
-            points, shape_values = (rule_points @ triangle_corners[corner_order], rule_points)
-            triangle_sides = triangle_corners[1:] - triangle_corners[0]
+            points, shape_values = (rule_points @ triangle[corner_order], rule_points)
+            triangle_sides = triangle[1:] - triangle[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         domain_radii = front.radius(front.frame_and_curvature(t)[2])
         kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
-        crack_node_index = crack_node_tree.query(triangle_corners[corner_order])[1]
+        crack_node_index = crack_node_tree.query(triangle[corner_order])[1]
         factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )

@@ -328,7 +328,7 @@ class TimeHistory(ObservedMotion, Tabular):
         if periods >= len(records[0]):
             raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
         newest = [record[-1] for record in records]
-        return _largest_relative_change(newest, [record[-1 - periods] for record in records])
+        return _relative_change(newest, [record[-1 - periods] for record in records])
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
@@ -460,7 +460,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     kept_arrays: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
     gap, force, recorded_displacement = kept_arrays
     displacement_at_load = np.empty((steps, len(request.loaded_dofs)))
-    n_periods = 0
+    n_periods, change = 0, np.inf
     previous_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
@@ -488,12 +488,9 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
             # Slow modes hardly move the gaps.
             newest_arrays = gap_motion, gathered_displacement_at_load
-            change, previous_arrays = (
-                np.inf
-                if previous_arrays is None
-                else _largest_relative_change(newest_arrays, previous_arrays),
-                newest_arrays,
-            )
+            if previous_arrays is not None:
+                change = _relative_change(newest_arrays, previous_arrays)
+            previous_arrays = newest_arrays
             if change < request.settle or stop_request.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
@@ -527,7 +524,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     )
 
 
-def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
+def _relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change between two periods of the arrays (N, m)."""
     compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
