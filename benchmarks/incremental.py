@@ -32,7 +32,7 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.basics.errors import check_count, check_omega
 from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.numerics.fourier import evaluate, to_complex
+from fenics_crack.numerics.fourier import evaluate_series, to_complex
 
 __all__ = ["incremental_system"]
 
@@ -101,7 +101,7 @@ def incremental_system(
         theta, weight = 2.0 * np.pi / count * np.arange(count), np.full(count, 2.0 * np.pi / count)
 
     # The functions at the instants, (N, 2H+1), and their first and second derivative by theta.
-    value = evaluate(np.eye(rows), 1.0, theta)
+    value = evaluate_series(np.eye(rows), 1.0, theta)
     derivative = _derivative(harmonics)
     rate, bend = value @ derivative, value @ derivative @ derivative
     test = weight[:, None] * value / np.pi

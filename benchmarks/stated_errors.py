@@ -67,7 +67,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import report_against_reference
+from fenics_crack.balance.error_report import report_by_more_modes
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.basics.causes import MESH_ERROR_CAUSES
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
@@ -758,7 +758,7 @@ def by_modes(
     mode = numbers_of(run, run.result).mode
     number_pairs = numbers_of(run, few, mode).values, numbers_of(more, many, mode).values
     yield from compare_with_true(errors, *number_pairs)
-    true_of, stated_of = report_against_reference(few, many), run.result.report
+    true_of, stated_of = report_by_more_modes(few, many), run.result.report
     share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0
     for quantity, part in (("gap", "reduction"), ("at the load", "displacement")):
         true, stated = share * getattr(true_of, part), getattr(stated_of, part)

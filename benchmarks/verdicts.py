@@ -43,7 +43,12 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.assessment import MAX_DISTANCE, Assessment, distance, stated_error
+from fenics_crack.balance.assessment import (
+    MAX_ACCEPTED_DISTANCE,
+    Assessment,
+    relative_gap_distance,
+    stated_error,
+)
 from fenics_crack.motion.attractors import find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
@@ -139,7 +144,7 @@ def distances(
 
     Without an exact orbit: of one period to the next.
     """
-    period, weights = 2.0 * np.pi / omega, flow.weights(omega)
+    period, weights = 2.0 * np.pi / omega, flow.energy_weights(omega)
     size = np.linalg.norm(weights * start)
     direction = np.random.default_rng(3).normal(size=len(start))
     state = start + DISTURBANCE * size * direction / np.linalg.norm(direction) / weights
@@ -285,14 +290,17 @@ def unconfirmed(arguments: common.Arguments) -> None:
             )
             assessment = Assessment(solution.assessment.wave, n_harmonic_doublings=0)
             orbit = nearest_orbit(solution, assessment) if solution.converged else None
-            if orbit is None or (true_error := distance(assessment.wave, orbit)) < 1e-6:
+            if (
+                orbit is None
+                or (true_error := relative_gap_distance(assessment.wave, orbit)) < 1e-6
+            ):
                 continue
             assert assessment.flow is not None
             motion = find_irregular_motion(
                 assessment.flow, case.omega, assessment.states_over_period[0]
             )
             predicted_error = assessment.predicted_error
-            (rows if true_error <= MAX_DISTANCE else distant_rows).append((
+            (rows if true_error <= MAX_ACCEPTED_DISTANCE else distant_rows).append((
                 f"{case.family} {case.number}", harmonics, predicted_error,
                 stated_error(predicted_error), true_error,
                 true_error / stated_error(predicted_error), float(abs(orbit.multipliers[0])),
@@ -306,7 +314,7 @@ def unconfirmed(arguments: common.Arguments) -> None:
         f"\n{len(rows)} solutions: true over stated median {np.median(ratios):.2f}, largest "
         f"{ratios.max():.2f}, {np.sum(ratios > 1.1)} above 1.1. Of {len(systems)} systems with "
         f"stable orbits {len(irregular)} are called irregular. Of {len(distant_rows)} more "
-        f"solutions no orbit is nearer than {MAX_DISTANCE:g}."
+        f"solutions no orbit is nearer than {MAX_ACCEPTED_DISTANCE:g}."
     )
     common.print_table("No orbit near", columns, distant_rows)
 
@@ -336,7 +344,7 @@ def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> Peri
             Assessment(finer_solution.assessment.wave, n_harmonic_doublings=0).nearest_orbit
         )
     exact_orbits = [orbit for orbit in orbits if orbit is not None]
-    return min(exact_orbits, key=lambda orbit: distance(wave, orbit), default=None)
+    return min(exact_orbits, key=lambda orbit: relative_gap_distance(wave, orbit), default=None)
 
 
 def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:

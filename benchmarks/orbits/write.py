@@ -50,7 +50,7 @@ def reduced(
         "structure": {
             "form": "modes", "squares": flow.modal_model.squares.tolist(),
             "damping": flow.modal_model.damping.tolist(),
-            "pairs": flow.modal_model.pairs.tolist(),
+            "pairs": flow.modal_model.gaps_by_mode.tolist(),
             "flexibility": flow.residual_flexibility.tolist(),
             "lift": (flow.load_gap + np.eye(len(flow.load_gap), 1) * flow.clearance).tolist(),
         },
@@ -129,7 +129,7 @@ def starts(
                 found.append(state)
     except fc.ConvergenceError as error:
         print("  from rest:", error)
-    size = flow.weights(omega)
+    size = flow.energy_weights(omega)
     scale = max((float(np.linalg.norm(size * one)) for one in found), default=1.0)
     for _ in range(2 if few else STARTS):
         one = random.normal(size=len(found[0])) / size

@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sparse
 from petsc4py import PETSc
 
-from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.compliance import ComplianceModel
 from fenics_crack.balance.contact_system import DYNAMIC_TO_SOFT_PAIR_COMPLIANCE, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -87,11 +87,11 @@ class BlockSystem(Snes):
         self.force_unit = float(load_norm) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
         self._first_dof_by_rank = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
-        self._scaled_shapes_and_rates = np.zeros((structure.n_local, 0)), np.zeros(0)
+        self._scaled_shapes_and_their_rates = np.zeros((structure.n_local, 0)), np.zeros(0)
         given_modes = damped_modes(structure)
         if given_modes is not None:  # scaled: their coordinates are as large as the unknowns
             max_square = structure.sum_over_ranks(np.sum(given_modes.mass_shapes**2, axis=0)).max()
-            self._scaled_shapes_and_rates = (
+            self._scaled_shapes_and_their_rates = (
                 given_modes.mass_shapes / math.sqrt(max_square),
                 max_square * given_modes.modal_damping,
             )
@@ -165,13 +165,13 @@ class BlockSystem(Snes):
             dynamic_stiffness_rows += sparse.kron(
                 time_derivative, local_rows(structure.damping_matrix)
             )
-        length_per_force_unit, n_displacement_unknowns, (scaled_shapes, scaled_rates) = (
+        length_per_force_unit, n_displacement_unknowns, (scaled_shapes, rates_for_scaled_shapes) = (
             self.length_unit / self.force_unit,
             dynamic_stiffness_rows.shape[1],
-            self._scaled_shapes_and_rates,
+            self._scaled_shapes_and_their_rates,
         )
         damping_columns = sparse.kron(
-            time_derivative[:, 1:], length_per_force_unit * scaled_rates * scaled_shapes
+            time_derivative[:, 1:], length_per_force_unit * rates_for_scaled_shapes * scaled_shapes
         )
         linear_rows = sparse.hstack(
             [
@@ -198,7 +198,7 @@ class BlockSystem(Snes):
     ) -> sparse.csr_matrix:
         """Reorder columns by harmonic and dof to columns rank by rank.
 
-        ``size`` is the number of columns of the result.
+        ``n_new_columns`` is the number of columns of the result.
         """
         coo_matrix, n_rows, first_dof_by_rank = (
             matrix.tocoo(),
@@ -229,7 +229,7 @@ class BlockSystem(Snes):
         )
         return sparse.csr_matrix(self._force_map @ sparse_tangent @ self._slow_gap_map)
 
-    def _choose_solver(self, solver: Any) -> None:
+    def _set_linear_solver_type(self, solver: Any) -> None:
         solver.getPC().setType("lu")
         if PETSc.Sys.hasExternalPackage("mumps"):
             solver.getPC().setFactorSolverType("mumps")
@@ -250,7 +250,7 @@ class BlockSystem(Snes):
         """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
         relative_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_part = self.structure.sum_over_ranks(
-            relative_displacement[1:] @ self._scaled_shapes_and_rates[0]
+            relative_displacement[1:] @ self._scaled_shapes_and_their_rates[0]
         )
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
@@ -351,9 +351,12 @@ class BlockSolver(Solver):
             raise InputError("harmonics", problem.harmonics, requirement)
 
     def search_point_and_wave(
-        self, compliance: Compliance, initial: PeriodicSolution | None, budget_fraction: float = 1.0
+        self,
+        compliance_model: ComplianceModel,
+        initial: PeriodicSolution | None,
+        budget_fraction: float = 1.0,
     ) -> tuple[Search, ContactPoint, Wave]:
-        problem, contact_system = self.problem, self.problem.system(compliance)
+        problem, contact_system = self.problem, self.problem.system(compliance_model)
         search = Search(
             contact_system,
             problem,
@@ -361,12 +364,12 @@ class BlockSolver(Solver):
             budget_fraction,
             remedy=BLOCK_SEARCH_REMEDY,
         )
-        linear_displacement = compliance.displacement(np.zeros(contact_system.shape))
+        linear_displacement = compliance_model.displacement(np.zeros(contact_system.shape))
         # The softest contact changes the gaps by at most this fraction of the load's effect.
         min_factor = (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE
             * contact_system.integrals.mean_pair_compliance
-            / np.abs(contact_system.dynamic_part).sum(axis=2).max()
+            / np.abs(contact_system.dynamic_less_static_compliance).sum(axis=2).max()
         )
         displacements_and_factors = [(linear_displacement, min(min_factor, 1.0))]
         if initial is not None:
@@ -374,9 +377,9 @@ class BlockSolver(Solver):
             initial_force = resize_harmonics(
                 stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
-            displacements_and_factors.insert(0, (compliance.displacement(initial_force), 1.0))
+            displacements_and_factors.insert(0, (compliance_model.displacement(initial_force), 1.0))
         begin_stage("block system")
-        with BlockSystem(problem, linear_displacement, search.history) as block:
+        with BlockSystem(problem, linear_displacement, search.snes_residual_norms) as block:
             search.tolerance = max(search.tolerance, block.rounding)
             while displacements_and_factors and not search.has_converged:
                 iterations_before = search.iterations
@@ -396,7 +399,7 @@ class BlockSolver(Solver):
 
 
 def _raise_stiffness(
-    block: BlockSystem, search: Search, displacement: np.ndarray, stiffness_factor: float
+    block: BlockSystem, search: Search, displacement: np.ndarray, first_stiffness_factor: float
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to that of the law.
 
@@ -410,24 +413,25 @@ def _raise_stiffness(
     reached_factor : float
         Its factor of the contact stiffness; 1 for the law.
     """
-    reached_factor, stiffness_ratio, slope = 0.0, MAX_STIFFNESS_RATIO, np.zeros_like(displacement)
+    reached_factor, trial_factor = 0.0, first_stiffness_factor
+    stiffness_ratio, slope = MAX_STIFFNESS_RATIO, np.zeros_like(displacement)
     while reached_factor < 1.0 and stiffness_ratio >= MIN_STIFFNESS_RATIO:
         tolerance = (
-            search.tolerance if stiffness_factor == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
+            search.tolerance if trial_factor == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
         )
-        log_step = math.log(stiffness_factor / reached_factor) if reached_factor else 0.0
+        log_step = math.log(trial_factor / reached_factor) if reached_factor else 0.0
         solved_displacement, has_converged, n_iterations = block.take_full_steps(
-            displacement + log_step * slope, stiffness_factor, tolerance
+            displacement + log_step * slope, trial_factor, tolerance
         )
         search.iterations += n_iterations
         if has_converged:
             slope = (solved_displacement - displacement) / log_step if log_step else slope
             displacement = solved_displacement
-            reached_factor = stiffness_factor
+            reached_factor = trial_factor
             stiffness_ratio = min(stiffness_ratio**2, MAX_STIFFNESS_RATIO)
         else:
             stiffness_ratio = math.sqrt(stiffness_ratio) if reached_factor else 0.0
-        stiffness_factor = min(stiffness_ratio * reached_factor, 1.0)
+        trial_factor = min(stiffness_ratio * reached_factor, 1.0)
     return displacement, reached_factor
 
 

@@ -169,9 +169,9 @@ class DynamicStiffness:
         self.destroy()
 
 
-def dynamic_compliance(
+def make_compliance_model(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
-) -> Compliance:
+) -> ComplianceModel:
     """Return the gaps' compliance at multiples of ``base_omega`` (collective).
 
     The load's frequency is ``subharmonic`` times ``base_omega``.
@@ -219,32 +219,36 @@ class ModalCompliance:
         self._all_modes = all_modes(structure)
         self.reachable_gap_basis = (
             structure.compute_once(_reachable_gap_basis)
-            if len(self._all_modes.pairs) < structure.n_pairs
+            if len(self._all_modes.gaps_by_mode) < structure.n_pairs
             else None
         )
         self._harmonic_orders = np.arange(len(load_rows) // 2 + 1.0)
-        self._modal_load_per_load = to_complex(load_rows @ self._all_modes.shapes)
+        self._modal_load_at_unit_factor = to_complex(load_rows @ self._all_modes.shapes)
         self.gap_shape: tuple[int, ...] = len(load_rows), structure.n_pairs
-        self._massless_displacement_per_load, self._massless_gap_per_load = (
+        self._massless_displacement_at_unit_factor, self._massless_gap_at_unit_factor = (
             None,
             np.zeros(self.gap_shape),
         )
         if self._all_modes.massless_flexibility is not None:
-            self._massless_displacement_per_load = load_rows @ self._all_modes.massless_flexibility
-            self._massless_gap_per_load = structure.apply_bt(self._massless_displacement_per_load)
+            self._massless_displacement_at_unit_factor = (
+                load_rows @ self._all_modes.massless_flexibility
+            )
+            self._massless_gap_at_unit_factor = structure.apply_bt(
+                self._massless_displacement_at_unit_factor
+            )
         self._set_parameters(base_omega, 1.0, 1.0, 0.0)
 
     def _set_parameters(
         self, base_omega: float, load_factor: float, damping_factor: float, added_clearance: float
     ) -> None:
         self._base_omega, self._damping_factor = base_omega, damping_factor
-        is_mode_loaded = self._modal_load_per_load != 0.0
+        is_mode_loaded = self._modal_load_at_unit_factor != 0.0
         self._receptance = self._all_modes.modal_receptances(
             base_omega * self._harmonic_orders, damping_factor, is_mode_loaded
         )
-        self._modal_load = load_factor * self._modal_load_per_load
+        self._modal_load = load_factor * self._modal_load_at_unit_factor
         self._load_factor = load_factor
-        self.gap_without_modes = load_factor * self._massless_gap_per_load
+        self.gap_without_modes = load_factor * self._massless_gap_at_unit_factor
         self.gap_without_modes[0] -= self._pair_clearances + added_clearance
 
     @cached_property
@@ -283,30 +287,30 @@ class ModalCompliance:
 
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
         """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
-        compliance = self._all_modes.seen_by_pairs(modal_receptance)
+        dynamic_pair_compliance = self._all_modes.seen_by_pairs(modal_receptance)
         return (
-            compliance
-            if self._all_modes.residual is None
-            else compliance + self._all_modes.residual
+            dynamic_pair_compliance
+            if self._all_modes.residual_compliance is None
+            else dynamic_pair_compliance + self._all_modes.residual_compliance
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        displacement = from_complex(
+        displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force) @ self._all_modes.shapes.T
         )
         return (
-            displacement
-            if self._massless_displacement_per_load is None
-            else displacement + self._massless_displacement(contact_force)
+            displacement_of_modes
+            if self._massless_displacement_at_unit_factor is None
+            else displacement_of_modes + self._massless_displacement(contact_force)
         )
 
-    def displacements(self, base_omega: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
+    def displacements(self, base_omegas: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
         ----------
-        base_omega : (n,) [rad/s]
+        base_omegas : (n,) [rad/s]
         contact_force : (2H+1, n, n_pairs) [N]
             Contact forces at each frequency.
 
@@ -314,26 +318,28 @@ class ModalCompliance:
         -------
         (2H+1, n, n_local) [m]
         """
-        modes, harmonic_omegas = (
+        modes, omega_by_harmonic_and_base = (
             self._all_modes,
-            np.multiply.outer(self._harmonic_orders, base_omega),
+            np.multiply.outer(self._harmonic_orders, base_omegas),
         )
-        is_mode_loaded = np.repeat(self._modal_load_per_load != 0.0, len(base_omega), axis=0)
+        is_mode_loaded = np.repeat(self._modal_load_at_unit_factor != 0.0, len(base_omegas), axis=0)
         modal_receptance = modes.modal_receptances(
-            harmonic_omegas.ravel(), self._damping_factor, is_mode_loaded
+            omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
-        modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.pairs.T
+        modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.gaps_by_mode.T
         modal_displacement = modes.respond(
-            modal_receptance.reshape(*harmonic_omegas.shape, *modal_receptance.shape[1:]),
+            modal_receptance.reshape(
+                *omega_by_harmonic_and_base.shape, *modal_receptance.shape[1:]
+            ),
             modal_force,
         )
-        displacement = from_complex(modal_displacement @ modes.shapes.T)
-        if self._massless_displacement_per_load is None:
-            return displacement
+        displacement_of_modes = from_complex(modal_displacement @ modes.shapes.T)
+        if self._massless_displacement_at_unit_factor is None:
+            return displacement_of_modes
         assert modes.massless_pair_responses is not None
         return (
-            displacement
-            + self._load_factor * self._massless_displacement_per_load[:, None]
+            displacement_of_modes
+            + self._load_factor * self._massless_displacement_at_unit_factor[:, None]
             - contact_force @ modes.massless_pair_responses.T
         )
 
@@ -344,24 +350,25 @@ class ModalCompliance:
 
         Returns ``selection_rows`` (m, n_local) times the displacement.
         """
-        displacement = from_complex(
+        displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force)
             @ (selection_rows @ self._all_modes.shapes).T
         )
         return (
-            displacement
-            if self._massless_displacement_per_load is None
-            else displacement + self._massless_displacement(contact_force) @ selection_rows.T
+            displacement_of_modes
+            if self._massless_displacement_at_unit_factor is None
+            else displacement_of_modes
+            + self._massless_displacement(contact_force) @ selection_rows.T
         )
 
     def _massless_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
         assert (
             self._all_modes.massless_pair_responses is not None
-            and self._massless_displacement_per_load is not None
+            and self._massless_displacement_at_unit_factor is not None
         )
         return (
-            self._load_factor * self._massless_displacement_per_load
+            self._load_factor * self._massless_displacement_at_unit_factor
             - contact_force @ self._all_modes.massless_pair_responses.T
         )
 
@@ -390,7 +397,7 @@ class ModalCompliance:
         modes = self._all_modes
         if modes.damping.ndim == 2:
             return None
-        (n_modes, n_pairs), static_compliance = modes.pairs.shape, modes.residual
+        (n_modes, n_pairs), static_compliance = modes.gaps_by_mode.shape, modes.residual_compliance
         if residual_compliance is not None:
             static_compliance = (
                 -residual_compliance
@@ -405,9 +412,9 @@ class ModalCompliance:
             "damping_rate": damping[1],
             "squares": require_shape(modes.squares, n_modes),
             "modal_damping": require_shape(modes.damping, n_modes),
-            "shapes": require_shape(modes.pairs, n_modes, self.gap_shape[1]),
+            "shapes": require_shape(modes.gaps_by_mode, n_modes, self.gap_shape[1]),
             "load": require_shape(
-                self._load_factor * self._modal_load_per_load,
+                self._load_factor * self._modal_load_at_unit_factor,
                 len(self._harmonic_orders),
                 n_modes,
                 kind=complex,
@@ -433,14 +440,17 @@ class ModalCompliance:
             clearance_derivative[0] = 1.0
             return clearance_derivative
         if parameter_name == "load":
-            return -self._gap_response(self._modal_load_per_load) - self._massless_gap_per_load
+            return (
+                -self._gap_response(self._modal_load_at_unit_factor)
+                - self._massless_gap_at_unit_factor
+            )
         if parameter_name == "damping":
             damping_force_per_omega = 1j * self._all_modes.damping_force(
                 self._negative_modal_displacement(contact_force)
             )
             return -self._gap_response(self._base_omega * harmonic_orders * damping_force_per_omega)
         return from_complex(
-            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.pairs
+            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.gaps_by_mode
         )
 
     def selected_displacement_by_omega(
@@ -477,13 +487,13 @@ class ModalCompliance:
     def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
         """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
         return from_complex(
-            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.pairs
+            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.gaps_by_mode
         )
 
     def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return modal displacements under contact forces less load: (H+1, n_modes) complex."""
         modal_force_less_load = (
-            to_complex(contact_force) @ self._all_modes.pairs.T - self._modal_load
+            to_complex(contact_force) @ self._all_modes.gaps_by_mode.T - self._modal_load
         )
         return self._all_modes.respond(self._receptance, modal_force_less_load)
 
@@ -535,11 +545,13 @@ class FactoredCompliance:
         static_compliance_rest = (
             self.matrices[0].real - (pair_shapes.T / natural_omegas**2) @ pair_shapes
         )
-        harmonic_omegas = (
+        higher_harmonic_omegas = (
             self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
         )
         modal_receptance = 1.0 / (
-            natural_omegas**2 - harmonic_omegas**2 + 1j * harmonic_omegas * modal_damping_rates
+            natural_omegas**2
+            - higher_harmonic_omegas**2
+            + 1j * higher_harmonic_omegas * modal_damping_rates
         )
         return static_compliance_rest + np.matmul(
             pair_shapes.T * modal_receptance[:, None, :], pair_shapes
@@ -566,31 +578,31 @@ class FactoredCompliance:
         collect_garbage(self.structure.comm)
 
 
-Compliance = ModalCompliance | FactoredCompliance
+ComplianceModel = ModalCompliance | FactoredCompliance
 """Compliance at the multiples 0 to H of a base frequency."""
 
 
-def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
-    """Return a compliance with another number of harmonics.
+def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
+    """Return a compliance model with another number of harmonics.
 
     New harmonics have the accuracy of an error estimate. :meth:`ModalCompliance.displacement` keeps
     the number of harmonics.
     """
-    new_compliance = copy(compliance)
-    resized_matrices = compliance.matrices[: harmonics + 1]
+    new_model = copy(compliance_model)
+    resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance.compliance_above(harmonics)]
+            [resized_matrices, compliance_model.compliance_above(harmonics)]
         )
-    new_compliance.matrices = resized_matrices
-    new_compliance.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
-    new_compliance.gap_shape = new_compliance.linear_gap.shape
-    return new_compliance
+    new_model.matrices = resized_matrices
+    new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)
+    new_model.gap_shape = new_model.linear_gap.shape
+    return new_model
 
 
 def _reachable_gap_basis(structure: Structure) -> np.ndarray:
     """Return an orthonormal basis of the gaps B^T Phi that modes make: (n_pairs, n)."""
-    return scipy.linalg.orth(all_modes(structure).pairs.T)
+    return scipy.linalg.orth(all_modes(structure).gaps_by_mode.T)
 
 
 def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

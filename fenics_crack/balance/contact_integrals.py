@@ -44,9 +44,9 @@ from fenics_crack.model.contact import (
     smooth_forces_and_slopes,
 )
 from fenics_crack.numerics.fourier import (
-    count_instants,
     fourier_coefficients,
     from_complex,
+    n_instants_for_products,
     sample_period,
 )
 
@@ -170,7 +170,7 @@ class ContactIntegrals(ABC):
         """Return integrals with another number of harmonics, and enough samples for them."""
         return replace(self, harmonics=harmonics)
 
-    def exact_or_finer(self) -> ContactIntegrals | None:
+    def exact_or_finer_integrals(self) -> ContactIntegrals | None:
         """Return exact integrals, or integrals with more samples; None if exact already."""
         return None
 
@@ -220,20 +220,26 @@ class SampledIntegrals(ContactIntegrals):
         return self.law.force(gap_samples)
 
     def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
-        gap_samples, law = sample_period(gap_coefficients, self.samples), self.law
+        gap_samples, softened_law = sample_period(gap_coefficients, self.samples), self.law
         if self.relative_softness:
-            law = law.scaled(1.0 / (1.0 + self.relative_softness))
+            softened_law = softened_law.scaled(1.0 / (1.0 + self.relative_softness))
         # Means of exp(i m theta), m < 2 H + 1; with few instants high orders alias to low ones.
         fft_indices = np.arange(2 * self.harmonics + 1) % self.samples
-        slope_means = np.fft.fft(law.tangent(gap_samples), axis=0)[fft_indices] / self.samples
+        slope_mean_harmonics = (
+            np.fft.fft(softened_law.tangent(gap_samples), axis=0)[fft_indices] / self.samples
+        )
         pair_tangents = [
             tangent_from_means(pair_slope_means[:, None, None])[:, 0]
-            for pair_slope_means in from_complex(slope_means).T
+            for pair_slope_means in from_complex(slope_mean_harmonics).T
         ]
-        force = fourier_coefficients(law.force(gap_samples), self.harmonics)
-        return PairForces(force, np.array(pair_tangents), -force / (1.0 + self.relative_softness))
+        force_coefficients = fourier_coefficients(softened_law.force(gap_samples), self.harmonics)
+        return PairForces(
+            force_coefficients,
+            np.array(pair_tangents),
+            -force_coefficients / (1.0 + self.relative_softness),
+        )
 
-    def exact_or_finer(self) -> ContactIntegrals:
+    def exact_or_finer_integrals(self) -> ContactIntegrals:
         if is_piecewise_linear(self.law):
             return ExactIntegrals(self.law, self.harmonics)
         return replace(self, samples=max(4 * self.samples, default_samples(self.harmonics)))
@@ -272,16 +278,23 @@ class ExactIntegrals(ContactIntegrals):
     def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
         n_rows, n_pairs = gap_coefficients.shape
         gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
-        stiffness = np.full(n_pairs, self.closed_stiffness)
-        force, tangent = np.empty((n_rows, n_pairs)), np.empty((n_pairs, n_rows, n_rows))
+        pair_stiffnesses = np.full(n_pairs, self.closed_stiffness)
+        force_coefficients, tangent_by_pair = (
+            np.empty((n_rows, n_pairs)),
+            np.empty((n_pairs, n_rows, n_rows)),
+        )
         is_out_of_memory = kernel.contact_integrals(
-            self.harmonics, n_pairs, pointer(gap_coefficients), pointer(stiffness),
+            self.harmonics, n_pairs, pointer(gap_coefficients), pointer(pair_stiffnesses),
             pointer(quarter_period_waves(self.harmonics)), pointer(np.empty(2 * n_pairs * n_rows)),
-            pointer(force), pointer(tangent),
+            pointer(force_coefficients), pointer(tangent_by_pair),
         )  # fmt: skip
         if is_out_of_memory:
             raise MemoryError("contact integrals")
-        return PairForces(force, tangent, -self.mean_pair_compliance * stiffness * force)
+        return PairForces(
+            force_coefficients,
+            tangent_by_pair,
+            -self.mean_pair_compliance * pair_stiffnesses * force_coefficients,
+        )
 
 
 PairIntegrals = ExactIntegrals | SampledIntegrals
@@ -308,7 +321,7 @@ class PairForces(ContactForces):
         self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
     ) -> np.ndarray:
         assert gap_basis is None
-        jacobian_matrix = respond_to_columns(compliance_matrices, self.tangent)
+        jacobian_matrix = multiply_compliance_and_tangent(compliance_matrices, self.tangent)
         jacobian_matrix.flat[:: len(jacobian_matrix) + 1] += 1.0
         return jacobian_matrix
 
@@ -323,7 +336,7 @@ class PairForces(ContactForces):
         return self._softness_derivative
 
 
-def respond(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
+def multiply_compliance_and_force(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Multiply contact forces (2H+1, n_pairs) [N] by the compliance R_k of each harmonic.
 
     ``compliance_matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
@@ -342,7 +355,9 @@ def respond(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     return response
 
 
-def respond_to_columns(compliance_matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+def multiply_compliance_and_tangent(
+    compliance_matrices: np.ndarray, tangent: np.ndarray
+) -> np.ndarray:
     """Return the compliance times the forces' derivative, R T, as a dense matrix.
 
     On coefficients (a, b) of a force a - i b, R_k is the real matrix [[Re R_k, Im R_k], [-Im R_k,
@@ -422,20 +437,22 @@ class CoupledIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    shared_set_solver : ActiveSetSolver or None
+    shared_active_set_solver : ActiveSetSolver or None
         Solver of other integrals with the same law and R_inf, whose factored matrices for sets of
         touching pairs are used again.
     """
 
     samples: int | None = None
-    shared_set_solver: ActiveSetSolver | None = field(default=None, repr=False, compare=False)
+    shared_active_set_solver: ActiveSetSolver | None = field(
+        default=None, repr=False, compare=False
+    )
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
     def active_set_solver(self) -> ActiveSetSolver:
         """Return the solver by sets of closed pairs, for R_inf + I/k and the softness."""
-        if self.shared_set_solver is not None:
-            return self.shared_set_solver
+        if self.shared_active_set_solver is not None:
+            return self.shared_active_set_solver
         assert self.residual_compliance is not None
         series_compliance = self.relative_softness * self.mean_pair_compliance + (
             self.spring_compliance if self.is_piecewise else 0.0
@@ -457,10 +474,13 @@ class CoupledIntegrals(ContactIntegrals):
     def with_harmonics(self, harmonics: int) -> Self:
         n_samples = self.samples and max(self.samples, default_samples(harmonics))
         return replace(
-            self, harmonics=harmonics, samples=n_samples, shared_set_solver=self.active_set_solver
+            self,
+            harmonics=harmonics,
+            samples=n_samples,
+            shared_active_set_solver=self.active_set_solver,
         )
 
-    def exact_or_finer(self) -> Self | None:
+    def exact_or_finer_integrals(self) -> Self | None:
         if self.is_exact:
             return None
         n_samples = 4 * (self.samples or default_samples(self.harmonics))
@@ -632,7 +652,7 @@ class _SampledForces(CoupledForces):
             self._stiffness_matrix_samples, 2 * self.harmonics
         )
         self._band_limited_stiffness_samples = sample_period(
-            self._stiffness_matrix_coefficients, count_instants(self.harmonics)
+            self._stiffness_matrix_coefficients, n_instants_for_products(self.harmonics)
         )
         self.force = fourier_coefficients(self._force_samples, self.harmonics)
 

@@ -42,8 +42,8 @@ from weakref import ref
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, resized_compliance
-from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
+from fenics_crack.balance.compliance import ComplianceModel, resized_compliance_model
+from fenics_crack.balance.contact_integrals import ContactIntegrals, multiply_compliance_and_force
 from fenics_crack.balance.friction_integrals import (
     FrictionForces,
     FrictionIntegrals,
@@ -68,7 +68,7 @@ from fenics_crack.numerics.equations import (
     solve_factored,
 )
 from fenics_crack.numerics.fourier import (
-    evaluate,
+    evaluate_series,
     fourier_basis_for,
     fourier_basis_over_period,
     resize_harmonics,
@@ -92,12 +92,12 @@ ParameterDerivative = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
-def default_projection_weight(compliance: Compliance) -> float:
+def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """Return the default weight eps of a projected constraint [N/m].
 
     It is the inverse of the largest row sum of the static compliance |R_0|.
     """
-    max_row_sum = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
         raise InputError("structure", "static compliance 0", "one whose pairs can move")
     return 1.0 / max_row_sum
@@ -114,20 +114,23 @@ class ContactSystem:
     """
 
     def __init__(
-        self, compliance: Compliance, integrals: ContactIntegrals, start_softness: float = 0.0
+        self,
+        compliance_model: ComplianceModel,
+        integrals: ContactIntegrals,
+        start_softness: float = 0.0,
     ) -> None:
-        self.compliance, self.integrals, self._start_softness = (
-            compliance,
+        self.compliance_model, self.integrals, self._start_softness = (
+            compliance_model,
             integrals,
             start_softness,
         )
-        self.shape = compliance.gap_shape
+        self.shape = compliance_model.gap_shape
         self.size = int(np.prod(self.shape))
         self.residual_compliance = integrals.residual_compliance
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
         self.reachable_gap_basis = (
-            compliance.reachable_gap_basis if integrals.has_coupled_pairs else None
+            compliance_model.reachable_gap_basis if integrals.has_coupled_pairs else None
         )
         """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
         n_step_unknowns = n_rows * (
@@ -142,12 +145,12 @@ class ContactSystem:
     @cached_property
     def linear_gap(self) -> np.ndarray:
         """Return g_lin, the gap without contact forces: (2H+1, n_pairs) [m]."""
-        return self.compliance.linear_gap
+        return self.compliance_model.linear_gap
 
     @cached_property
-    def dynamic_part(self) -> np.ndarray:
+    def dynamic_less_static_compliance(self) -> np.ndarray:
         """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
-        compliance_matrices = self.compliance.matrices
+        compliance_matrices = self.compliance_model.matrices
         return (
             compliance_matrices
             if self.residual_compliance is None
@@ -161,7 +164,9 @@ class ContactSystem:
             return None
         series_compliance = self._start_softness * self.integrals.mean_pair_compliance
         return self.compile(
-            self.linear_gap, self.dynamic_part, start_series_compliance=series_compliance
+            self.linear_gap,
+            self.dynamic_less_static_compliance,
+            start_series_compliance=series_compliance,
         )
 
     def compile(
@@ -195,10 +200,14 @@ class ContactSystem:
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
-    def dynamic_part_in_basis(self) -> np.ndarray:
+    def dynamic_less_static_compliance_in_basis(self) -> np.ndarray:
         """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
         assert self.reachable_gap_basis is not None
-        return self.reachable_gap_basis.T @ self.dynamic_part @ self.reachable_gap_basis
+        return (
+            self.reachable_gap_basis.T
+            @ self.dynamic_less_static_compliance
+            @ self.reachable_gap_basis
+        )
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return the slow gap s = g + R_inf lambda with the system's harmonics.
@@ -242,8 +251,9 @@ class ContactSystem:
             self,
             unknown,
             self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
-            lambda point: respond(
-                self.dynamic_part, softness_rate * point.linearised_forces.by_softness()
+            lambda point: multiply_compliance_and_force(
+                self.dynamic_less_static_compliance,
+                softness_rate * point.linearised_forces.by_softness(),
             ),
         )
 
@@ -271,23 +281,23 @@ class ContactSystem:
 
     def system_along_friction(self) -> SystemAlongFriction:
         """Return these equations with a factor of the friction coefficient as parameter p."""
-        return SystemAlongFriction(self.compliance, self.integrals)
+        return SystemAlongFriction(self.compliance_model, self.integrals)
 
     def system_along_softness(self) -> ContactSystem:
         """Return these equations with p from very soft contact, 0, to the law, 1."""
-        max_row_sum = float(np.abs(self.dynamic_part).sum(axis=2).max())
+        max_row_sum = float(np.abs(self.dynamic_less_static_compliance).sum(axis=2).max())
         start_softness = max_row_sum / (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE * self.integrals.mean_pair_compliance
         )
-        return ContactSystem(self.compliance, self.integrals, start_softness)
+        return ContactSystem(self.compliance_model, self.integrals, start_softness)
 
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
 
         New harmonics have the accuracy of an error estimate.
         """
-        compliance = resized_compliance(self.compliance, harmonics)
-        return ContactSystem(compliance, self.integrals.with_harmonics(harmonics))
+        compliance_model = resized_compliance_model(self.compliance_model, harmonics)
+        return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
 
 
 class SystemAlongFriction(ContactSystem):
@@ -321,23 +331,29 @@ class ContactPoint(DenseLinearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         """Return the residual F(s) of the equations: (2H+1, n_pairs) [m]."""
         system = self.system
-        return self.unknown - system.linear_gap + respond(system.dynamic_part, self.force)
+        return (
+            self.unknown
+            - system.linear_gap
+            + multiply_compliance_and_force(system.dynamic_less_static_compliance, self.force)
+        )
 
     @cached_property
     def jacobian(self) -> np.ndarray:
         """Return J = I + (R - R_inf) T, where T is db/ds."""
-        return self.linearised_forces.identity_plus(self.system.dynamic_part)
+        return self.linearised_forces.identity_plus(self.system.dynamic_less_static_compliance)
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
         if system.reachable_gap_basis is not None:
             return self.linearised_forces.identity_plus(
-                system.dynamic_part_in_basis, system.reachable_gap_basis
+                system.dynamic_less_static_compliance_in_basis, system.reachable_gap_basis
             )
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return change + respond(self.system.dynamic_part, self.linearised_forces.apply(change))
+        return change + multiply_compliance_and_force(
+            self.system.dynamic_less_static_compliance, self.linearised_forces.apply(change)
+        )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
@@ -346,7 +362,9 @@ class ContactPoint(DenseLinearisation):
         factors = self._factors
         if system.reachable_gap_basis is not None:
             response_in_basis = (
-                respond(system.dynamic_part, self.linearised_forces.apply(right_side))
+                multiply_compliance_and_force(
+                    system.dynamic_less_static_compliance, self.linearised_forces.apply(right_side)
+                )
                 @ system.reachable_gap_basis
             )
             return (
@@ -370,7 +388,9 @@ class ContactPoint(DenseLinearisation):
 
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
-        unknown_change = self.solve(-respond(self.system.dynamic_part, force_change))
+        unknown_change = self.solve(
+            -multiply_compliance_and_force(self.system.dynamic_less_static_compliance, force_change)
+        )
         return self.system.gap(self.gap_change(unknown_change), force_change)
 
 
@@ -530,7 +550,7 @@ class Wave:
         With a residual flexibility R_inf, g = s(t) - R_inf lambda(s(t)) has kinks in time.
         """
         if self.residual_compliance is None:
-            return evaluate(self.gap_coefficients, self.base_omega, time)
+            return evaluate_series(self.gap_coefficients, self.base_omega, time)
         return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
@@ -750,4 +770,6 @@ class CompiledPoint(Linearisation):
 def residual_by_friction_scale(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
     assert isinstance(point.linearised_forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.linearised_forces.by_friction_scale())
+    return multiply_compliance_and_force(
+        point.system.dynamic_less_static_compliance, point.linearised_forces.by_friction_scale()
+    )

@@ -33,8 +33,8 @@ from fenics_crack.balance.more_modes import (
     UNKNOWN_ERROR,
     Errors,
     modal_truncation_errors,
+    more_modes_structure_of,
     motion_along_load,
-    reference_structure_of,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
@@ -56,7 +56,7 @@ MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.guess_harmonic_counts[-1]
 On 14 plates next to a resonance it is 0.3 to 3 times that of orbits; with 20 harmonics from a
 hundredth on.
 """
-NOT_CONFIRMED = "not confirmed by an orbit"
+NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
 """Mark of an error whose truncation part is stated without an orbit."""
 ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
 """Parts of a total error; of equal parts the first is reported."""
@@ -136,7 +136,7 @@ class ErrorReport(Described):
             f"{part_name} {part_error:.2g}"
             + (" (unknown)" if part_error >= UNKNOWN_ERROR and part_name != "penetration" else "")
             for part_name, part_error in self.to_dict().items()
-        ) + ("" if self.confirmed else f" ({NOT_CONFIRMED})")
+        ) + ("" if self.confirmed else f" ({NOT_CONFIRMED_TEXT})")
 
 
 def estimate_errors(
@@ -167,21 +167,21 @@ def estimate_errors(
     def relative_gap_size(change: np.ndarray) -> float:
         return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
-    relative_residual, relative_penetration = (
+    relative_residual, relative_rms_penetration = (
         relative_gap_size(point.residual),
         relative_gap_size(_rms_penetration(point, problem)),
     )
     if not has_converged:
         return ErrorReport(
-            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_penetration, UNKNOWN_ERROR
+            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_rms_penetration, UNKNOWN_ERROR
         )
-    finer_integrals, sampling_error = point.system.integrals.exact_or_finer(), 0.0
+    finer_integrals, sampling_error = point.system.integrals.exact_or_finer_integrals(), 0.0
     if finer_integrals is not None:
         sampling_error = relative_gap_size(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
     if assessment.can_search_orbit:  # includes the sampling error
-        harmonics_error, load_error = assessment.errors(search=search)
+        harmonics_error, load_error = assessment.gap_and_load_errors(search=search)
     else:
         harmonics_error, load_error = _truncation_errors(point, wave)
     truncation_error = (
@@ -202,7 +202,7 @@ def estimate_errors(
             UNKNOWN_ERROR,
         )  # without an orbit the effect of more modes is unknown, too
     elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics_for_modes):
-        modal_errors = more_modes.errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+        modal_errors = more_modes.gap_and_load_errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
     else:
         modal_errors = _reduction_errors(point, wave, problem)
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
@@ -212,7 +212,7 @@ def estimate_errors(
         truncation=truncation_error,
         sampling=sampling_error,
         reduction=modal_errors[0],
-        penetration=relative_penetration,
+        penetration=relative_rms_penetration,
         displacement=min(load_error + modal_errors[1], UNKNOWN_ERROR),
         confirmed=not (assessment.can_search_orbit and search)
         or assessment.nearest_orbit is not None,
@@ -223,20 +223,20 @@ UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.na
 """Report of a solution whose errors were not requested."""
 
 
-def report_against_reference(solution: Wave, reference_solution: Wave) -> ErrorReport:
+def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
     """Return the report of a linear solution, by its change to the reference's solution
     (collective).
 
     The reference is that of the solution's reduced structure.
     """
-    gap_plus_clearance = reference_solution.gap_coefficients.copy()
+    gap_plus_clearance = more_modes_solution.gap_coefficients.copy()
     gap_plus_clearance[0] += solution.structure.clearance
     change_mean_square = mean_square(
-        reference_solution.gap_coefficients - solution.gap_coefficients
+        more_modes_solution.gap_coefficients - solution.gap_coefficients
     )
     gap_error = math.sqrt(change_mean_square / mean_square_with_limited_mean(gap_plus_clearance))
     load_error = _relative_change_at_load(
-        solution, reference_solution.structure, reference_solution.displacement_coefficients
+        solution, more_modes_solution.structure, more_modes_solution.displacement_coefficients
     )
     reduction_error, displacement_error = modal_truncation_errors(
         solution.structure, (gap_error, load_error)
@@ -267,7 +267,10 @@ def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.nda
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
     """
-    gap_plus_clearance, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
+    gap_plus_clearance, linear_gap = (
+        point.gap.copy(),
+        point.system.compliance_model.linear_gap.copy(),
+    )
     gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
     negligible_mean_square = NEGLIGIBLE**2 * mean_square(linear_gap)
@@ -337,7 +340,7 @@ def _change_by_better_system(
         base_point.force + (converged_better_point.force - start_point.force)[:n_base_rows]
     )
     load_error = _relative_change_at_load(
-        wave, structure, better_system.compliance.displacement(better_force)
+        wave, structure, better_system.compliance_model.displacement(better_force)
     )
     return min(gap_error, UNKNOWN_ERROR), min(load_error, UNKNOWN_ERROR)
 
@@ -347,37 +350,37 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    reference_structure, residual_compliance = (
-        reference_structure_of(wave),
+    more_modes_structure, residual_compliance = (
+        more_modes_structure_of(wave),
         point.system.residual_compliance,
     )
-    if reference_structure is None:
+    if more_modes_structure is None:
         return 0.0, 0.0
     cutoff = np.inf if residual_compliance is None else problem.cutoff
-    reference_problem, start_slow_gap = (
-        replace(problem, structure=reference_structure, static_above=cutoff),
+    more_modes_problem, start_slow_gap = (
+        replace(problem, structure=more_modes_structure, static_above=cutoff),
         point.gap,
     )
     if point.system.integrals.has_coupled_pairs:
         assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
-            all_modes(reference_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
+            all_modes(more_modes_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
             rigid_penalty_stiffness = len(residual_compliance) / (
                 REGULAR_EIGENVALUE_RATIO * np.trace(residual_compliance)
             )
-            reference_problem = replace(
-                reference_problem,
+            more_modes_problem = replace(
+                more_modes_problem,
                 contact=with_penalty(problem.contact, float(rigid_penalty_stiffness)),
             )
-    reference_system = reference_problem.system(reference_problem.compliance())
-    if reference_system.residual_compliance is not None:
-        start_slow_gap = start_slow_gap + point.force @ reference_system.residual_compliance
+    more_modes_system = more_modes_problem.system(more_modes_problem.compliance())
+    if more_modes_system.residual_compliance is not None:
+        start_slow_gap = start_slow_gap + point.force @ more_modes_system.residual_compliance
     return modal_truncation_errors(
         problem.structure,
         _change_by_better_system(
-            point, wave, reference_system, start_slow_gap, reference_structure
+            point, wave, more_modes_system, start_slow_gap, more_modes_structure
         ),
     )
 

@@ -23,9 +23,14 @@ import numpy as np
 
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledForces, CoupledIntegrals
 from fenics_crack.kernel import kernel, pointer
-from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, spring_compliances
+from fenics_crack.model.contact import (
+    ContactLaw,
+    FrictionContactSolver,
+    friction_of,
+    spring_compliances,
+)
 from fenics_crack.numerics.fourier import (
-    evaluate,
+    evaluate_series,
     fourier_basis,
     fourier_coefficients,
     sample_period,
@@ -73,12 +78,12 @@ class FrictionIntegrals(ContactIntegrals):
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
-    def set_solver(self) -> FrictionSets:
+    def friction_contact_solver(self) -> FrictionContactSolver:
         """Return the solver by sets of closed and sliding pairs, for D."""
         friction_law = friction_of(self.law)
         assert friction_law is not None
         scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
-        return FrictionSets(self.compliance, scaled_coefficient)
+        return FrictionContactSolver(self.compliance, scaled_coefficient)
 
     @cached_property
     def compliance(self) -> np.ndarray:
@@ -108,7 +113,7 @@ class FrictionIntegrals(ContactIntegrals):
 
         ``gap_samples`` is (n, 2 n_pairs) [m].
 
-        Raises as :meth:`FrictionSets.solve`.
+        Raises as :meth:`FrictionContactSolver.solve`.
 
         Returns
         -------
@@ -120,7 +125,7 @@ class FrictionIntegrals(ContactIntegrals):
         origins : (n_pairs,) int
             Instant at which each pair last did not stick, or 0.
         """
-        return self.set_solver.solve(
+        return self.friction_contact_solver.solve(
             gap_samples, gap_samples[0, gap_samples.shape[1] // 2 :], max_periods=MAX_MARCH_PERIODS
         )
 
@@ -151,7 +156,7 @@ class FrictionIntegrals(ContactIntegrals):
         gap_samples = np.concatenate(
             [
                 sample_period(gap_coefficients, n_instants),
-                evaluate(gap_coefficients, 1.0, requested_phases),
+                evaluate_series(gap_coefficients, 1.0, requested_phases),
             ]
         )
         _, unique_phase_indices, unique_index_of_phase = np.unique(
@@ -166,7 +171,7 @@ class FrictionIntegrals(ContactIntegrals):
     def linearise(self, gap_coefficients: np.ndarray) -> FrictionForces:
         return FrictionForces(self, gap_coefficients)
 
-    def exact_or_finer(self) -> Self:
+    def exact_or_finer_integrals(self) -> Self:
         return replace(self, samples=4 * self.n_instants)
 
     def with_harmonics(self, harmonics: int) -> Self:
@@ -213,7 +218,7 @@ class FrictionForces(CoupledForces):
             ),
         )
         if kernel.friction_changes(
-            self._integrals.set_solver.handle, len(gap_change_samples), *array_pointers
+            self._integrals.friction_contact_solver.handle, len(gap_change_samples), *array_pointers
         ):
             raise MemoryError("friction")
         return fourier_coefficients(force_change_samples, self._integrals.harmonics)
@@ -228,8 +233,9 @@ class FrictionForces(CoupledForces):
         weighted_waves[:, 0] *= 0.5
         tangent = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
-            self._integrals.set_solver.handle, n_instants, pointer(self.contact_states),
-            pointer(self._last_unstuck_instants), n_rows, pointer(waves),
+            self._integrals.friction_contact_solver.handle, n_instants,
+            pointer(self.contact_states), pointer(self._last_unstuck_instants), n_rows,
+            pointer(waves),
             pointer(weighted_waves), n_columns,
             pointer(gap_basis_matrix), pointer(tangent),
         ):  # fmt: skip

@@ -34,12 +34,8 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import (
-    UNESTIMATED_REPORT,
-    ErrorReport,
-    report_against_reference,
-)
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, reference_structure_of
+from fenics_crack.balance.error_report import UNESTIMATED_REPORT, ErrorReport, report_by_more_modes
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, more_modes_structure_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -68,7 +64,12 @@ from fenics_crack.motion.orbit import (
     RealFourierCoefficients,
     is_affordable,
 )
-from fenics_crack.motion.search import SEGMENT_START_SLICE, OrbitSearch, SearchOptions, search_orbit
+from fenics_crack.motion.search import (
+    SEGMENT_START_SLICE,
+    OrbitSearchResult,
+    SearchOptions,
+    search_orbit,
+)
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -109,11 +110,11 @@ def solve_linear(
 
     @cache
     def estimate() -> ErrorReport:
-        reference_structure = reference_structure_of(solution)
-        if reference_structure is None:
+        more_modes_structure = more_modes_structure_of(solution)
+        if more_modes_structure is None:
             return ErrorReport()
-        return report_against_reference(
-            solution, _linear_periodic_solution(reference_structure, omega, harmonics)
+        return report_by_more_modes(
+            solution, _linear_periodic_solution(more_modes_structure, omega, harmonics)
         )
 
     return replace(solution, estimate=estimate)
@@ -181,11 +182,11 @@ def linear_response(
             compliance = ModalCompliance(structure, float(load_omega), load_rows)
             bonding_force = np.zeros_like(compliance.linear_gap)
             if lips == "tied" and structure.n_pairs:
-                complex_gap = to_complex(compliance.linear_gap)
-                complex_gap[1] = np.linalg.lstsq(
-                    compliance.matrices[1], complex_gap[1], rcond=None
+                complex_linear_gap = to_complex(compliance.linear_gap)[1]
+                complex_bonding_force = np.linalg.lstsq(
+                    compliance.matrices[1], complex_linear_gap, rcond=None
                 )[0]
-                bonding_force[1:] = from_complex(complex_gap)[1:]
+                bonding_force[1:] = complex_bonding_force.real, -complex_bonding_force.imag
             amplitudes[index] = np.hypot(
                 *compliance.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
             )
@@ -323,14 +324,16 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
-FIRST_MODES = 10
+FIRST_MODE_COUNT = 10
 """Modes of the first attempt for a large structure, limited by what exact orbits may have."""
 MAX_HARMONICS = 500
 """Maximum harmonics solved for, or kept from an orbit, per period of the load."""
 
 
 def mode_counts(
-    structure: Structure, first_modes: int = FIRST_MODES, max_modes: int = MAX_MODES_FOR_MONODROMY
+    structure: Structure,
+    first_modes: int = FIRST_MODE_COUNT,
+    max_modes: int = MAX_MODES_FOR_MONODROMY,
 ) -> list[int]:
     """Return the numbers of modes to try one after the other: ``first_modes``, then doubled."""
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
@@ -523,7 +526,9 @@ def _solve_structure(
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def search_initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
+def search_initial_orbit(
+    problem: Problem, initial: PeriodicSolution | None = None
+) -> OrbitSearchResult:
     """Search for an exact orbit from harmonic-balance solutions.
 
     The solutions have more and more harmonics, and are all sought from ``initial``. If that has an
@@ -540,7 +545,7 @@ def search_initial_orbit(problem: Problem, initial: PeriodicSolution | None = No
 
 def _search_orbit_from_solutions(
     solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
-) -> tuple[list[PeriodicSolution], OrbitSearch]:
+) -> tuple[list[PeriodicSolution], OrbitSearchResult]:
     """Search for an orbit from harmonic-balance solutions with ascending harmonics.
 
     Returns the solutions computed, and the search's result.
@@ -588,7 +593,7 @@ def _solver_for(solver: Solver, problem: Problem) -> Solver:
     return replace(solver, problem=problem)
 
 
-def _describe_other_orbits(search: OrbitSearch) -> str:
+def _describe_other_orbits(search: OrbitSearchResult) -> str:
     """Return words on the other orbits that a search found, or ""."""
     descriptions = [
         f"{'stable' if orbit.is_stable else 'unstable'}, "
@@ -615,7 +620,7 @@ def solution_of_orbit(
     )
     more_modes: MoreModes | None = None
 
-    def solution_with(harmonics: int) -> PeriodicSolution:
+    def solution_with_harmonics(harmonics: int) -> PeriodicSolution:
         nonlocal coefficients
         if 2 * harmonics + 1 > len(coefficients.gap):
             coefficients = orbit.coefficients(harmonics)
@@ -623,7 +628,7 @@ def solution_of_orbit(
             problem.with_harmonics(harmonics), orbit, coefficients, more_modes
         )
 
-    more_modes = solution_with(
+    more_modes = solution_with_harmonics(
         problem.response_harmonics(SearchOptions.guess_harmonic_counts[0])
     ).assessment.more_modes
     if more_modes and initial and initial.structure is problem.structure:
@@ -634,21 +639,23 @@ def solution_of_orbit(
             if initial_more_modes
             else None,
         )
-    reduction_error, load_error = _modal_truncation_errors(problem, solution_with, more_modes)
+    reduction_error, load_error = _modal_truncation_errors(
+        problem, solution_with_harmonics, more_modes
+    )
     error_goal = _error_goal(tolerance, reduction_error)
-    n_insufficient_harmonics, solution = 0, solution_with(problem.harmonics)
+    n_insufficient_harmonics, solution = 0, solution_with_harmonics(problem.harmonics)
     while not solution.assessment.distance <= error_goal and solution.harmonics < max_harmonics:
         n_insufficient_harmonics = solution.harmonics
-        solution = solution_with(min(2 * solution.harmonics, max_harmonics))
+        solution = solution_with_harmonics(min(2 * solution.harmonics, max_harmonics))
     if n_insufficient_harmonics:
         harmonics = bisect_left(
             range(solution.harmonics),
             True,
             n_insufficient_harmonics + 1,
-            key=lambda count: solution_with(count).assessment.distance <= error_goal,
+            key=lambda count: solution_with_harmonics(count).assessment.distance <= error_goal,
         )
-        solution = solution_with(harmonics)
-    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.errors()
+        solution = solution_with_harmonics(harmonics)
+    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.gap_and_load_errors()
     gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
@@ -677,12 +684,15 @@ def truncated_orbit_solution(
 
 
 def _modal_truncation_errors(
-    problem: Problem, solution_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
+    problem: Problem,
+    solution_with_harmonics: Callable[[int], PeriodicSolution],
+    more_modes: MoreModes | None,
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
     They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
-    computes them, from ``solution_with``, the orbit's motion with a given number of harmonics.
+    computes them, from ``solution_with_harmonics``, the orbit's motion with a given number of
+    harmonics.
 
     Returns
     -------
@@ -696,11 +706,11 @@ def _modal_truncation_errors(
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
         balance_solver = Solver(problem.with_harmonics(n_harmonics))
         balanced_solution = balance_solver.search_and_solution(
-            solution_with(n_harmonics), with_whole_budget=False, more_modes=more_modes
+            solution_with_harmonics(n_harmonics), with_whole_budget=False, more_modes=more_modes
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement
-    return (more_modes and more_modes.errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+    return (more_modes and more_modes.gap_and_load_errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_crack.balance.harmonic_balance import search_initial_orbit
-from fenics_crack.balance.more_modes import is_still
+from fenics_crack.balance.more_modes import are_crack_faces_still
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import Tabular
@@ -43,14 +43,14 @@ from fenics_crack.numerics.newton import relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
 """Nearest cases searched for neighbours, and neighbours that a fitted plane uses."""
-MIN_SAMPLES = 256
+MIN_INSTANTS_OF_ORBIT = 256
 """Least instants per period for an orbit's numbers.
 
 A coefficient of order 20 is then accurate to a hundredth.
 """
 STEP_TOLERANCE = 1e-10
 """Relative length of the last Newton step for an orbit."""
-PARAMETERS = "omega", "load", "damping", "clearance"
+PARAMETER_NAMES = "omega", "load", "damping", "clearance"
 TEXT_COLUMNS = "status", "reason", "verdict"
 NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
 
@@ -109,7 +109,7 @@ class ManyOrbits(Tabular):
         Raises InputError if the case cannot exist.
         """
         omega, load_factor, damping_factor, added_clearance = (
-            float(getattr(self, parameter_name)[case]) for parameter_name in PARAMETERS
+            float(getattr(self, parameter_name)[case]) for parameter_name in PARAMETER_NAMES
         )
         structure = self.structure.varied(
             load=load_factor, damping=damping_factor, clearance=added_clearance
@@ -192,7 +192,7 @@ def solve_many(
     case_parameters = np.array(np.broadcast_arrays(*argument_arrays), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
     n_cases, flow = case_parameters.shape[1], exact_flow_or_error(structure, contact)
-    columns_by_name: dict[str, Any] = dict(zip(PARAMETERS, case_parameters, strict=True))
+    columns_by_name: dict[str, Any] = dict(zip(PARAMETER_NAMES, case_parameters, strict=True))
     columns_by_name |= {
         column_name: np.full(n_cases, "", dtype=object) for column_name in TEXT_COLUMNS
     }
@@ -299,15 +299,21 @@ def _find_orbit_of_case(
         orbit_table.states[neighbour_indices]
         * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
     )
-    guesses = list(neighbour_states[:1])
+    state_guesses = list(neighbour_states[:1])
     if len(neighbour_states) > np.any(offsets, axis=0).sum() + 1:
-        weights = 1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
-        regression_rows = weights * np.column_stack([np.ones(len(offsets)), offsets])
-        guesses.insert(
-            0, np.linalg.lstsq(regression_rows, weights * neighbour_states, rcond=None)[0][0]
+        regression_weights = (
+            1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
+        )
+        regression_rows = regression_weights * np.column_stack([np.ones(len(offsets)), offsets])
+        state_guesses.insert(
+            0,
+            np.linalg.lstsq(regression_rows, regression_weights * neighbour_states, rcond=None)[0][
+                0
+            ],
         )
     orbits_or_none = (
-        find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE) for state in guesses
+        find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE)
+        for state in state_guesses
     )
     orbit, orbit_table.status[case] = next(filter(None, orbits_or_none), None), "neighbour"
     # Without damping the largest modulus is 1.
@@ -332,7 +338,10 @@ def _table_entries_of_orbit(
 
     ``watched_dof_row`` (1, n_dofs) selects the watched dof.
     """
-    n_instants, contact_track = max(MIN_SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
+    n_instants, contact_track = (
+        max(MIN_INSTANTS_OF_ORBIT, 4 * problem.harmonics + 4),
+        orbit.motion.track,
+    )
     orbit_samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
     displacement_gaps_forces = orbit_samples.displacement, orbit_samples.gaps, orbit_samples.forces
     wave = problem.wave_of(
@@ -345,7 +354,7 @@ def _table_entries_of_orbit(
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
     truncation_error = (
         0.0
-        if is_still(orbit_samples)
+        if are_crack_faces_still(orbit_samples)
         else relative_to_motion(
             gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
         )

@@ -48,7 +48,7 @@ Errors = tuple[float, float]
 """Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN_ERROR`."""
 
 
-def reference_structure_of(wave: Wave) -> ReducedStructure | None:
+def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
     """Return the reference of a solution's reduced structure, or None.
 
     The reference has more damping if the truncated modes have none.
@@ -125,7 +125,7 @@ class MoreModes:
             orbit_samples.whole_states, [n_orbit_modes, 2 * n_orbit_modes], axis=1
         )
         if as_massless_structure(self.wave.structure) is None:
-            return self._reference_states(modal_coordinates, modal_velocities, sticking_places)[
+            return self._projected_states(modal_coordinates, modal_velocities, sticking_places)[
                 SEGMENT_START_SLICE
             ]
         n_kept = modal_coordinates.shape[1]
@@ -133,7 +133,7 @@ class MoreModes:
             fourier_basis_for(flow.modal_load, self.wave.omega * orbit_samples.time)
             @ flow.modal_load[:, n_kept:]
         )
-        modal_loads = modal_loads - orbit_samples.forces @ flow.modal_model.pairs[n_kept:].T
+        modal_loads = modal_loads - orbit_samples.forces @ flow.modal_model.gaps_by_mode[n_kept:].T
         static_coordinates = modal_loads / flow.modal_model.squares[n_kept:]
         static_rates = (
             np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
@@ -147,7 +147,7 @@ class MoreModes:
         ]
         return np.hstack(state_columns)[SEGMENT_START_SLICE]
 
-    def _reference_states(
+    def _projected_states(
         self,
         modal_coordinates: np.ndarray,
         modal_velocities: np.ndarray,
@@ -158,14 +158,14 @@ class MoreModes:
         Modal coordinates and velocities (n, n_modes), and ``sticking_places`` h (n, n_pairs), are
         those of a reduced structure with mass.
         """
-        reduced_structure, reference_structure = self.wave.structure, self.flow.structure
+        reduced_structure, more_modes_structure = self.wave.structure, self.flow.structure
         assert isinstance(reduced_structure, ReducedStructure) and isinstance(
-            reference_structure, ReducedStructure
+            more_modes_structure, ReducedStructure
         )
         whole_structure = reduced_structure.whole
         mass_times_basis = multiply(whole_structure.mass, reduced_structure.basis)
         basis_change = (
-            whole_structure.sum_over_ranks(reference_structure.basis.T @ mass_times_basis)
+            whole_structure.sum_over_ranks(more_modes_structure.basis.T @ mass_times_basis)
             @ self.nearest_orbit.flow.modal_model.shapes
         )
         return self.flow.state(
@@ -175,10 +175,14 @@ class MoreModes:
     @property
     def orbit(self) -> PeriodicOrbit | None:
         """Return the orbit to the accuracy of an error estimate, or None."""
-        return None if isinstance(self.motion, MotionInArcs) else self.motion
+        return (
+            None
+            if isinstance(self.orbit_or_corrected_motion, MotionInArcs)
+            else self.orbit_or_corrected_motion
+        )
 
     @cached_property
-    def motion(self) -> PeriodicOrbit | None:
+    def orbit_or_corrected_motion(self) -> PeriodicOrbit | None:
         """Return the orbit, or else the motion after one step of Newton's method, or None.
 
         The step corrects all parts of the nearest orbit's period together.
@@ -210,14 +214,17 @@ class MoreModes:
         return None
 
     @property
-    def errors(self) -> Errors | None:
+    def gap_and_load_errors(self) -> Errors | None:
         """Return the modal truncation errors; None if they are unknown.
 
         The gap's error is 0 if gaps move only by rounding.
         """
-        if self.motion is None:
+        if self.orbit_or_corrected_motion is None:
             return None
-        orbit_samples, motion_samples = self.nearest_orbit.sampled, self.motion.sampled
+        orbit_samples, motion_samples = (
+            self.nearest_orbit.sampled,
+            self.orbit_or_corrected_motion.sampled,
+        )
         gap_error = relative_to_motion(
             motion_samples.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
@@ -228,7 +235,8 @@ class MoreModes:
         )
         load_error = relative_to_motion(motion_with_more_modes - orbit_motion, orbit_motion)
         return modal_truncation_errors(
-            self.wave.structure, (0.0 if is_still(orbit_samples) else gap_error, load_error)
+            self.wave.structure,
+            (0.0 if are_crack_faces_still(orbit_samples) else gap_error, load_error),
         )
 
     def describe_contradiction(self, verdict: str) -> str:
@@ -248,9 +256,9 @@ class MoreModes:
         )
 
 
-def is_still(samples: Samples) -> bool:
+def are_crack_faces_still(samples: Samples) -> bool:
     """Return True if crack faces, pressed together by the load, move by rounding only."""
-    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.pairs
+    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(gap_plus_clearance) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
 

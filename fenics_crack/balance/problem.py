@@ -33,16 +33,16 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.compliance import (
-    Compliance,
-    dynamic_compliance,
+    ComplianceModel,
     load_coefficients,
-    resized_compliance,
+    make_compliance_model,
+    resized_compliance_model,
 )
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     ExactIntegrals,
     contact_integrals,
-    respond,
+    multiply_compliance_and_force,
 )
 from fenics_crack.balance.contact_system import (
     ContactPoint,
@@ -75,7 +75,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
-from fenics_crack.motion.search import SearchOptions, Start, search_orbit, wave_states
+from fenics_crack.motion.search import SearchOptions, StartStrategy, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
     MACHINE_EPSILON,
@@ -304,7 +304,7 @@ class Problem:
         """True if the constraint is balanced in frequency, for uncoupled pairs."""
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
-    def with_weight(self, compliance: Compliance) -> Problem:
+    def with_weight(self, compliance: ComplianceModel) -> Problem:
         """Return the problem with the weight of its projection, if it needs one."""
         contact_law = self.contact
         if not (
@@ -315,13 +315,13 @@ class Problem:
             self, contact=replace(contact_law, weight=default_projection_weight(compliance))
         )
 
-    def system(self, compliance: Compliance) -> ContactSystem:
+    def system(self, compliance: ComplianceModel) -> ContactSystem:
         """Return the condensed equations."""
         return ContactSystem(compliance, self.with_weight(compliance).integrals())
 
     def wave(self, point: ContactPoint) -> Wave:
         """Return the motion at a point of the equations (collective)."""
-        displacement = point.system.compliance.displacement(point.force)
+        displacement = point.system.compliance_model.displacement(point.force)
         return self.wave_of(displacement, point.gap, point.force)
 
     def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
@@ -359,12 +359,12 @@ class Problem:
             return ExactIntegrals(contact_law, harmonics, residual_compliance=projection_compliance)
         return contact_integrals(contact_law, harmonics, self.samples, self.subharmonic)
 
-    def compliance(self) -> Compliance:
+    def compliance(self) -> ComplianceModel:
         """Return the compliance at multiples of the base frequency (collective).
 
         The caller destroys it.
         """
-        return dynamic_compliance(
+        return make_compliance_model(
             self.structure_with_row_pairs, self.base_omega, self.harmonics, self.subharmonic
         )
 
@@ -435,7 +435,7 @@ class Search:
     """Newton iterations, all attempts together."""
     orbit: PeriodicOrbit | None = None
     """Exact orbit whose coefficients were the last guess."""
-    history: list[float] = field(default_factory=list)
+    snes_residual_norms: list[float] = field(default_factory=list)
     """``|F|`` of every SNES iteration. With the equations in the kernel, SNES makes only a last
     attempt after all others have failed."""
     attempt_texts: list[str] = field(default_factory=list)
@@ -457,7 +457,7 @@ class Search:
 
         Parameters
         ----------
-        *starts : (2H+1, n_rows) [m]
+        *neighbour_slow_gaps : (2H+1, n_rows) [m]
             Neighbouring solutions, tried first.
 
         Raises
@@ -468,7 +468,7 @@ class Search:
         system = self.system
         if system.residual_compliance is None:
             self._residual_rounding = relative_residual_rounding(
-                system.compliance, system.integrals.law
+                system.compliance_model, system.integrals.law
             )
             if self._residual_rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._residual_rounding)
@@ -477,7 +477,7 @@ class Search:
         with ExitStack() as exit_stack:
             snes = None
             if not can_solve_in_kernel(system):
-                snes = exit_stack.enter_context(SystemSnes(system, self.history))
+                snes = exit_stack.enter_context(SystemSnes(system, self.snes_residual_norms))
             for start_strategy in self._start_strategies(neighbour_slow_gaps):
                 begin_stage(start_strategy.name)
                 iterations_before = self.iterations
@@ -493,7 +493,7 @@ class Search:
             not self.has_converged and snes is None and self.budget_fraction == 1.0
         ):  # for the history
             iterations_before = self.iterations
-            with SystemSnes(system, self.history) as snes:
+            with SystemSnes(system, self.snes_residual_norms) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
             if self.has_converged:
                 self.append_attempt_text("full steps of SNES", iterations_before)
@@ -565,15 +565,17 @@ class Search:
 
     # --- the ladder of starts ---------------------------------------------------------------------
 
-    def _start_strategies(self, neighbour_slow_gaps: Sequence[np.ndarray]) -> Iterator[Start]:
+    def _start_strategies(
+        self, neighbour_slow_gaps: Sequence[np.ndarray]
+    ) -> Iterator[StartStrategy]:
         """Yield starts in the order of attempts."""
         system, problem = self.system, self.problem
         for neighbour_slow_gap in neighbour_slow_gaps:
-            yield Start(
+            yield StartStrategy(
                 "full Newton steps", partial(self._guesses_near, system, neighbour_slow_gap)
             )
         if problem.has_friction:
-            yield Start("from contact without friction", self._guesses_without_friction)
+            yield StartStrategy("from contact without friction", self._guesses_without_friction)
         else:
             is_system_large = (
                 system.residual_compliance is not None or system.size > kernel.MANY_UNKNOWNS
@@ -581,7 +583,7 @@ class Search:
             coarsest_harmonics = problem.least_harmonics if is_system_large else problem.harmonics
             harmonic_counts = halve_harmonics(problem.harmonics, coarsest_harmonics)
             strategy_name = "from fewer harmonics" if is_system_large else "full Newton steps"
-            yield Start(strategy_name, partial(self._guesses_by_harmonics, harmonic_counts))
+            yield StartStrategy(strategy_name, partial(self._guesses_by_harmonics, harmonic_counts))
         continued_quantity_name = (
             "coefficient of friction" if problem.has_friction else "contact compliance"
         )
@@ -589,7 +591,9 @@ class Search:
         later_strategies = (
             []
             if self._is_budget_spent
-            else [Start(f"continuation in the {continued_quantity_name}", path_guess_function)]
+            else [
+                StartStrategy(f"continuation in the {continued_quantity_name}", path_guess_function)
+            ]
         )
         if (
             self.budget_fraction == 1.0
@@ -598,7 +602,7 @@ class Search:
         ):
             flow = exact_flow_or_none(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
-            orbit_strategy = Start("from an exact orbit", self._guesses_from_orbit)
+            orbit_strategy = StartStrategy("from an exact orbit", self._guesses_from_orbit)
             later_strategies.insert(len(later_strategies) * is_orbit_last, orbit_strategy)
         yield from later_strategies
 
@@ -636,8 +640,10 @@ class Search:
             iterations_before = self.iterations
             simpler_point = self._simpler_point
             if n_harmonics != harmonic_counts[-1]:
-                coarser_compliance = resized_compliance(system.compliance, n_harmonics)
-                system = self.problem.with_harmonics(n_harmonics).system(coarser_compliance)
+                coarser_compliance_model = resized_compliance_model(
+                    system.compliance_model, n_harmonics
+                )
+                system = self.problem.with_harmonics(n_harmonics).system(coarser_compliance_model)
             guess = (
                 system.linear_gap
                 if simpler_point is None
@@ -670,17 +676,17 @@ class Search:
         frictionless_problem = replace(
             problem_with_friction, contact=normal_law(problem_with_friction.contact)
         )
-        compliance = frictionless_problem.compliance()
+        compliance_model = frictionless_problem.compliance()
         try:
             frictionless_search = Search(
-                frictionless_problem.system(compliance),
+                frictionless_problem.system(compliance_model),
                 frictionless_problem,
                 self.tolerance,
                 0.5 * self.budget_fraction,
             )
             frictionless_point = frictionless_search.solve()
         finally:
-            compliance.destroy()
+            compliance_model.destroy()
         self.iterations += frictionless_search.iterations
         self._max_iterations += frictionless_search.iterations  # they cost little and do not count
         if not frictionless_search.has_converged:
@@ -691,7 +697,9 @@ class Search:
         )
         self._simpler_point = system_with_friction.linearise(
             system_with_friction.linear_gap
-            - respond(system_with_friction.dynamic_part, frictionless_force)
+            - multiply_compliance_and_force(
+                system_with_friction.dynamic_less_static_compliance, frictionless_force
+            )
         )
         if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
             yield from self._guesses_from_orbit()
@@ -713,7 +721,7 @@ class Search:
         if flow is None or not is_affordable(flow, load_omega, n_load_periods):
             return
         if simpler_point is not None:
-            simpler_displacement = self.system.compliance.displacement(
+            simpler_displacement = self.system.compliance_model.displacement(
                 resize_harmonics(simpler_point.force, problem.harmonics)
             )
             state_guesses.append(wave_states(flow, simpler_displacement, problem.base_omega))
@@ -779,7 +787,7 @@ def halve_harmonics(harmonics: int, min_harmonics: int) -> list[int]:
     return harmonic_counts
 
 
-def relative_residual_rounding(compliance: Compliance, law: ContactLaw) -> float:
+def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
     """Return the rounding error of |F| / |x| for uncoupled pairs.
 
     It follows from the largest k R. Raises InputError if rounding leaves nothing of the contact
@@ -787,7 +795,7 @@ def relative_residual_rounding(compliance: Compliance, law: ContactLaw) -> float
     """
     max_contact_stiffness, row_sums = (
         float(np.max(law.stiffness)),
-        np.abs(compliance.matrices).sum(axis=2),
+        np.abs(compliance_model.matrices).sum(axis=2),
     )
     max_allowed_stiffness = COARSE_TOLERANCE / (
         MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.compliance import ComplianceModel
 from fenics_crack.balance.contact_system import ContactPoint, Wave
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.more_modes import MoreModes
@@ -30,7 +30,7 @@ from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.fourier import evaluate, resize_harmonics, sample_period
+from fenics_crack.numerics.fourier import evaluate_series, resize_harmonics, sample_period
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,7 +181,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         None stands for the watched dof.
         """
         if self.residual_compliance is None:
-            return evaluate(self.coefficients_at(dofs), self.base_omega, time)
+            return evaluate_series(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
 
     def function(self, time: float) -> Any:
@@ -207,23 +207,23 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             self._displacement_rows_mean_if_still @ rows.T
         )
 
-        def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return motion_gap_and_force(*self.at_phase(RAD_PER_TURN * fractions))
+        def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return motion_gap_and_force(*self.at_phase(RAD_PER_TURN * period_fractions))
 
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            motion = basis @ motion_coefficients
+            row_products = basis @ motion_coefficients
             if static_motion_per_force is not None:
-                motion -= (force - basis @ self.force_rows) @ static_motion_per_force.T
-            return motion, gap, force
+                row_products -= (force - basis @ self.force_rows) @ static_motion_per_force.T
+            return row_products, gap, force
 
         n_instants = instants or len(self.instants())
-        fractions = np.arange(n_instants) / n_instants
-        motion, gap, force = motion_gap_and_force(*self.over_period(n_instants))
+        period_fractions = np.arange(n_instants) / n_instants
+        row_products, gap, force = motion_gap_and_force(*self.over_period(n_instants))
         yield Record(
-            self.omega, self.subharmonic, self.period * fractions, motion_coefficients,
-            motion, gap, force, structure=self.structure,
+            self.omega, self.subharmonic, self.period * period_fractions, motion_coefficients,
+            row_products, gap, force, structure=self.structure,
             friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
             evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,
@@ -382,7 +382,9 @@ class Solver:
             self._check_law_slope(solution.gap_coefficients)
         if self.throw and not search.has_converged:
             case_text = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
-            raise ConvergenceError(f"harmonic balance {case_text}: {search.status}", search.history)
+            raise ConvergenceError(
+                f"harmonic balance {case_text}: {search.status}", search.snes_residual_norms
+            )
         return solution
 
     def _check_law_slope(self, gap_coefficients: np.ndarray) -> None:
@@ -409,14 +411,14 @@ class Solver:
         its whole budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if
         known.
         """
-        compliance = self.problem.compliance()
+        compliance_model = self.problem.compliance()
         budget_fraction = (
             1.0 if with_whole_budget else 1.0 / len(SearchOptions.guess_harmonic_counts)
         )
         try:
-            problem = self.problem.with_weight(compliance)
+            problem = self.problem.with_weight(compliance_model)
             search, end_point, wave = replace(self, problem=problem).search_point_and_wave(
-                compliance, initial, budget_fraction
+                compliance_model, initial, budget_fraction
             )
             solution = solution_of(
                 problem, end_point, status=search.status, has_converged=search.has_converged,
@@ -426,11 +428,14 @@ class Solver:
                 ),
             )  # fmt: skip
         finally:
-            compliance.destroy()
+            compliance_model.destroy()
         return search, replace(solution, iterations=search.iterations)
 
     def search_point_and_wave(
-        self, compliance: Compliance, initial: PeriodicSolution | None, budget_fraction: float = 1.0
+        self,
+        compliance_model: ComplianceModel,
+        initial: PeriodicSolution | None,
+        budget_fraction: float = 1.0,
     ) -> tuple[Search, ContactPoint, Wave]:
         """Search for a solution in the condensed equations.
 
@@ -445,7 +450,7 @@ class Solver:
             Motion at the point.
         """
         problem = self.problem
-        system, start_slow_gaps = problem.system(compliance), []
+        system, start_slow_gaps = problem.system(compliance_model), []
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
             gap_and_force_rows = initial.gap_rows, initial.force_rows

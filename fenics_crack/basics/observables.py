@@ -6,8 +6,8 @@ the columns of sweeps, ``[output] quantities``, stated errors and the list in th
 from this table.
 
 A function to read a number takes the object at the place. :mod:`fenics_crack.motion.motions` has
-the classes ``Point`` and ``Faces``, :mod:`fenics_crack.study.observer` has ``TipHistory`` and
-``ClampReactions``.
+the classes ``PointDisplacement`` and ``CrackFaces``, :mod:`fenics_crack.study.observer` has
+``TipHistory`` and ``ClampReactions``.
 """
 
 from __future__ import annotations

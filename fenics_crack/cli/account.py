@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED_TEXT, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MAX_HARMONIC_ORDER
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, ObservableFlag, observable_names
@@ -149,7 +149,9 @@ def describe_large_error(
     error_text = (
         f"the estimated relative error of the gap is {format_percent(report.total)}{location_text}"
     )
-    error_text += f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
+    error_text += (
+        f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED_TEXT})'}"
+    )
     if report.unknown:
         error_text = (
             f"the error is unknown{location_text}, its estimate for {cause_text} did not converge"

@@ -39,7 +39,7 @@ from fenics_crack.curves.curve import (
     kind_in_words,
     parameter_axis,
 )
-from fenics_crack.curves.peak import Top
+from fenics_crack.curves.peak import LargestResponse
 from fenics_crack.curves.stability import attractors
 from fenics_crack.errors.numbers import largest_left_out, natural_name
 from fenics_crack.model.modes import (
@@ -769,7 +769,7 @@ def tabulate_special_points(
 
 
 def _interpolate_peak_columns(
-    run: Run[ResponseCurve], peak: Top, columns_by_heading: ColumnsByHeading
+    run: Run[ResponseCurve], peak: LargestResponse, columns_by_heading: ColumnsByHeading
 ) -> ColumnsByHeading:
     """Return a row of columns at the first watched dof's largest response.
 

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
+from fenics_crack.balance.contact_integrals import ContactIntegrals, multiply_compliance_and_force
 from fenics_crack.balance.contact_system import (
     CompiledEquations,
     ContactPoint,
@@ -120,8 +120,8 @@ class BalanceEquations(CurveSystem):
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
-        assert isinstance(point.system.compliance, ModalCompliance)
-        return point.system.compliance.residual_derivative(self.name, point.force)
+        assert isinstance(point.system.compliance_model, ModalCompliance)
+        return point.system.compliance_model.residual_derivative(self.parameter_name, point.force)
 
     def system(self, value: float) -> ContactSystem:
         """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
@@ -176,8 +176,10 @@ class BalanceEquations(CurveSystem):
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)
         else:
-            dynamic_part = self.system(self.value(parameter)).dynamic_part
-            max_compliance_row_sum = float(np.abs(dynamic_part).sum(axis=2).max())
+            dynamic_less_static_compliance = self.system(
+                self.value(parameter)
+            ).dynamic_less_static_compliance
+            max_compliance_row_sum = float(np.abs(dynamic_less_static_compliance).sum(axis=2).max())
         return residual_rounding(4.0 * max_compliance_row_sum * self.max_force_slope)
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
@@ -214,7 +216,7 @@ class BalanceEquations(CurveSystem):
 class BalanceAlongFrequency(BalanceEquations):
     """Equations along v: load frequency [rad/s]."""
 
-    name = "omega"
+    parameter_name = "omega"
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -249,28 +251,30 @@ class _BalanceOfVariedStructure(BalanceEquations):
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
+        return replace(problem, structure=problem.structure.varied(**{cls.parameter_name: value}))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         return self._unvaried_compliance_model.with_parameters(
-            self.problem.base_omega, **{self.name: value}
+            self.problem.base_omega, **{self.parameter_name: value}
         )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations if v changes only the gap without contact, linearly."""
         residual_derivative = self._unvaried_compliance_model.residual_derivative(
-            self.name, np.zeros(start_system.shape)
+            self.parameter_name, np.zeros(start_system.shape)
         )
         linear_gap_rate = -(self.end - self.start) * residual_derivative
         return start_system.compile(
-            start_system.linear_gap, start_system.dynamic_part, linear_gap_rate=linear_gap_rate
+            start_system.linear_gap,
+            start_system.dynamic_less_static_compliance,
+            linear_gap_rate=linear_gap_rate,
         )
 
 
 class BalanceAlongLoad(_BalanceOfVariedStructure):
     """Equations along v: factor for the load; a negative factor reverses it."""
 
-    name = "load"
+    parameter_name = "load"
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -282,10 +286,10 @@ class BalanceAlongLoad(_BalanceOfVariedStructure):
             raise InputError("parameter", "load", parameter_requirement)
 
 
-class BalanceAlongDamping(_BalanceOfVariedStructure):
+class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
     """Equations along v: factor for the damping."""
 
-    name = "damping"
+    parameter_name = "damping"
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -303,13 +307,13 @@ class BalanceAlongDamping(_BalanceOfVariedStructure):
 class BalanceAlongClearance(_BalanceOfVariedStructure):
     """Equations along v: clearance [m] added to every pair."""
 
-    name = "clearance"
+    parameter_name = "clearance"
 
 
 class BalanceAlongContactStiffness(BalanceEquations):
     """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
-    name, logarithmic, has_varying_integrals = "stiffness", True, True
+    parameter_name, logarithmic, has_varying_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -317,13 +321,17 @@ class BalanceAlongContactStiffness(BalanceEquations):
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         return (
-            respond(point.system.dynamic_part, point.linearised_forces.by_log_stiffness()) / value
+            multiply_compliance_and_force(
+                point.system.dynamic_less_static_compliance,
+                point.linearised_forces.by_log_stiffness(),
+            )
+            / value
         )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(
             start_system.linear_gap,
-            start_system.dynamic_part,
+            start_system.dynamic_less_static_compliance,
             log_stiffness_rate=self.value_rate(1.0),
         )
 
@@ -331,7 +339,7 @@ class BalanceAlongContactStiffness(BalanceEquations):
 class BalanceAlongFriction(BalanceEquations):
     """Equations along v: factor for the coefficient of friction."""
 
-    name, has_varying_integrals = "friction", True
+    parameter_name, has_varying_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -354,7 +362,7 @@ class BalanceAlongSpeed(BalanceEquations):
     the compliance and with it the sets of closed pairs change, too.
     """
 
-    name, has_varying_integrals = "speed", True
+    parameter_name, has_varying_integrals = "speed", True
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -415,7 +423,7 @@ class BalanceAtResonance(BalanceEquations):
     The load frequency follows the resonance; these equations hold at one frequency.
     """
 
-    name = "resonance"
+    parameter_name = "resonance"
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -424,13 +432,13 @@ class BalanceAtResonance(BalanceEquations):
         return replace(problem, structure=problem.structure.varied(load=load_weight_matrix))
 
 
-BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
-    equations_class.name: equations_class
+EQUATIONS_CLASS_BY_PARAMETER: dict[str, type[BalanceEquations]] = {
+    equations_class.parameter_name: equations_class
     for equations_class in (
         BalanceAlongFrequency,
         BalanceAlongLoad,
         BalanceAlongContactStiffness,
-        BalanceAlongDamping,
+        BalanceAlongDampingFactor,
         BalanceAlongClearance,
         BalanceAlongFriction,
         BalanceAlongSpeed,

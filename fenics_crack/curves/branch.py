@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.curve_system import CurveSystem
-from fenics_crack.curves.orbits import Orbits
+from fenics_crack.curves.orbits import OrbitEquations
 from fenics_crack.numerics.equations import System
 from fenics_crack.numerics.newton import (
     PathPoint,
@@ -77,7 +77,10 @@ class ReturnToParent(Event):
 
 
 def path_points_with_chord(
-    system: BalanceEquations | Orbits, curve: ResponseCurve, first_index: int, last_index: int
+    system: BalanceEquations | OrbitEquations,
+    curve: ResponseCurve,
+    first_index: int,
+    last_index: int,
 ) -> tuple[PathPoint, PathPoint]:
     """Convert two curve points to path points.
 
@@ -94,7 +97,7 @@ def path_points_with_chord(
 
 
 def branch_start(
-    system: BalanceEquations | Orbits,
+    system: BalanceEquations | OrbitEquations,
     bifurcation: Bifurcation,
     longest_step: float,
     parent_curve: ResponseCurve | None = None,
@@ -117,9 +120,12 @@ def branch_start(
     ConvergenceError
         No point of another branch was found.
     """
-    kind, [bifurcation_state] = bifurcation.kind, bifurcation.point.points
+    bifurcation_kind, [bifurcation_state] = bifurcation.kind, bifurcation.point.points
     unknown = system.unknown(bifurcation_state, bifurcation.value)
-    parameter, is_doubling = system.parameter(bifurcation.value), kind == "period_doubling"
+    parameter, is_doubling = (
+        system.parameter(bifurcation.value),
+        bifurcation_kind == "period_doubling",
+    )
     parent_tangent = None
     if parent_curve is not None:
         nearest_index, end_index = parent_curve.nearest(bifurcation), len(parent_curve) - 1
@@ -131,7 +137,9 @@ def branch_start(
     bifurcation_point = PathPoint(unknown, parameter, 0, branch_tangent)
     residual_tolerance = max(PathOptions.rtol, system.rounding(parameter))
     # Distances from the bifurcation to try, relative to the longest step.
-    for step_length in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
+    for step_length in (
+        step_fraction * longest_step for step_fraction in (0.1, 0.03, 0.3, 0.01, 1.0)
+    ):
         with suppress(ConvergenceError):
             candidate_point = predict_and_correct(
                 system,
@@ -160,12 +168,14 @@ def branch_start(
                 parameter_change = candidate_point.parameter - parameter
                 branch_chord_tangent = replace(branch_tangent, x=unknown_change, p=parameter_change)
                 return replace(candidate_point, tangent=branch_chord_tangent)
-    branch_words = f"branch from {kind} at {system.name} = {system.value(parameter):g}"
+    branch_words = (
+        f"branch from {bifurcation_kind} at {system.parameter_name} = {system.value(parameter):g}"
+    )
     raise ConvergenceError(f"{branch_words}: no point of another branch was found next to it")
 
 
 def _branch_tangent(
-    system: BalanceEquations | Orbits,
+    system: BalanceEquations | OrbitEquations,
     unknown: np.ndarray,
     parameter: float,
     is_doubling: bool,

@@ -36,7 +36,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.suggestions import fit_argument
 from fenics_crack.basics.tables import format_count, format_in_unit
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
     MIN_ORBIT_HARMONICS,
@@ -125,7 +125,7 @@ class GrowingCurve:
         self.system, self._step_limits = system, step_limits
         self._tolerance, self._is_branch = tolerance, is_branch
         self.most_points = step_limits.most_points
-        self._start_point = self._last_point = start_point
+        self._start_path_point = self._last_path_point = start_point
         self.points = [self._convert_path_point(start_point)]
         self._kinds_and_special_points: list[tuple[str, CurvePoint]] = []
         self.complete, self.has_returned, self.status = False, False, "not begun"
@@ -173,7 +173,7 @@ class GrowingCurve:
         curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
-            parameter=system.name,
+            parameter=system.parameter_name,
             values=np.array([point.value for point in points]),
             omega=np.array([point.omega for point in points]),
             iterations=np.array([point.iterations for point in points]),
@@ -205,7 +205,7 @@ class GrowingCurve:
 
     def progress(self) -> float:
         """Return the completed fraction of the way from start to end, 0 to 1."""
-        return min(1.0, max(0.0, self._last_point.parameter))
+        return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
         """Describe the progress: completed percentage, range and number of points."""
@@ -217,7 +217,7 @@ class GrowingCurve:
 
         The values are printed in their unit; default: the value at the last point.
         """
-        axis = parameter_axis(self.system.name, True)
+        axis = parameter_axis(self.system.parameter_name, True)
         point_count_text = format_count(len(self.points), "point")
         return f"{format_in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count_text}"
 
@@ -243,11 +243,11 @@ class GrowingCurve:
         if self.complete:
             return
         system = self.system
-        last_point = self._last_point
+        last_point = self._last_path_point
         longest_step = self._step_limits.longest_step
         self.status = "under way"
         events: list[Event] = [event_class() for event_class in system.event_classes]
-        events += [Target(1.0), ClosedLoop(self._start_point, system)]
+        events += [Target(1.0), ClosedLoop(self._start_path_point, system)]
         if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
@@ -290,7 +290,7 @@ class GrowingCurve:
         self.points += map(
             self._curve_point, parameters, segment.unknowns, all_iterations, multipliers_and_counts
         )
-        self._last_point = segment[-1]
+        self._last_path_point = segment[-1]
         kinds_and_values = tuple(
             (kind, curve_point.value) for kind, curve_point in kinds_and_special_points
         )
@@ -394,7 +394,7 @@ class Continuation(GrowingCurve):
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_ORBIT_HARMONICS))
         if parameter in ("omega", "speed"):
-            problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
+            problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, start)
         if not is_small(problem.structure):
             reduced_structure = reduce_structure(problem.structure, method="massless")
             problem = replace(problem, structure=reduced_structure)
@@ -404,7 +404,7 @@ class Continuation(GrowingCurve):
         if self._needs_verdicts and is_rigid(problem.contact):
             exact_flow_or_error(problem.structure, problem.contact)
 
-        start_problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
+        start_problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, start)
         is_branch = isinstance(initial, Bifurcation)
         if not (exact or is_branch):
             if initial is not None:
@@ -484,7 +484,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
     end_frequencies = [
-        BALANCE_EQUATIONS[parameter].vary(problem, value).omega for value in (start, end)
+        EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, value).omega for value in (start, end)
     ]
     return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
@@ -492,12 +492,12 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
     """Raise InputError unless a curve can go from one parameter value to another."""
     structure = problem.structure
-    check_choice("parameter", parameter, BALANCE_EQUATIONS)
+    check_choice("parameter", parameter, EQUATIONS_CLASS_BY_PARAMETER)
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     end_keys = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for end_key, value in zip(end_keys, (start, end), strict=True):
-        BALANCE_EQUATIONS[parameter].check_value(structure, end_key, value)
+        EQUATIONS_CLASS_BY_PARAMETER[parameter].check_value(structure, end_key, value)
     if start == end:
         raise InputError(end_keys[1], end, f"different from {end_keys[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):

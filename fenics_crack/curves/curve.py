@@ -29,14 +29,14 @@ from fenics_crack.basics.tables import (
     speed_axis,
 )
 from fenics_crack.curves.balance_equations import (
-    BALANCE_EQUATIONS,
+    EQUATIONS_CLASS_BY_PARAMETER,
     BalanceAtResonance,
     BalanceEquations,
 )
-from fenics_crack.curves.orbits import Orbits, system_along
+from fenics_crack.curves.orbits import OrbitEquations, system_along
 from fenics_crack.curves.peak import (
+    LargestResponse,
     Peak,
-    Top,
     damping_by_half_power_width,
     interpolate_peak_and_damping,
 )
@@ -287,7 +287,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         )  # fmt: skip
 
     @cached_property
-    def system(self) -> BalanceEquations | Orbits:
+    def system(self) -> BalanceEquations | OrbitEquations:
         """Equations from the first parameter value to the farthest one."""
         farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
         first_and_farthest_values = float(self.values[0]), float(self.values[farthest_index])
@@ -297,7 +297,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
-        return BALANCE_EQUATIONS[self.parameter].vary(self.problem, value)
+        return EQUATIONS_CLASS_BY_PARAMETER[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, with the varied structure."""
@@ -344,7 +344,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """Return the exact orbit at a point; InputError for a harmonic-balance curve."""
-        if not isinstance(self.system, Orbits):
+        if not isinstance(self.system, OrbitEquations):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
@@ -493,8 +493,10 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def part(self, places: Sequence[int] | slice) -> Self:
         """Return a curve with some points alone, without bifurcations."""
-        columns = {name: column[places] for name, column in _array_fields(self).items()}
-        return replace(self, **columns, bifurcations=())
+        selected_array_by_name = {
+            name: point_array[places] for name, point_array in _array_fields(self).items()
+        }
+        return replace(self, **selected_array_by_name, bifurcations=())
 
     def bifurcation(
         self, kind: str, value: float, omega: float, point: np.ndarray,
@@ -555,7 +557,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
-    def top(self, dof: int | None = None) -> Top:
+    def top(self, dof: int | None = None) -> LargestResponse:
         """Find the place and height of the largest response at a dof.
 
         None stands for the watched dof. :meth:`peak` examines the response, too.
@@ -563,7 +565,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         amplitudes = self.amplitude(dof)
         index = int(np.argmax(amplitudes))
         peak_value, peak_amplitude, _ = interpolate_peak_and_damping(self.values, amplitudes, index)
-        return Top(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
+        return LargestResponse(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
         """Return the largest response at a dof, with error, verdict and damping.
@@ -615,9 +617,11 @@ class ResponseCurve(ObservedMotion, Tabular):
                 and (error_by_index[lower_index] > LARGE_ERROR)
                 != (error_by_index[upper_index] > LARGE_ERROR)
             }
-        indices = sorted(error_by_index)
+        estimated_indices = sorted(error_by_index)
         return np.interp(
-            np.arange(len(self)), indices, [error_by_index[index] for index in indices]
+            np.arange(len(self)),
+            estimated_indices,
+            [error_by_index[index] for index in estimated_indices],
         )
 
     def _estimate_displacement_error(self, index: int) -> float:
@@ -631,8 +635,8 @@ class ResponseCurve(ObservedMotion, Tabular):
             if more_modes_motion is not None:
                 return (
                     UNKNOWN_ERROR
-                    if more_modes_motion.errors is None
-                    else more_modes_motion.errors[1]
+                    if more_modes_motion.gap_and_load_errors is None
+                    else more_modes_motion.gap_and_load_errors[1]
                 )
         return self.solution(index, search=False).report.displacement
 

@@ -25,7 +25,7 @@ class CurveSystem(ABC):
 
     Attributes
     ----------
-    name : str
+    parameter_name : str
         Name of v (:attr:`fenics_crack.ResponseCurve.parameter`).
     problem : Problem
         Problem to solve, with a small or reduced structure. The parameter varies its structure or
@@ -40,7 +40,7 @@ class CurveSystem(ABC):
         Kinds of special points to detect.
     """
 
-    name: str
+    parameter_name: str
     problem: Problem
     start: float
     end: float

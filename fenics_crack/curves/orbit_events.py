@@ -164,7 +164,7 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
     return severities
 
 
-class MultiplierControl(StepControl):
+class MultiplierStepControl(StepControl):
     """Reject steps over which the Floquet multipliers change too much.
 
     A step is rejected if
@@ -182,22 +182,27 @@ class MultiplierControl(StepControl):
         self._min_collision_step = MIN_COLLISION_STEP_RATIO * longest_step
 
     def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
-        log_modulus = np.log(
+        multiplier_log_moduli = np.log(
             np.maximum(np.abs(segment.step_control_values[:, :-3]), MULTIPLIER_TOLERANCE)
         )
-        log_changes, lengths = np.diff(log_modulus, axis=0), segment.chord_lengths[1:]
-        allowed_log_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), ACCEPTED_LOG_CHANGE)
+        log_changes, step_lengths = (
+            np.diff(multiplier_log_moduli, axis=0),
+            segment.chord_lengths[1:],
+        )
+        allowed_log_change = np.maximum(
+            0.5 * np.abs(multiplier_log_moduli[:-1]), ACCEPTED_LOG_CHANGE
+        )
         is_coarse = np.any(np.abs(log_changes) > allowed_log_change, axis=1)
         if len(log_changes) > 1:
-            length_ratio = (lengths[1:] / lengths[:-1])[:, None]
-            prediction_error = np.abs(log_changes[1:] - length_ratio * log_changes[:-1])
+            step_length_ratio = (step_lengths[1:] / step_lengths[:-1])[:, None]
+            prediction_error = np.abs(log_changes[1:] - step_length_ratio * log_changes[:-1])
             is_coarse[1:] |= np.any(prediction_error > allowed_log_change[1:], axis=1)
         n_states = math.isqrt(segment.records.shape[1])
-        matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
-        has_collision = step_collision_severities(matrices) > 0.5
-        is_coarse, lengths = is_coarse[first_index:], lengths[first_index:]
-        is_coarse &= lengths > self._min_step
-        is_coarse |= has_collision & (lengths > self._min_collision_step)
+        monodromy_matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
+        has_collision = step_collision_severities(monodromy_matrices) > 0.5
+        is_coarse, step_lengths = is_coarse[first_index:], step_lengths[first_index:]
+        is_coarse &= step_lengths > self._min_step
+        is_coarse |= has_collision & (step_lengths > self._min_collision_step)
         has_several_events = (
             np.abs(count_changes(segment.step_control_values[first_index:])).sum(axis=1) > 1
         )

@@ -36,15 +36,15 @@ import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER, BalanceEquations
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbit_events import (
-    MultiplierControl,
+    MultiplierStepControl,
     NeimarkSacker,
     PeriodDoubling,
     leading_multipliers_and_counts,
 )
-from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow_or_error
+from fenics_crack.motion.flow import ContactFlow, IntegratedMotion, as_doubles, exact_flow_or_error
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
@@ -53,7 +53,7 @@ FORWARD_PARAMETER_STEP = math.sqrt(MACHINE_EPSILON)
 """Step in p for forward differences. Truncation and rounding error are then about equal."""
 
 
-class Orbits(CurveSystem):
+class OrbitEquations(CurveSystem):
     """Equations F(x, p) = 0 of periodic orbits along a parameter v (see the module).
 
     An orbit's period is ``subharmonic`` load periods. ``balance_class`` varies the problem: it has
@@ -68,8 +68,8 @@ class Orbits(CurveSystem):
     event_classes = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
-        self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.balance_class = BALANCE_EQUATIONS[parameter]
+        self.problem, self.parameter_name, self.start, self.end = problem, parameter, start, end
+        self.balance_class = EQUATIONS_CLASS_BY_PARAMETER[parameter]
         self.logarithmic, self.subharmonic = self.balance_class.logarithmic, problem.subharmonic
         self._start_flow = self._make_flow(start)
         self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
@@ -89,7 +89,7 @@ class Orbits(CurveSystem):
 
     def flow(self, value: float) -> ContactFlow:
         """Return the exact flow at a parameter value; the last flow is kept."""
-        if self.name == "omega" or value == self.start:
+        if self.parameter_name == "omega" or value == self.start:
             return self._start_flow
         if self._last_value_and_flow[0] != value:
             self._last_value_and_flow = value, self._make_flow(value)
@@ -115,8 +115,8 @@ class Orbits(CurveSystem):
         # and a few large matrices outweigh the time between calls.
         return 2**13 // self.n_record_entries
 
-    def make_step_control(self, longest_step: float) -> MultiplierControl:
-        return MultiplierControl(longest_step)
+    def make_step_control(self, longest_step: float) -> MultiplierStepControl:
+        return MultiplierStepControl(longest_step)
 
     @cached_property
     def _scaled_rest_and_change(self) -> np.ndarray:
@@ -130,7 +130,7 @@ class Orbits(CurveSystem):
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return the state z at phase zero for unknowns x at a parameter value."""
         state = (unknown + self._scaled_rest_state(value)) / self.scale
-        if self.name == "speed":
+        if self.parameter_name == "speed":
             state = state @ self._state_transformation(value).T
         return np.asarray(state)
 
@@ -143,7 +143,7 @@ class Orbits(CurveSystem):
 
         Over the speed, z is converted to the modes at the curve's start.
         """
-        if self.name == "speed":
+        if self.parameter_name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
 
@@ -166,7 +166,7 @@ class Orbits(CurveSystem):
 
     def _advance_motion(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
-    ) -> Motion:
+    ) -> IntegratedMotion:
         """Return the motion over a fraction of the period."""
         value = self.value(parameter)
         omega, start_state = self.omega(value), self.state(unknown, value)
@@ -190,9 +190,9 @@ class Orbits(CurveSystem):
     @cached_property
     def compiled_equations(self) -> ShootingEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
-        is_over_damping = self.name == "damping"
+        is_over_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
-        if self.name in ("stiffness", "speed", "friction") or (
+        if self.parameter_name in ("stiffness", "speed", "friction") or (
             is_over_damping and self._start_flow.friction_law
         ):
             return None
@@ -203,7 +203,7 @@ class Orbits(CurveSystem):
             if self._scaled_rest_and_change.any()
             else {}
         )
-        if self.name != "omega":
+        if self.parameter_name != "omega":
             end_flow = self.flow(self.end)
             # The kernel changes this flow, so it is not shared.
             kernel_flow = self._make_flow(
@@ -246,13 +246,13 @@ class Orbits(CurveSystem):
 
         def monodromy() -> np.ndarray:
             tangent_matrix = motion.track.tangent
-            if self.name == "speed":
+            if self.parameter_name == "speed":
                 transformation = self._state_transformation(value)
                 tangent_matrix = np.linalg.solve(transformation, tangent_matrix @ transformation)
             return np.asarray(self.scale[:, None] * tangent_matrix / self.scale)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed" or self._start_flow.friction_law:
+            if self.parameter_name == "speed" or self._start_flow.friction_law:
                 step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
@@ -261,7 +261,7 @@ class Orbits(CurveSystem):
             rest_change = self._scaled_rest_and_change[1]
             return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
-        n_events, n_pieces = motion.events, motion.n_taylor_pieces
+        n_events, n_pieces = motion.n_events, motion.n_taylor_pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:
@@ -276,8 +276,8 @@ class Orbits(CurveSystem):
 
 def system_along(
     exact: bool, problem: Problem, parameter: str, start: float, end: float
-) -> BalanceEquations | Orbits:
+) -> BalanceEquations | OrbitEquations:
     """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
     if exact:
-        return Orbits(problem, parameter, start, end)
-    return BALANCE_EQUATIONS[parameter](problem, start, end)
+        return OrbitEquations(problem, parameter, start, end)
+    return EQUATIONS_CLASS_BY_PARAMETER[parameter](problem, start, end)

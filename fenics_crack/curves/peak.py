@@ -33,12 +33,12 @@ from fenics_crack.basics.tables import (
     hertz_property,
 )
 
-RISING_AT_END = "still rising at the end of the range"
+RISING_AT_END_TEXT = "still rising at the end of the range"
 """Description of a largest response that is no peak."""
 
 
 @dataclass(frozen=True)
-class Top:
+class LargestResponse:
     """Largest response of a curve at one dof, interpolated between its points.
 
     The attributes are described in :class:`Peak`.
@@ -51,7 +51,7 @@ class Top:
 
 
 @dataclass(frozen=True, repr=False)
-class Peak(Described, Top):
+class Peak(Described, LargestResponse):
     """Largest response of a curve at one dof.
 
     Attributes
@@ -98,7 +98,7 @@ class Peak(Described, Top):
     def _title(self) -> str:
         damping_words = f"damping {self.damping:.3g}"
         if self.at_end:
-            damping_words = RISING_AT_END
+            damping_words = RISING_AT_END_TEXT
         elif math.isnan(self.damping):
             damping_words = "the load's own harmonic has no half-power width"
         error_words = f"error {self.error:.2g}"

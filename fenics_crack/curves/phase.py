@@ -63,7 +63,7 @@ class Drive:
 
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""
-        work_coefficients = compliance_model_of(point).selected_displacement(
+        work_coefficients = modal_compliance_of(point).selected_displacement(
             self.cosine_and_sine_load, point.force if force is None else force
         )
         return self._complex_work_of(work_coefficients)
@@ -71,7 +71,7 @@ class Drive:
     def complex_work_by_omega(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
         return self._complex_work_of(
-            compliance_model_of(point).selected_displacement_by_omega(
+            modal_compliance_of(point).selected_displacement_by_omega(
                 self.cosine_and_sine_load, point.force
             )
         )
@@ -86,10 +86,10 @@ class Drive:
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])
 
 
-def compliance_model_of(point: ContactPoint) -> ModalCompliance:
+def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
     """Return the model of a small structure's dynamic compliance at a point."""
-    assert isinstance(point.system.compliance, ModalCompliance)
-    return point.system.compliance
+    assert isinstance(point.system.compliance_model, ModalCompliance)
+    return point.system.compliance_model
 
 
 class PhasePoint(Linearisation):
@@ -118,9 +118,9 @@ class PhasePoint(Linearisation):
             system.state(unknown, 1.0)
         )
         self.complex_work = system.drive.complex_work(self.contact_point)
-        value = system.value(parameter)
-        self._inverse_factor = 1.0 / value
-        self._inverse_factor_rate = -system.value_rate(value) / value**2
+        load_factor = system.value(parameter)
+        self._inverse_factor = 1.0 / load_factor
+        self._inverse_factor_rate = -system.value_rate(load_factor) / load_factor**2
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
@@ -144,8 +144,10 @@ class PhasePoint(Linearisation):
 
     def _phase_change(self, work_change: complex) -> float:
         """Return the change in Re P / Im P by a change in the complex work P."""
-        work = self.complex_work
-        return (work_change.real - work.real / work.imag * work_change.imag) / work.imag
+        complex_work = self.complex_work
+        return (
+            work_change.real - complex_work.real / complex_work.imag * work_change.imag
+        ) / complex_work.imag
 
     def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
         """Return the change in P by a change in the slow gap (2H+1, n_pairs) [m]."""
@@ -161,7 +163,7 @@ class PhasePoint(Linearisation):
     @cached_property
     def unknown_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
-            compliance_model_of(self.contact_point).residual_derivative(
+            modal_compliance_of(self.contact_point).residual_derivative(
                 "omega", self.contact_point.force
             )
         )
@@ -222,7 +224,7 @@ class ResonanceSystem(CurveSystem):
         Size of the slow gap's vibration at this point, over v.
     """
 
-    name, logarithmic = "resonance", True
+    parameter_name, logarithmic = "resonance", True
 
     def __init__(
         self,
@@ -232,17 +234,17 @@ class ResonanceSystem(CurveSystem):
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
         self.start, self.end = factor_range
-        self.frequency_equations = equations = BalanceAlongFrequency(
+        self.frequency_equations = frequency_equations = BalanceAlongFrequency(
             problem, problem.omega, 0.5 * problem.omega
         )
-        slow_gap_coefficients = equations.system(problem.omega).slow_gap(
+        slow_gap_coefficients = frequency_equations.system(problem.omega).slow_gap(
             nearby_point.gap, nearby_point.force
         )
         slow_gap_coefficients = slow_gap_coefficients / self.start
         self.vibration_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
         self.start_unknown = np.append(slow_gap_coefficients / self.vibration_size, 1.0)
-        self.problem, self.drive = equations.problem, drive
-        self.n_time_means, self.shape = equations.n_time_means, self.start_unknown.shape
+        self.problem, self.drive = frequency_equations.problem, drive
+        self.n_time_means, self.shape = frequency_equations.n_time_means, self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
         return self.frequency_equations.rounding(0.0)

@@ -26,7 +26,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.tables import Described, add_frequency_entries, format_count
 from fenics_crack.curves.balance_equations import (
-    BALANCE_EQUATIONS,
+    EQUATIONS_CLASS_BY_PARAMETER,
     BalanceAlongFrequency,
     as_run_up_structure,
 )
@@ -124,7 +124,7 @@ class _PhaseResonanceEvent(ZeroCrossing):
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
 
-def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
+def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     """Return the first phase resonance on the response curve from a load frequency on.
 
     Raises
@@ -143,7 +143,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     load_requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", load_requirement)
-    start_omega = near_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
+    start_omega = from_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
     equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(equations.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = equations.linearise(start_unknown, 0.0)
@@ -169,7 +169,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
         equations, start_path_point, RESONANCE_PATH_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
     ).run_to_terminal_event()
     if resonance_path_point is None:
-        raise ConvergenceError(f"resonance: not met by the response from {near_omega:.6g} rad/s on")
+        raise ConvergenceError(f"resonance: not met by the response from {from_omega:.6g} rad/s on")
     problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
     resonance_system = ResonanceSystem(
         problem,
@@ -192,7 +192,7 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
         system, system.start_unknown, 0.0, tolerance=tolerance
     )
     if path_point is None:
-        return first_resonance(problem, problem.omega)
+        return first_phase_resonance(problem, problem.omega)
     return system.linearise(path_point.unknown, 0.0)
 
 
@@ -358,7 +358,7 @@ def resonance_at(
     order, error = None, math.nan
     if parameter == "speed":
         order = problem.omega / as_run_up_structure(problem.structure).speed
-    point = first_resonance(*_small_problem_and_start_omega(problem, near, tolerance))
+    point = first_phase_resonance(*_small_problem_and_start_omega(problem, near, tolerance))
     point, resonance_rate = _find_order_crossing_and_rate(point, order)
     if tolerance is not None:
         point, error = _refine_to_tolerance(point, tolerance)
@@ -381,7 +381,7 @@ def at_small_load(problem: Problem) -> Problem:
 
     Under a small load a crack stays open or closed if the mean load holds it.
     """
-    return BALANCE_EQUATIONS["resonance"].vary(problem, SMALL_LOAD_FACTOR)
+    return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(
@@ -428,28 +428,28 @@ def follow_resonance(
     check_range(problem, "resonance", start, end)
     (problem, near), problem_at_load_factor = (
         _small_problem_and_start_omega(problem, near, tolerance),
-        BALANCE_EQUATIONS["resonance"].vary,
+        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary,
     )
     if tolerance is not None:
         end_point = _refine_to_tolerance(
-            first_resonance(problem_at_load_factor(problem, end), near), tolerance
+            first_phase_resonance(problem_at_load_factor(problem, end), near), tolerance
         )[0]
         problem = problem.with_harmonics(end_point.problem.harmonics)
-    point = first_resonance(problem_at_load_factor(problem, start), near)
+    point = first_phase_resonance(problem_at_load_factor(problem, start), near)
     start_problem = replace(point.problem, structure=problem.structure, omega=point.omega)
     system = ResonanceSystem(start_problem, point.drive, point.contact_point, (start, end))
     growing_curve = GrowingCurve(
         system, first_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
     )
     curve = run_to_end(growing_curve, progress, throw)
-    unknowns_and_parameters = [
+    curve_unknowns_and_parameters = [
         (curve_point.unknown, system.parameter(curve_point.value))
         for curve_point in growing_curve.points
     ]
     n_multimode_points = sum(
         abs(system.linearise(*unknown_and_parameter).distance_to_peak_in_widths)
         > MAX_DISTANCE_TO_PEAK
-        for unknown_and_parameter in unknowns_and_parameters
+        for unknown_and_parameter in curve_unknowns_and_parameters
     )
     if n_multimode_points:
         point_count_text = f"{n_multimode_points} of {format_count(len(curve), 'point')}"

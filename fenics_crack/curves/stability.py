@@ -37,7 +37,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.assessment import Assessment, with_twice_the_harmonics
+from fenics_crack.balance.assessment import Assessment, wave_with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.solution import PeriodicSolution, Stability
@@ -60,10 +60,10 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     eigenvalues,
     find_orbit,
-    is_same_orbit,
+    is_same_orbit_in_phase,
 )
 from fenics_crack.motion.search import ORBIT_STARTS_BY_NAME, SearchOptions, search_orbit
-from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
 
@@ -100,32 +100,32 @@ def monodromy_of_linear_flow(
     """
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
-    if modes.residual is not None:
-        force_samples = smooth_forces_and_slopes(contact, modes.residual, gap_samples)[0]
-        gap_samples = gap_samples - force_samples @ modes.residual
+    if modes.residual_compliance is not None:
+        force_samples = smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[0]
+        gap_samples = gap_samples - force_samples @ modes.residual_compliance
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
-    coarser_product = matrix = _multiply_steps(
+    coarser_product = extrapolated_matrix = _multiply_steps(
         modes, contact, gap_coefficients, base_omega, n_steps
     )
     change_norm = matrix_norm = np.inf
     while n_steps < 2**13 and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf:
         n_steps *= 2
-        product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
-        coarser_matrix = matrix
-        matrix = product + (product - coarser_product) / 3.0
-        coarser_product = product
+        finer_product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
+        coarser_matrix = extrapolated_matrix
+        extrapolated_matrix = finer_product + (finer_product - coarser_product) / 3.0
+        coarser_product = finer_product
         scaled_change_and_matrix = (
             state_scale[:, None] * change_or_matrix / state_scale
-            for change_or_matrix in (matrix - coarser_matrix, matrix)
+            for change_or_matrix in (extrapolated_matrix - coarser_matrix, extrapolated_matrix)
         )
         change_norm, matrix_norm = (
             float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_change_and_matrix
         )
-    if not np.all(np.isfinite(matrix)):
+    if not np.all(np.isfinite(extrapolated_matrix)):
         raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
-    return matrix
+    return extrapolated_matrix
 
 
 def _multiply_steps(
@@ -141,32 +141,36 @@ def _multiply_steps(
     (2 n_modes, 2 n_modes)
         M_N, with an error of second order in the step length.
     """
-    h = 2.0 * np.pi / base_omega / n_steps
+    step_size = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
     gap_samples = sample_period(gap_coefficients, n_steps)
-    if modes.residual is None:
-        kicks = h * contact.tangent(gap_samples)[:, :, None]
+    if modes.residual_compliance is None:
+        kicks = step_size * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces_and_slopes(contact, modes.residual, gap_samples)[1]
+        kicks = (
+            step_size * smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[1]
+        )
     n_stretches = 1
     while (
         n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
     ):
         n_stretches *= 2
     kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
-    transition = modes.transition(h)[0]
-    states = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
+    transition = modes.transition(step_size)[0]
+    stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in kicks_of_stretches.swapaxes(0, 1):
-            states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
-            states = _advance_without_contact(modes, transition, states)
-        product = states[0]
-        for stretch_product in states[1:]:
-            product = stretch_product @ product
-        half_kick = np.zeros_like(product)
+            stretch_matrices[:, n_modes:] -= _velocity_change(
+                modes, kick, stretch_matrices[:, :n_modes]
+            )
+            stretch_matrices = _step_without_contact_forces(modes, transition, stretch_matrices)
+        monodromy_matrix = stretch_matrices[0]
+        for stretch_matrix in stretch_matrices[1:]:
+            monodromy_matrix = stretch_matrix @ monodromy_matrix
+        half_kick = np.zeros_like(monodromy_matrix)
         half_kick[n_modes:, :n_modes] = 0.5 * _velocity_change(modes, kicks[0], np.eye(n_modes))
-        product = product + product @ half_kick
-        return product - half_kick @ product
+        monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick
+        return monodromy_matrix - half_kick @ monodromy_matrix
 
 
 def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
@@ -175,13 +179,13 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
     ``kick`` is the step length h times the contact stiffness kappa of each pair, or the matrix of
     coupled pairs. P are the modes at the pairs, and q the modal displacements.
     """
-    pair_displacement = modes.pairs.T @ displacement
-    has_uncoupled_pairs = modes.residual is None
+    pair_displacement = modes.gaps_by_mode.T @ displacement
+    has_uncoupled_pairs = modes.residual_compliance is None
     pair_impulse = kick * pair_displacement if has_uncoupled_pairs else kick @ pair_displacement
-    return np.asarray(modes.pairs @ pair_impulse)
+    return np.asarray(modes.gaps_by_mode @ pair_impulse)
 
 
-def _advance_without_contact(
+def _step_without_contact_forces(
     modes: AllModes, transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
     """Return the states after a step without contact forces.
@@ -256,7 +260,7 @@ def shoot(
     flow = exact_flow_or_error(structure, assessment.wave.contact)
     orbit = None if settle else assessment.nearest_orbit
     if orbit is None:
-        orbit_equations = FlowOrbits(
+        orbit_equations = FlowOrbitEquations(
             flow, solution.omega, assessment.states_over_period[0], subharmonic
         )
         settled_unknown = orbit_equations.start_unknown
@@ -265,7 +269,7 @@ def shoot(
         start_state = orbit_equations.state(settled_unknown)
         orbit = search_orbit(
             flow, solution.omega, [start_state[None]], subharmonic, prefer_stable=False,
-            starts=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
+            start_strategies=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
         ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         reconverged_orbit = find_orbit(
@@ -375,14 +379,17 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
             f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
         )
         raise InputError("solution", solution_verdict, requirement)
-    orbit_equations = FlowOrbits(
+    orbit_equations = FlowOrbitEquations(
         nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
     )
     multipliers, eigenvectors = np.linalg.eig(
         orbit_equations.scale[:, None] * nearest_orbit.monodromy / orbit_equations.scale
     )
     leading_index = int(np.abs(multipliers).argmax())
-    mu, start_change = multipliers[leading_index], eigenvectors[:, leading_index].real
+    leading_multiplier, start_change = (
+        multipliers[leading_index],
+        eigenvectors[:, leading_index].real,
+    )
     orbit_states = nearest_orbit.sampled.whole_states
     rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
@@ -391,12 +398,14 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         orbit_equations.start_unknown + start_change,
         orbit_equations.start_unknown - start_change,
     )
-    for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
+    for start_unknown in (
+        start_unknowns if leading_multiplier == abs(leading_multiplier) else start_unknowns[:1]
+    ):
         attractor = find_attractor(orbit_equations, start_unknown)
         if not any(
             attractor.orbit
             and earlier_attractor.orbit
-            and is_same_orbit(attractor.orbit, earlier_attractor.orbit)
+            and is_same_orbit_in_phase(attractor.orbit, earlier_attractor.orbit)
             for earlier_attractor in distinct_attractors
         ):
             distinct_attractors.append(attractor)
@@ -412,8 +421,10 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
-    orbit_equations = FlowOrbits(flow, solution.omega, solution.assessment.states_over_period[0])
-    return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.periods(flow))
+    orbit_equations = FlowOrbitEquations(
+        flow, solution.omega, solution.assessment.states_over_period[0]
+    )
+    return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.max_periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:
@@ -466,7 +477,7 @@ def _stability_by_linear_flow(
         )
         assessed_solution = replace(solution, structure=structure, contact=contact)
         finer_solution = (
-            with_twice_the_harmonics(assessed_solution) if gap_coefficients.size else solution
+            wave_with_twice_the_harmonics(assessed_solution) if gap_coefficients.size else solution
         )
         if finer_solution is not None:
             finer_gap_coefficients = finer_solution.slow_gap_coefficients

@@ -730,9 +730,11 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * engine_order, sector.n_sectors)
         force = force if diameter == harmonic * engine_order % sector.n_sectors else force.conj()
-        force_parts = [force.real, force.imag] if sector.has_single_wave(diameter) else [force]
+        force_vector_by_part = (
+            [force.real, force.imag] if sector.has_single_wave(diameter) else [force]
+        )
         parts_by_diameter[diameter] += [
-            force_part for force_part in force_parts if np.any(force_part)
+            force_part for force_part in force_vector_by_part if np.any(force_part)
         ]
     return [
         np.array(load_parts).reshape(-1, sector.structure.n_dofs).T
@@ -833,12 +835,12 @@ def _find_side_force_patterns(
     modes_of_diameters : sequence of (omega, shapes)
         Frequencies and shapes of some nodal diameters.
     """
-    force_parts, is_right = [], sector.dof_numbering.is_next_sector
+    force_vector_by_part, is_right = [], sector.dof_numbering.is_next_sector
     for omega, shapes in modes_of_diameters:
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_right]
         scaled_force = force / np.maximum(omega, 1e-300) ** 2
-        force_parts += [scaled_force.real, scaled_force.imag]
-    patterns, pattern_sizes, _ = np.linalg.svd(np.hstack(force_parts), full_matrices=False)
+        force_vector_by_part += [scaled_force.real, scaled_force.imag]
+    patterns, pattern_sizes, _ = np.linalg.svd(np.hstack(force_vector_by_part), full_matrices=False)
     kept_patterns = patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
     side_force_patterns = np.zeros((sector.structure.n_dofs, kept_patterns.shape[1]))
     side_force_patterns[is_right] = kept_patterns

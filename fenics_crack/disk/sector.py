@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.disk.cyclic import Sector
 from fenics_crack.disk.wheel import Wheel
-from fenics_crack.fem.blocks import RIM_SIDES
+from fenics_crack.fem.blocks import RIM_SIDE_NAMES
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import assemble_rotation
 from fenics_crack.fem.plate import Dofs
@@ -81,7 +81,7 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
 
     disk, (center, axis) = scene.given("disk"), scene.axis
     points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
-    side_names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
+    side_names = RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.plate.groups else ("left", "right")
     for side_name in side_names:
         if side_name not in dofs.plate.groups:
             requirement = "a mesh of one sector whose sides are named 'left' and 'right'"

@@ -655,4 +655,6 @@ def reduce_wheel(
     reduced_structure = reduce_structure(
         wheel_structure, modes=n_modes, method="massless", reference=n_reference_modes
     )
-    return reduced_structure._in_setting(wheel.setting, removed_error_share=reference_share)
+    return reduced_structure._in_setting(
+        wheel.setting, error_share_removed_by_reference=reference_share
+    )

@@ -267,7 +267,7 @@ def _draw_crack_surfaces(
         nodes, corners = np.unique(
             triangles[triangle_crack_indices == crack_index], return_inverse=True
         )
-        nodal_values = mesh.centre_and_pressure_functions[1][nodes] @ values_by_label[label]
+        nodal_values = mesh.pair_centre_and_pressure_functions[1][nodes] @ values_by_label[label]
         _draw_crack_surface(panel, mesh.points[nodes], corners.reshape(-1, 3), nodal_values, label)
         if len(crack_indices) > 1:
             panel.set_title(f"crack {crack_index + 1}", fontsize="medium")

@@ -37,7 +37,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate_series
 from fenics_crack.scene.tables import Material
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import packaged
@@ -439,7 +439,7 @@ class PeriodFields:
         self.contact_forces = solution.contact_force(self.time)
         self.pair_areas = structure.pair_areas
         load_harmonics = self.mesh.nodal_vectors(structure.force).reshape(len(structure.force), -1)
-        self.nodal_loads = evaluate(load_harmonics, solution.omega, self.time).reshape(
+        self.nodal_loads = evaluate_series(load_harmonics, solution.omega, self.time).reshape(
             self.displacement.shape
         )
         has_one_frame = structure.nodes is None or structure.nodes.frames is None
@@ -448,7 +448,9 @@ class PeriodFields:
             ("von Mises stress", "Pa") if material else ("displacement", "m")
         )
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.nodal_pair_forces, self.pressure_weights = self.mesh.centre_and_pressure_functions
+            self.nodal_pair_forces, self.pressure_weights = (
+                self.mesh.pair_centre_and_pressure_functions
+            )
         else:
             self.nodal_pair_forces = _make_nodal_pair_forces(structure)
             self.pressure_weights = self.nodal_pair_forces * self.pair_areas

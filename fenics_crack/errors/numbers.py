@@ -38,7 +38,7 @@ from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Faces, Harmonics, ObservedMotion, Record, rows_of
+from fenics_crack.motion.motions import CrackFaces, Harmonics, ObservedMotion, Record, rows_of
 from fenics_crack.motion.orbit import INSTANTS_PER_PERIOD, PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import observe_quantities
@@ -267,7 +267,7 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
     """Return sizes of change: opening, crack force, shares, friction loss."""
     if not record.n_pairs:
         return {}
-    faces, other_faces = Faces(record), Faces(other_record)
+    faces, other_faces = CrackFaces(record), CrackFaces(other_record)
     force_change = (other_faces.force - faces.force) @ record.is_pair_in_crack
     parts, other_parts = _parts_of_pairs(record, faces), _parts_of_pairs(record, other_faces)
     return {
@@ -277,7 +277,7 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
     }
 
 
-def _parts_of_pairs(record: Record, faces: Faces) -> dict[str, np.ndarray]:
+def _parts_of_pairs(record: Record, faces: CrackFaces) -> dict[str, np.ndarray]:
     """Return each pair's part in sums over pairs: (n_pairs,) by name."""
     parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
     if record.friction_coefficient is None:

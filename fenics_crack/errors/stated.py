@@ -58,7 +58,7 @@ from fenics_crack.balance.error_report import (
     MIN_HARMONICS_FOR_MODAL_CHANGE,
     ErrorReport,
 )
-from fenics_crack.balance.more_modes import reference_structure_of
+from fenics_crack.balance.more_modes import more_modes_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.causes import REDUCED_STRUCTURE_CAUSES
 from fenics_crack.basics.errors import InputError
@@ -307,7 +307,7 @@ class StatedCase(Case):
         The change is at least the part of harmonics in motions that are truncated: modes above all
         harmonics are static in both.
         """
-        structure, reference = self.study.structure, reference_structure_of(self.wave)
+        structure, reference = self.study.structure, more_modes_structure_of(self.wave)
         if reference is None:
             return "all are kept"
         assert isinstance(structure, ReducedStructure)
@@ -345,7 +345,7 @@ class StatedCase(Case):
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * wave.subharmonic
         if assessment.can_search_orbit and (more_modes := assessment.more_modes):
             is_short = self.answer.orbit is None and wave.harmonics < min_harmonics
-            if motion := more_modes.motion if is_short else more_modes.orbit:
+            if motion := more_modes.orbit_or_corrected_motion if is_short else more_modes.orbit:
                 return more_modes.nearest_orbit, motion
         if self._has_massless_flow and wave.harmonics < min_harmonics:
             wave = solve_again(self.study, wave.omega, min_harmonics, wave)

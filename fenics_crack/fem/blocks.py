@@ -57,7 +57,7 @@ MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
-class Interval:
+class ElementInterval:
     """Part of a plate's side from ``start`` to ``stop``, divided into elements.
 
     ``length_ratio`` is an element's length over the previous element's length.
@@ -77,8 +77,8 @@ class _GradedFace:
     """Element lengths along a crack face, which fall geometrically towards a tip.
 
     The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside, the
-    coarse end is the middle, with half as many. ``length_ratio`` is an element's length over the
-    next element's length, away from the tip.
+    coarse end is the middle, with half as many. ``length_ratio_towards_tip`` is an element's length
+    over the next element's length, away from the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
@@ -86,8 +86,8 @@ class _GradedFace:
         self.coarse_end, self.tip, self.n_elements = coarse_end, tip, mesh.given("lip_elements")
         if coarse_end not in (0.0, plate_width):
             self.n_elements = -(-self.n_elements // 2)
-        self.length_ratio = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
-        relative_lengths = self.length_ratio ** np.arange(self.n_elements)
+        self.length_ratio_towards_tip = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
+        relative_lengths = self.length_ratio_towards_tip ** np.arange(self.n_elements)
         self.tip_size = float(abs(tip - coarse_end) * relative_lengths[-1] / relative_lengths.sum())
         if self.tip_size < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
             requirement = "smaller, for this crack: the element at its tip is only "
@@ -101,7 +101,7 @@ class _GradedFace:
 
     def element_length(self, position: float) -> float:
         """Return the element length at a position on the face."""
-        coarse_length = self.tip_size / self.length_ratio ** (self.n_elements - 1)
+        coarse_length = self.tip_size / self.length_ratio_towards_tip ** (self.n_elements - 1)
         fraction = (position - self.tip) / (self.coarse_end - self.tip)
         return self.tip_size + fraction * (coarse_length - self.tip_size)
 
@@ -113,7 +113,7 @@ class _GradedFace:
         return (stop - start) * math.log(start_length / stop_length) / (start_length - stop_length)
 
 
-def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
+def _plate_blocks(scene: Scene) -> tuple[list[ElementInterval], list[ElementInterval], list[Slit]]:
     """Divide a plate into blocks, and find the cracks among them.
 
     The results are block columns, block rows, and each crack's row and columns.
@@ -191,13 +191,13 @@ def plate_pair_upper_bound(scene: Scene) -> int:
     )
 
 
-def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
+def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[ElementInterval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
     position_by_line = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
     } | {0: 0.0, n_elements: extent}
     return [
-        Interval(
+        ElementInterval(
             position_by_line[first_line], position_by_line[last_line], last_line - first_line, 1.0
         )
         for first_line, last_line in pairwise(sorted(position_by_line))
@@ -245,12 +245,14 @@ def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
     return unit_scene, unit
 
 
-def _scale_nodes(unit: float) -> None:
+def _scale_nodes(metres_per_unit: float) -> None:
     """Scale the nodes of gmsh's current model to metres."""
-    if unit != 1.0:
-        numbers, positions, _ = gmsh.model.mesh.getNodes()
-        for number, position in zip(numbers, unit * positions.reshape(-1, 3), strict=True):
-            gmsh.model.mesh.setNode(number, position, [])
+    if metres_per_unit != 1.0:
+        node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
+        for node_number, node_position in zip(
+            node_numbers, metres_per_unit * node_positions.reshape(-1, 3), strict=True
+        ):
+            gmsh.model.mesh.setNode(node_number, node_position, [])
 
 
 # --- graded sides ---------------------------------------------------------------------------------
@@ -258,16 +260,18 @@ def _scale_nodes(unit: float) -> None:
 
 def _graded_columns_and_rows(
     scene: Scene, spans: list[tuple[float, float]], levels: list[float]
-) -> tuple[list[Interval], list[Interval]]:
+) -> tuple[list[ElementInterval], list[ElementInterval]]:
     """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
 
     ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
     """
-    (width, height), size = scene.geometry.sides, scene.mesh.given("size")
+    (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
-        element_counts = [max(1, round(side_length / size)) for side_length in (width, height)]
-        return [Interval(0.0, width, element_counts[0], 1.0)], [
-            Interval(0.0, height, element_counts[1], 1.0)
+        element_counts = [
+            max(1, round(side_length / element_size)) for side_length in (width, height)
+        ]
+        return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
+            ElementInterval(0.0, height, element_counts[1], 1.0)
         ]
     faces: list[_GradedFace] = []
     crack_levels_and_sizes: list[tuple[float, float]] = []
@@ -287,9 +291,9 @@ def _graded_columns_and_rows(
         crack_levels_and_sizes.append((level, min(face.tip_size for face in graded_faces)))
         faces += graded_faces
     tip_positions_and_sizes = [(face.tip, face.tip_size) for face in faces]
-    return _graded_intervals(width, tip_positions_and_sizes, faces, size), _graded_intervals(
-        height, crack_levels_and_sizes, [], size
-    )
+    return _graded_intervals(
+        width, tip_positions_and_sizes, faces, element_size
+    ), _graded_intervals(height, crack_levels_and_sizes, [], element_size)
 
 
 def _graded_intervals(
@@ -297,7 +301,7 @@ def _graded_intervals(
     tip_positions_and_sizes: list[tuple[float, float]],
     faces: list[_GradedFace],
     size: float,
-) -> list[Interval]:
+) -> list[ElementInterval]:
     """Divide a side into intervals with given element lengths.
 
     Parameters
@@ -329,16 +333,18 @@ def _graded_intervals(
             + lengths_at_tip(position)
         )
 
-    def make_intervals(start: float, stop: float) -> list[Interval]:
+    def make_intervals(start: float, stop: float) -> list[ElementInterval]:
         """Return one interval between two positions, or two intervals that meet half-way."""
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
             ends = sorted((face.coarse_end, face.tip))
             if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
                 length_ratio = (
-                    face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
+                    face.length_ratio_towards_tip
+                    if face.tip > face.coarse_end
+                    else 1.0 / face.length_ratio_towards_tip
                 )
-                return [Interval(start, stop, face.n_elements, length_ratio)]
+                return [ElementInterval(start, stop, face.n_elements, length_ratio)]
         start_length = element_length(start, faces_along)
         stop_length = element_length(stop, faces_along)
         if not (lengths_at_tip(start) and lengths_at_tip(stop)):
@@ -364,7 +370,7 @@ def _graded_intervals(
 
 def _graded_interval(
     start: float, stop: float, start_length: float, stop_length: float, faces: list[_GradedFace]
-) -> Interval:
+) -> ElementInterval:
     """Return an interval with enough elements for all crack faces.
 
     Element lengths are about ``start_length`` at its start and ``stop_length`` at its end.
@@ -379,7 +385,7 @@ def _graded_interval(
             n_required_elements,
             (max_length / min_length) ** (1.0 / max(n_required_elements - 1, 1)),
         )
-    return Interval(
+    return ElementInterval(
         start, stop, n_elements, growth_ratio if start_length <= stop_length else 1.0 / growth_ratio
     )
 
@@ -420,10 +426,12 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
         rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
-            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDES
+            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDE_NAMES
         )
         rim.set_periodic(0, left_curves, right_curves)
-        _mesh_with_gradings(scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()])
+        _mesh_current_model_with_gradings(
+            scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()]
+        )
         # The mesh is made: end the periodicity.
         gmsh.model.mesh.setPeriodic(1, right_curves, right_curves, np.eye(4).ravel().tolist())
     else:
@@ -453,14 +461,14 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
-    points = {
+    corners = {
         (i, j): add_point(x, y if j else foot_heights[i], 0.0)
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
     doubled_corners = _doubled_corners(slits, len(columns))
-    upper_points = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
-    block_bottom_points = points | upper_points  # corners of blocks above a crack
+    upper_corners = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
+    bottom_corners = corners | upper_corners  # corners of blocks above a crack
 
     horizontal_curves, vertical_curves = {}, {}
     interval_by_face_block = {
@@ -471,18 +479,18 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
             [replace(interval, n_elements=0) for interval in intervals]
             for intervals in (columns, rows)
         )
-    for i, column_interval in enumerate(columns):
+    for i, division in enumerate(columns):
         for j in range(len(ys)):
             horizontal_curves[i, j] = _add_curve(
-                points[i, j], points[i + 1, j], interval_by_face_block.get((i, j), column_interval)
+                corners[i, j], corners[i + 1, j], interval_by_face_block.get((i, j), division)
             )
     for j, row_interval in enumerate(rows):
         for i in range(len(xs)):
             vertical_curves[i, j] = _add_curve(
-                block_bottom_points[i, j], points[i, j + 1], row_interval
+                bottom_corners[i, j], corners[i, j + 1], row_interval
             )
     upper_curves = {
-        (i, j): _add_curve(block_bottom_points[i, j], block_bottom_points[i + 1, j], interval)
+        (i, j): _add_curve(bottom_corners[i, j], bottom_corners[i + 1, j], interval)
         for (i, j), interval in interval_by_face_block.items()
     }
     surfaces = _add_surfaces(
@@ -491,21 +499,21 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
     sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
-        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
+        sides = rim.draw([corners[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
     _set_cell_kind(scene, surfaces)
 
     left_curves, right_curves = (
         [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
     )
-    single_corners = [indices for indices in points if indices not in doubled_corners]
+    single_corners = [corner for corner in corners if corner not in doubled_corners]
     load_position = unit_scene.excitation.point
-    loaded_point_tags = [points[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position]
+    loaded_tags = [corners[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         **sides,
         "lower_lip": (1, [horizontal_curves[block_indices] for block_indices in upper_curves]),
         "upper_lip": (1, list(upper_curves.values())),
-        "load": (0, loaded_point_tags),
+        "load": (0, loaded_tags),
         "left": (1, left_curves),
         "right": (1, right_curves),
         "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
@@ -597,24 +605,28 @@ def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
     gmsh.model.geo.synchronize()
 
 
-def _add_curve(start: int, end: int, interval: Interval, center: int | None = None) -> int:
+def _add_curve(
+    start_tag: int, end_tag: int, interval: ElementInterval, center: int | None = None
+) -> int:
     """Add a line, or an arc around a center, divided into elements."""
     geo = gmsh.model.geo
-    points = (start, end) if center is None else (start, center, end)
-    curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
-    if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
+    point_tags = (start_tag, end_tag) if center is None else (start_tag, center, end_tag)
+    curve_tag: int = (geo.addLine if center is None else geo.addCircleArc)(*point_tags)
+    if (
+        interval.n_elements
+    ):  # else elements have lengths by :func:`_mesh_current_model_with_gradings`
         n_nodes_on_curve, length_ratio = interval.n_elements + 1, interval.length_ratio
         gmsh.model.geo.mesh.setTransfiniteCurve(
-            curve, n_nodes_on_curve, "Progression", length_ratio
+            curve_tag, n_nodes_on_curve, "Progression", length_ratio
         )
-    return curve
+    return curve_tag
 
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
-CORNER_SIZE_RATIO = 1.0 / 32.0
+BLADE_RIM_CORNER_SIZE_RATIO = 1.0 / 32.0
 """Element length at the corners between blade and rim, relative to ``mesh.size``."""
-RIM_SIDES = ("rim_left", "rim_right")
+RIM_SIDE_NAMES = ("rim_left", "rim_right")
 """Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
 
 
@@ -706,30 +718,32 @@ class DiskRim:
         The stress is infinite there. A smaller ``mesh.size`` gives shorter elements and slower
         growth.
         """
-        (blade_width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
+        (blade_width, _), element_size = self.scene.geometry.sides, self.scene.mesh.given("size")
         corner_x_positions = np.array([0.0, blade_width])
         return [
             _Grading(
                 corner_x_positions,
                 self.foot_height(0.0),
-                CORNER_SIZE_RATIO * size,
-                size / blade_width,
+                BLADE_RIM_CORNER_SIZE_RATIO * element_size,
+                element_size / blade_width,
             )
         ]
 
-    def name_of(self, center: tuple[float, float, float]) -> str:
+    def name_of(self, face_center: tuple[float, float, float]) -> str:
         """Name a face on a solid's rim, given the face's center of mass."""
         offset_across_blade, offset_along_blade = (
-            center[2] - self.blade_middle,
-            center[1] - self.axis_height,
+            face_center[2] - self.blade_middle,
+            face_center[1] - self.axis_height,
         )
-        radius = math.hypot(offset_across_blade, offset_along_blade)
-        angle = math.atan2(offset_across_blade, offset_along_blade)
-        if abs(abs(angle) - self.half_angle) < 1e-6:
-            return RIM_SIDES[int(angle > 0.0)]
+        face_radius = math.hypot(offset_across_blade, offset_along_blade)
+        face_angle = math.atan2(offset_across_blade, offset_along_blade)
+        if abs(abs(face_angle) - self.half_angle) < 1e-6:
+            return RIM_SIDE_NAMES[int(face_angle > 0.0)]
         # The center of mass of the inner arc.
         arc_centroid_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
-        return "clamp" if abs(radius - arc_centroid_radius) < 1e-6 * self.outer_radius else "rim"
+        return (
+            "clamp" if abs(face_radius - arc_centroid_radius) < 1e-6 * self.outer_radius else "rim"
+        )
 
     def set_periodic(self, across_axis: int, left_tags: list[int], right_tags: list[int]) -> None:
         """Make gmsh mesh the right side like the left one, rotated.
@@ -750,7 +764,7 @@ class DiskRim:
         self,
         foot_points: list[int],
         foot_curves: list[int],
-        columns: list[Interval],
+        foot_columns: list[ElementInterval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw the rim in blocks below a plate's foot, and append them to ``surfaces``.
@@ -760,38 +774,46 @@ class DiskRim:
         dict
             The curves' dimension and tags, by the rim side's name.
         """
-        size, geo = _element_length(self.scene), gmsh.model.geo
+        element_size, geo = _element_length(self.scene), gmsh.model.geo
         angle_beside_blade = self.half_angle - math.asin(
-            (columns[-1].stop - self.blade_middle) / self.outer_radius
+            (foot_columns[-1].stop - self.blade_middle) / self.outer_radius
         )
-        lengths = self.outer_radius * angle_beside_blade, self.outer_radius - self.inner_radius
+        arc_and_radial_lengths = (
+            self.outer_radius * angle_beside_blade,
+            self.outer_radius - self.inner_radius,
+        )
         element_counts = [
-            max(1, round(length / size)) if columns[0].n_elements else 0 for length in lengths
+            max(1, round(arc_or_radial_length / element_size)) if foot_columns[0].n_elements else 0
+            for arc_or_radial_length in arc_and_radial_lengths
         ]
         interval_beside_blade, radial_interval = (
-            Interval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
+            ElementInterval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
         )
         center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
-        x_positions = [columns[0].start, *(column_interval.stop for column_interval in columns)]
-        angles = [
+        x_positions = [
+            foot_columns[0].start,
+            *(column_interval.stop for column_interval in foot_columns),
+        ]
+        point_angles = [
             math.asin((x_position - self.blade_middle) / self.outer_radius)
             for x_position in x_positions
         ]
-        angles = [-self.half_angle, *angles, self.half_angle]
+        point_angles = [-self.half_angle, *point_angles, self.half_angle]
         left_corner, right_corner = (
-            geo.addPoint(*self.point_at(self.outer_radius, angle), 0.0)
-            for angle in (-self.half_angle, self.half_angle)
+            geo.addPoint(*self.point_at(self.outer_radius, point_angle), 0.0)
+            for point_angle in (-self.half_angle, self.half_angle)
         )
         outer_points = [left_corner, *foot_points, right_corner]
         inner_points = [
-            geo.addPoint(*self.point_at(self.inner_radius, angle), 0.0) for angle in angles
+            geo.addPoint(*self.point_at(self.inner_radius, point_angle), 0.0)
+            for point_angle in point_angles
         ]
-        intervals = [interval_beside_blade, *columns, interval_beside_blade]
+        arc_intervals = [interval_beside_blade, *foot_columns, interval_beside_blade]
         radial_curves = [
             _add_curve(inner_point, outer_point, radial_interval)
             for inner_point, outer_point in zip(inner_points, outer_points, strict=True)
         ]
-        arc_ends_and_intervals = zip(pairwise(inner_points), intervals, strict=True)
+        arc_ends_and_intervals = zip(pairwise(inner_points), arc_intervals, strict=True)
         inner_curves = [
             _add_curve(*arc_end_points, interval, center)
             for arc_end_points, interval in arc_ends_and_intervals
@@ -801,7 +823,7 @@ class DiskRim:
             for start, end in (outer_points[:2], outer_points[-2:])
         ]
         outer_curves[1:1] = foot_curves
-        for column_index in range(len(intervals)):
+        for column_index in range(len(arc_intervals)):
             loop_curves = [
                 inner_curves[column_index],
                 radial_curves[column_index + 1],
@@ -811,15 +833,17 @@ class DiskRim:
             surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop_curves)]))
         return {
             "clamp": (1, inner_curves),
-            RIM_SIDES[0]: (1, radial_curves[:1]),
-            RIM_SIDES[1]: (1, radial_curves[-1:]),
+            RIM_SIDE_NAMES[0]: (1, radial_curves[:1]),
+            RIM_SIDE_NAMES[1]: (1, radial_curves[-1:]),
         }
 
 
 # --- graded sectors -----------------------------------------------------------------------------
 
 
-def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
+def _mesh_current_model_with_gradings(
+    scene: Scene, unit_scene: Scene, gradings: list[_Grading]
+) -> None:
     """Mesh gmsh's current model with elements of ``mesh.size``, or shorter ones.
 
     Each grading limits the element length.
@@ -914,10 +938,14 @@ def _crack_gradings(scene: Scene) -> list[_Grading]:
         if crack.edge is None:
             n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
         length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
-        tip_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
-        tip_positions = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])
+        tip_element_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
+        tip_positions = np.array(
+            [tip_position for tip_position in (left_end, right_end) if 0.0 < tip_position < width]
+        )
         size_growth_per_distance = max(length_ratio - 1.0, MAX_SIZE_PER_DISTANCE)
         gradings.append(
-            _Grading(tip_positions, crack.given("height"), tip_length, size_growth_per_distance)
+            _Grading(
+                tip_positions, crack.given("height"), tip_element_length, size_growth_per_distance
+            )
         )
     return gradings

@@ -56,10 +56,15 @@ from fenics_crack.fem.cracks import (
     distribute_front_pressures,
     locate_on_cracks,
 )
-from fenics_crack.fem.elasticity import assemble_rotation, constants, stress, thickness
+from fenics_crack.fem.elasticity import (
+    assemble_rotation,
+    form_constants,
+    stress_expression,
+    thickness_constant,
+)
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
-from fenics_crack.fem.setting import clearance_of, damping_of
+from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
@@ -119,7 +124,7 @@ def pair_crack_faces(
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
     lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
-        plate.crack_geometries, *node_table_by_face
+        plate.crack_paths_or_surfaces, *node_table_by_face
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
@@ -150,7 +155,7 @@ def pair_crack_faces(
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
-                plate.crack_geometries, crack_index[:n_inside], distances_on_crack[:n_inside]
+                plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
             ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
@@ -163,7 +168,8 @@ def pair_crack_faces(
         )
     pairs = Pairs(
         points, areas, crack_index, distances_on_crack,
-        _watched_pair_by_name(plate.crack_geometries, crack_index, distances_on_crack), **fields,
+        _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
+        **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
@@ -274,8 +280,10 @@ def _patch_shares(
             ]
         else:
             crack_nodes = crack_nodes[_select_distant_points(points[crack_nodes], n_patches)]
-            distances = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
-            patch_functions = [distances.argmin(axis=1) == patch for patch in range(n_patches)]
+            distances_to_patch_nodes = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
+            patch_functions = [
+                distances_to_patch_nodes.argmin(axis=1) == patch for patch in range(n_patches)
+            ]
         patch_nodes = np.append(patch_nodes, crack_nodes)
         pressure_shares = np.column_stack(
             [
@@ -294,11 +302,13 @@ def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
 
     The last point is selected first, then repeatedly the point farthest from all selected ones.
     """
-    indices, distances = [len(points) - 1], np.full(len(points), np.inf)
-    while len(indices) < n_points:
-        distances = np.minimum(distances, np.linalg.norm(points - points[indices[-1]], axis=1))
-        indices.append(int(distances.argmax()))
-    return np.sort(indices)
+    selected_indices, distances_to_selected = [len(points) - 1], np.full(len(points), np.inf)
+    while len(selected_indices) < n_points:
+        distances_to_selected = np.minimum(
+            distances_to_selected, np.linalg.norm(points - points[selected_indices[-1]], axis=1)
+        )
+        selected_indices.append(int(distances_to_selected.argmax()))
+    return np.sort(selected_indices)
 
 
 def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
@@ -336,15 +346,15 @@ def _columns_of_nodes(
         t * ufl.inner(normal, ufl.TestFunction(space)) * both_faces_measure
     )
     normal_integrals = normal_integrals.reshape(-1, dimension)
-    weights = np.linalg.norm(normal_integrals, axis=1)
-    face_nodes = np.flatnonzero(weights)
-    normals = normal_integrals[face_nodes] / weights[face_nodes, None]
+    node_areas = np.linalg.norm(normal_integrals, axis=1)
+    face_nodes = np.flatnonzero(node_areas)
+    normals = normal_integrals[face_nodes] / node_areas[face_nodes, None]
     row_indices = dimension * face_nodes[:, None] + np.arange(dimension)
     column_indices = np.repeat(dofs.first_node + face_nodes, dimension)
     matrix_shape = len(dofs.structure_dof_numbers), space.dofmap.index_map.size_global
     return (
         space,
-        weights,
+        node_areas,
         sparse.csc_matrix((normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape),
     )
 
@@ -359,15 +369,15 @@ def _columns_of_pressures(
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
     work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * both_faces_measure
-    matrix = compat.assembled_petsc_matrix(work_form)
-    columns = local_rows(matrix).tocsc()
-    matrix.destroy()
-    weights = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
-    all_weights = gather_rows(dofs.comm, weights)
+    petsc_gap_matrix = compat.assembled_petsc_matrix(work_form)
+    gap_columns = local_rows(petsc_gap_matrix).tocsc()
+    petsc_gap_matrix.destroy()
+    node_areas = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
+    all_node_areas = gather_rows(dofs.comm, node_areas)
     reciprocal_areas = np.divide(
-        1.0, all_weights, out=np.zeros_like(all_weights), where=all_weights > 0.0
+        1.0, all_node_areas, out=np.zeros_like(all_node_areas), where=all_node_areas > 0.0
     )
-    return space, weights, sparse.csc_matrix(columns @ sparse.diags(reciprocal_areas))
+    return space, node_areas, sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas))
 
 
 def _match_faces(
@@ -394,17 +404,22 @@ def _match_faces(
     n_inside : int
         Number of pairs off tips and fronts.
     """
-    size = np.ptp(lower_node_table[:, 2:], axis=0).max()
+    crack_extent = np.ptp(lower_node_table[:, 2:], axis=0).max()
     is_front_node = np.isin(lower_node_table[:, 0], upper_node_table[:, 0])
     lower_node_table[is_front_node, 1] *= 0.5
     crack_index, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
     # Equal distances, as along a front, are sorted by coordinates.
-    sort_positions = np.round(lower_node_table[:, 2:] / size, 7).T
-    order = np.lexsort(
-        (*sort_positions, np.round(distances_on_crack / size, 7), crack_index, is_front_node)
+    sort_positions = np.round(lower_node_table[:, 2:] / crack_extent, 7).T
+    node_order = np.lexsort(
+        (
+            *sort_positions,
+            np.round(distances_on_crack / crack_extent, 7),
+            crack_index,
+            is_front_node,
+        )
     )
-    lower_node_table, crack_index = lower_node_table[order], crack_index[order]
-    distances_on_crack = distances_on_crack[order]
+    lower_node_table, crack_index = lower_node_table[node_order], crack_index[node_order]
+    distances_on_crack = distances_on_crack[node_order]
     n_front = int(is_front_node.sum())
     n_inside = len(lower_node_table) - n_front
     has_matching_faces = len(lower_node_table) == len(upper_node_table) and n_inside > 0
@@ -418,7 +433,7 @@ def _match_faces(
             np.min(distances_to_upper_nodes, axis=1),
             np.argmin(distances_to_upper_nodes, axis=1),
         )
-        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * size and len(
+        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * crack_extent and len(
             np.unique(partners)
         ) == len(partners)
         position_text = ", ".join(
@@ -464,7 +479,7 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     if scene.structure is not None:
         from fenics_crack.fem.matrix_files import read_structure
 
-        damping_rule = None if scene.damping is None else damping_of(scene.damping)
+        damping_rule = None if scene.damping is None else damping_rule_of(scene.damping)
         return read_structure(scene, damping_rule, comm)
     coarser_file = scene.mesh.coarser
     if coarser_file is not None:  # read last, so check it now
@@ -530,7 +545,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         compat.assembled_petsc_matrix, _matrix_forms(scene, space)
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
-    t, max_patches = thickness(scene, space), scene.mesh.patches
+    t, max_patches = thickness_constant(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(
         dofs, t, mouth_only=mouth_only, max_patches=max_patches
     )
@@ -540,7 +555,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         dofs.restrict_matrix(mass_with_clamped_dofs),
         dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,
         dofs.restrict_to_free(nodal_force_harmonics), clearance_of(scene, pairs),
-        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
+        damping=damping_rule_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
     return Structure(body_with_loads), dofs
@@ -551,10 +566,12 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 
 def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass."""
-    (density,), t = constants(space, scene.material.density), thickness(scene, space)
+    (density,), t = form_constants(space, scene.material.density), thickness_constant(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
-    stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
+    stiffness = (
+        t * ufl.inner(stress_expression(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
+    )
     return stiffness, t * density * ufl.inner(u, v) * ufl.dx
 
 
@@ -600,7 +617,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     return _set_crack_length(scene, find_crack_length(scene, comm))
 
 
-_LAST_LENGTH: list[tuple[str, float]] = []
+_LAST_TABLES_AND_LENGTH: list[tuple[str, float]] = []
 """Crack length found last in this process, after all tables of a scene that determine it."""
 
 
@@ -638,7 +655,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
-    if (known_length := comm.bcast(dict(_LAST_LENGTH).get(tables_text))) is not None:
+    if (known_length := comm.bcast(dict(_LAST_TABLES_AND_LENGTH).get(tables_text))) is not None:
         return float(known_length)
     target_omega, scene_at_rest = crack.first_omega, scene.at_rest()
 
@@ -664,7 +681,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     crack_length_at_target = float(
         scipy.optimize.brentq(excess_frequency, min_length, max_length, xtol=1e-5 * width)
     )
-    _LAST_LENGTH[:] = [(tables_text, crack_length_at_target)]
+    _LAST_TABLES_AND_LENGTH[:] = [(tables_text, crack_length_at_target)]
     return crack_length_at_target
 
 

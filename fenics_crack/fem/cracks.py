@@ -33,7 +33,7 @@ POSITION_TOLERANCE = 1e-6
 digits or more."""
 COINCIDENCE_TOLERANCE = 1e-3
 """Distance between coincident nodes, relative to the shortest edge."""
-FACETS = {
+FACET_CORNERS_BY_CORNER_COUNT = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
     8: np.array(
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
@@ -90,10 +90,15 @@ class CrackPath:
             Distance from the beginning to the nearest point on the path.
         """
         offsets, edge_fractions = offsets_from_edges(points, self.edges)
-        distances, corner_arc_lengths = np.linalg.norm(offsets, axis=2), self.corner_arc_lengths
+        distances_to_edges, corner_arc_lengths = (
+            np.linalg.norm(offsets, axis=2),
+            self.corner_arc_lengths,
+        )
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
-        edge_index, point_index = distances.argmin(axis=1), np.arange(len(points))
-        return distances[point_index, edge_index], nearest_arc_lengths[point_index, edge_index]
+        edge_index, point_index = distances_to_edges.argmin(axis=1), np.arange(len(points))
+        return distances_to_edges[point_index, edge_index], nearest_arc_lengths[
+            point_index, edge_index
+        ]
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return points below and above a point on the crack.
@@ -101,9 +106,11 @@ class CrackPath:
         None if the point is off the crack, or at a tip.
         """
         (distance_to_crack,), (arc_length,) = self.locate(np.array([point]))
-        length = float(self.corner_arc_lengths[-1])
+        path_length = float(self.corner_arc_lengths[-1])
         tip_distance = (
-            length - arc_length if self.has_mouth else min(arc_length, length - arc_length)
+            path_length - arc_length
+            if self.has_mouth
+            else min(arc_length, path_length - arc_length)
         )
         edge_index = np.searchsorted(self.corner_arc_lengths[1:-1], arc_length)
         return points_on_both_sides(
@@ -111,7 +118,7 @@ class CrackPath:
             distance_to_crack,
             tip_distance,
             _size_weighted_normals(self.edges[[edge_index]])[0],
-            length,
+            path_length,
         )
 
 
@@ -157,21 +164,21 @@ class CrackSurface:
             Distance between each point and the front, at most twice the crack's size. Without a
             front all are equal.
         """
-        distances, front_distances = np.empty(len(points)), np.empty(len(points))
+        surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
         block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_edges)))
         for block_start in range(0, len(points), block_size):
-            block = slice(block_start, block_start + block_size)
-            distances[block] = np.linalg.norm(
-                _offsets_from_triangles(points[block], self.triangles), axis=2
+            point_block = slice(block_start, block_start + block_size)
+            surface_distances[point_block] = np.linalg.norm(
+                _offsets_from_triangles(points[point_block], self.triangles), axis=2
             ).min(1)
             # Larger than any distance between the surface and its front.
             front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[block], self.front_edges)[0], axis=2
+                offsets_from_edges(points[point_block], self.front_edges)[0], axis=2
             )
-            front_distances[block] = edge_distances.min(axis=1, initial=front_distance_bound)
-        return distances, front_distances
+            front_distances[point_block] = edge_distances.min(axis=1, initial=front_distance_bound)
+        return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return points below and above a point on the crack.
@@ -297,9 +304,9 @@ def upward_sign(normal: np.ndarray) -> float:
 
     Up is along y; a level normal is judged along x, then along z.
     """
-    for axis in (1, 0, 2)[: len(normal)]:
-        if abs(normal[axis]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
-            return float(np.sign(normal[axis]))
+    for axis_index in (1, 0, 2)[: len(normal)]:
+        if abs(normal[axis_index]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
+            return float(np.sign(normal[axis_index]))
     return 1.0
 
 
@@ -493,20 +500,20 @@ class Cells:
     ----------
     cell_nodes : (n_cells, k) int
         Nodes in gmsh's order: corners first.
-    facets : (n_facets, n) int
+    facet_corner_columns : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
     is_supporting_corner : (k, n_corners) bool
         True for the corners between which a node of a cell lies.
     """
 
     cell_nodes: np.ndarray
-    facets: np.ndarray
+    facet_corner_columns: np.ndarray
     is_supporting_corner: np.ndarray
 
     @property
     def n_corners(self) -> int:
         """Return the number of corners of a cell."""
-        return int(self.facets.max()) + 1
+        return int(self.facet_corner_columns.max()) + 1
 
     @cached_property
     def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -521,14 +528,20 @@ class Cells:
         local_corners : (n, m) int
             Columns of ``cell_nodes`` that hold the corners.
         """
-        corners = self.cell_nodes[:, self.facets].reshape(-1, self.facets.shape[1])
+        corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
+            -1, self.facet_corner_columns.shape[1]
+        )
         corner_order = np.argsort(corners, axis=1)
         local_corners = np.take_along_axis(
-            np.tile(self.facets, (len(self.cell_nodes), 1)), corner_order, axis=1
+            np.tile(self.facet_corner_columns, (len(self.cell_nodes), 1)), corner_order, axis=1
         )
         corners = np.take_along_axis(corners, corner_order, axis=1)
         facet_order = np.lexsort(corners.T[::-1])
-        return corners[facet_order], facet_order // len(self.facets), local_corners[facet_order]
+        return (
+            corners[facet_order],
+            facet_order // len(self.facet_corner_columns),
+            local_corners[facet_order],
+        )
 
     @cached_property
     def is_shared(self) -> np.ndarray:
@@ -601,12 +614,13 @@ def split_cracks(
         A facet is not between two cells. A crack branches, crosses another, has not two sides,
         or has all its nodes on its front.
     """
-    n_corners, facet_word = cells.facets.shape[1], ("edges", "facets")[positions.shape[1] - 2]
+    n_corners = cells.facet_corner_columns.shape[1]
+    facet_word = ("edges", "facets")[positions.shape[1] - 2]
     crack_corners, first_facet_index = np.unique(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
     crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
-    (facets, owner, local_corners), is_shared = cells.sorted_facets_and_owners, cells.is_shared
+    (facets, owner, local_corners), is_shared = (cells.sorted_facets_and_owners, cells.is_shared)
     is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
     is_crack_facet = is_crack_node[facets].all(axis=1)
     is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
@@ -630,7 +644,7 @@ def split_cracks(
         -1, cells.n_corners
     )
     side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
-    side_cells, is_fixed_corner = owner[side_facet_index], ~is_split[facets[side_facet_index]]
+    side_cells, is_fixed_corner = (owner[side_facet_index], ~is_split[facets[side_facet_index]])
     side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
     side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
     side_labels = label_connected_rows(side_corner_stars)
@@ -660,9 +674,8 @@ def split_cracks(
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_node_above = is_crack_node[cells.cell_nodes] & (
-        is_upper_corner @ cells.is_supporting_corner.T
-    )
+    is_near_upper_corner = is_upper_corner @ cells.is_supporting_corner.T
+    is_node_above = is_crack_node[cells.cell_nodes] & is_near_upper_corner
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
@@ -714,9 +727,9 @@ def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) ->
     """
     from scipy.sparse.csgraph import connected_components
 
-    facets, owner, local_corners = cells.sorted_facets_and_owners
-    passable_facets = np.flatnonzero(is_passable & is_split[facets[:-1]].any(axis=1))
-    is_split_corner = is_split[facets[passable_facets]]
+    sorted_facets, owner, local_corners = cells.sorted_facets_and_owners
+    passable_facets = np.flatnonzero(is_passable & is_split[sorted_facets[:-1]].any(axis=1))
+    is_split_corner = is_split[sorted_facets[passable_facets]]
     flat_corner_index, neighbour_corner_index = (
         owner[facet_rows][:, None] * cells.n_corners + local_corners[facet_rows]
         for facet_rows in (passable_facets, passable_facets + 1)

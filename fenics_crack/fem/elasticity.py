@@ -64,7 +64,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 
-def constants(space: Any, *values: float | np.ndarray) -> list[Any]:
+def form_constants(space: Any, *values: float | np.ndarray) -> list[Any]:
     """Return numbers, vectors and matrices as constants of a form.
 
     A form with other values is not compiled again.
@@ -73,14 +73,16 @@ def constants(space: Any, *values: float | np.ndarray) -> list[Any]:
     return [dolfinx.fem.Constant(space.mesh, array) for array in arrays]
 
 
-def thickness(scene: Scene, space: Any) -> Any:
+def thickness_constant(scene: Scene, space: Any) -> Any:
     """Return t [m]: the thickness of a plate, 1 for a solid."""
-    return constants(space, (scene.geometry.thickness or 1.0) if scene.dimension == 2 else 1.0)[0]
+    return form_constants(
+        space, (scene.geometry.thickness or 1.0) if scene.dimension == 2 else 1.0
+    )[0]
 
 
-def stress(scene: Scene, space: Any, strain: Any) -> Any:
+def stress_expression(scene: Scene, space: Any, strain: Any) -> Any:
     """Return the stress sigma for a strain."""
-    young, poisson = constants(space, scene.material.young, scene.material.poisson)
+    young, poisson = form_constants(space, scene.material.young, scene.material.poisson)
     d = scene.dimension
     volumetric_strain_term = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
     return young / (1.0 + poisson) * (strain + volumetric_strain_term)
@@ -110,10 +112,10 @@ def assemble_rotation(
     projection_matrix = (np.eye(3) - np.outer(axis_direction, axis_direction))[
         :dimension, :dimension
     ]
-    rho, c, axis_normal_projection = constants(
+    rho, c, axis_normal_projection = form_constants(
         space, scene.material.density, axis_point[:dimension], projection_matrix
     )
-    t = thickness(scene, space)
+    t = thickness_constant(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     r = axis_normal_projection * (ufl.SpatialCoordinate(space.mesh) - c)
     centrifugal_load = compat.assembled_vector(t * rho * ufl.inner(r, v) * ufl.dx)
@@ -125,7 +127,7 @@ def assemble_rotation(
             structure_at_rest, centrifugal_load, np.zeros(structure_at_rest.n_pairs)
         )
     grad_u_c = ufl.grad(dofs.function(u_c_vector))
-    static_stress = stress(scene, space, ufl.sym(grad_u_c))
+    static_stress = stress_expression(scene, space, ufl.sym(grad_u_c))
 
     def gradient_strain(displacement: Any) -> Any:
         """Return e(v) = sym((grad u_c)^T grad v), the strain due to the displaced shape."""
@@ -133,7 +135,7 @@ def assemble_rotation(
 
     def virtual_work(strain: Any, test_strain: Any) -> Any:
         """Return the form for the work that one strain's stress does on another strain."""
-        return t * ufl.inner(stress(scene, space, strain), test_strain) * ufl.dx
+        return t * ufl.inner(stress_expression(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.
     K_g, M_s, displaced_stiffness_K_2, displaced_stiffness_K_3 = (

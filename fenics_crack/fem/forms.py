@@ -22,8 +22,8 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, find_crack_paths, find_crack_surfaces
-from fenics_crack.fem.elasticity import constants
-from fenics_crack.fem.plate import Dofs, PlateMesh
+from fenics_crack.fem.elasticity import form_constants
+from fenics_crack.fem.plate import Dofs, PartMesh
 from fenics_crack.model.structure import DampingRule, Structure
 
 CELL_TYPE_NAMES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -141,7 +141,7 @@ def _assemble_parts_and_places(
     try:
         dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
         gap_matrix, tangential_matrix, pair_places = pair_crack_faces(
-            dofs, constants(space, thickness)[0]
+            dofs, form_constants(space, thickness)[0]
         )
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None
@@ -192,20 +192,20 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
             )
 
 
-def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
+def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     """Return a user's mesh with its crack faces (collective).
 
     ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
     """
     if crack is None:
-        return PlateMesh(mesh, None, {}, {}, ())
+        return PartMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
     with report_read_errors("crack", type(crack).__name__, requirement):
         facet_tags, *lower_and_upper_tags = crack
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
-    plate = PlateMesh(
+    plate = PartMesh(
         mesh,
         facet_tags,
         {CRACK_FACE_NAMES[0]: (lower_tag,), CRACK_FACE_NAMES[1]: (upper_tag,)},
@@ -227,14 +227,14 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
         plate,
-        crack_geometries=find_cracks(
+        crack_paths_or_surfaces=find_cracks(
             *face_corner_nodes,
             face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
         ),
     )
 
 
-def _face_corners(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+def _face_corners(plate: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of all facets on a face (collective).
 
     Returns

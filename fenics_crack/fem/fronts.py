@@ -107,7 +107,7 @@ class Front:
         Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
     is_closed : bool
         True if the front has no ends.
-    at_surface : tuple of bool
+    ends_at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
     allowed_radius : float [m]
         Upper bound for the domain's radius.
@@ -120,7 +120,7 @@ class Front:
     parameters: np.ndarray
     curve: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
-    at_surface: tuple[bool, bool]
+    ends_at_surface: tuple[bool, bool]
     allowed_radius: float
 
     @cached_property
@@ -158,7 +158,7 @@ class Front:
     def corner_stations(self) -> list[int]:
         """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
-        end_flags_and_stations = zip(self.at_surface, (0, n_stations - 1), strict=True)
+        end_flags_and_stations = zip(self.ends_at_surface, (0, n_stations - 1), strict=True)
         return (
             []
             if self.is_closed
@@ -309,7 +309,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
     structure_nodes = structure.nodes
     assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_geometries
+    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_paths_or_surfaces
     clamped_points = gather_rows(
         structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
     )
@@ -451,25 +451,29 @@ def _fit_curve(
         a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(x)), rcond=None)[0]
         quadratic_form = np.array([[a, b], [b, c]])
         if np.linalg.det(quadratic_form) > 0.0:
-            center = np.linalg.solve(quadratic_form, [d, e])
+            scaled_center = np.linalg.solve(quadratic_form, [d, e])
             eigenvalues, eigenvectors = np.linalg.eigh(
-                quadratic_form / (1.0 + center @ quadratic_form @ center)
+                quadratic_form / (1.0 + scaled_center @ quadratic_form @ scaled_center)
             )
             unit_points = (
-                (np.column_stack([x, y]) - center) @ eigenvectors * np.sqrt(np.abs(eigenvalues))
+                (np.column_stack([x, y]) - scaled_center)
+                @ eigenvectors
+                * np.sqrt(np.abs(eigenvalues))
             )
             if (
                 np.all(eigenvalues > 0.0)
                 and np.abs(np.linalg.norm(unit_points, axis=1) - 1.0).max() < 1e-5
             ):
                 t = np.unwrap(np.arctan2(unit_points[:, 1], unit_points[:, 0]))
-                sign = np.sign(t[-1] - t[0])
+                turning_sign = np.sign(t[-1] - t[0])
                 half_axes = (
-                    extents[0] * (eigenvectors / np.sqrt(eigenvalues)) @ np.diag([1.0, sign])
+                    extents[0]
+                    * (eigenvectors / np.sqrt(eigenvalues))
+                    @ np.diag([1.0, turning_sign])
                 )
-                return sign * t, partial(
+                return turning_sign * t, partial(
                     _evaluate_ellipse,
-                    centroid + extents[0] * center @ axes[:2],
+                    centroid + extents[0] * scaled_center @ axes[:2],
                     half_axes.T @ axes[:2],
                 )
     edge_lengths = np.linalg.norm(np.diff(node_positions, axis=0), axis=1)
@@ -534,7 +538,7 @@ def front_functionals(
     force_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_resolved(front)
-        domain = _Domain(scene, front, points, cells)
+        domain = _IntegrationDomain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
             _values_at_free_dofs(nodes, domain.nodes, node_values)
             for node_values in domain.integrate_factors_and_fields(comm)
@@ -606,19 +610,19 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
         0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
     )
     station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
-    points = front.curve(front.station_parameters, 0)
-    directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
+    station_points = front.curve(front.station_parameters, 0)
+    growth_directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
     return [
         Station(
             f"{front.name} at {format_quantity(float(station_arc_length), 'm')}",
             front.crack,
-            point,
-            direction,
+            station_point,
+            growth_direction,
             float(station_arc_length),
             station_pairs,
         )
-        for point, direction, station_arc_length, station_pairs in zip(
-            points, directions, station_arc_lengths, adjacent_pairs, strict=True
+        for station_point, growth_direction, station_arc_length, station_pairs in zip(
+            station_points, growth_directions, station_arc_lengths, adjacent_pairs, strict=True
         )
     ]
 
@@ -702,7 +706,7 @@ TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 """Ends of a tetrahedron's edges, in VTK's order of the nodes on edges."""
 
 
-class _Domain:
+class _IntegrationDomain:
     """Cells near a front, the domain for the interaction integral.
 
     The equations are in the module's text. Rows are numbered mode after mode, K_I, K_II, K_III,
@@ -726,7 +730,7 @@ class _Domain:
         True for facets, opposite each corner, that belong to one cell only.
     volumes : (n_cells,) [m^3]
         Volume of each cell.
-    gradients : (n_cells, 4, 3) [1/m]
+    barycentric_gradients : (n_cells, 4, 3) [1/m]
         Gradients of the barycentric coordinates.
     side_signs : (n_cells,)
         1 above the crack, -1 below.
@@ -771,7 +775,7 @@ class _Domain:
         inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
             1, 2
         )  # rows: gradients of lambda_1 to lambda_3
-        self.gradients = np.concatenate(
+        self.barycentric_gradients = np.concatenate(
             [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
         )
         centres = self.corners.mean(axis=1)
@@ -790,7 +794,9 @@ class _Domain:
         nodes, the barycentric coordinates lambda_b in the order of ``corners``.
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
-        gradients = np.take_along_axis(self.gradients[cell_index], inverse_order[..., None], axis=1)
+        gradients = np.take_along_axis(
+            self.barycentric_gradients[cell_index], inverse_order[..., None], axis=1
+        )
         barycentric_coefficients = np.zeros((len(cell_index), 10, 4, 3))
         for corner_index in range(4):
             barycentric_coefficients[:, corner_index] = -gradients[:, corner_index, None]
@@ -827,13 +833,13 @@ class _Domain:
             cKDTree(self.front.node_positions).query(self.corners[:, 0])[0]
             < POSITION_TOLERANCE * self.front.straight_radius
         )
-        groups = (
+        cells_and_gauss_numbers = (
             (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
             (np.flatnonzero(~is_at_front), GAUSS_ELSEWHERE),
         )
         for chunk_cells, n_gauss in (
             (cell_chunk, n_side_points)
-            for group_cells, n_side_points in groups
+            for group_cells, n_side_points in cells_and_gauss_numbers
             for cell_chunk in _split_into_chunks(
                 group_cells[comm.rank :: comm.size], n_side_points**3
             )
@@ -848,16 +854,13 @@ class _Domain:
                 is_outer = self.is_outer_facet[chunk_cells, corner_index]
                 if np.any(is_outer):
                     surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
-                    barycentric_gradients = self.gradients[chunk_cells[is_outer], corner_index]
+                    gradients = self.barycentric_gradients[chunk_cells[is_outer], corner_index]
                     areas = (
                         3.0
                         * self.volumes[chunk_cells[is_outer]]
-                        * np.linalg.norm(barycentric_gradients, axis=1)
+                        * np.linalg.norm(gradients, axis=1)
                     )
-                    normals = (
-                        -barycentric_gradients
-                        / np.linalg.norm(barycentric_gradients, axis=1)[:, None]
-                    )
+                    normals = -gradients / np.linalg.norm(gradients, axis=1)[:, None]
                     tensor_integrals[is_outer] += self._integrate_tensors(
                         chunk_cells[is_outer],
                         surface_rule_points,
@@ -921,7 +924,7 @@ class _Domain:
         frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
         offsets = positions - front.curve(t, 0)
         xi, y = ((offsets * frame_vectors[..., axis_index, :]).sum(-1) for axis_index in range(2))
-        radius = front.radius(curvature)
+        domain_radius = front.radius(curvature)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
@@ -934,7 +937,7 @@ class _Domain:
             hat_slope_by_t / speed[..., None],
             curvature,
             curvature_slope,
-            radius,
+            domain_radius,
         )
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
@@ -944,14 +947,14 @@ class _Domain:
         front and on the front's element edges w is 0: such an edge is a chord, and the chord's
         middle is on neither crack side.
         """
-        positions = self.points[self.cells[cell_index]]
-        frame_vectors, xi, y, r, hat, _, _, _, radius = self._front_coordinates(
-            positions, cell_index
+        node_positions = self.points[self.cells[cell_index]]
+        frame_vectors, xi, y, r, hat, _, _, _, domain_radius = self._front_coordinates(
+            node_positions, cell_index
         )
-        is_node_at_front = r < 1e-6 * radius
+        is_node_at_front = r < 1e-6 * domain_radius
         is_node_at_front[:, 4:] = is_node_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
-        r = np.where(is_node_at_front, radius, r)
-        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / radius)[0])
+        r = np.where(is_node_at_front, domain_radius, r)
+        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
             _, a_by_xi, _ = self._plane_field(mode, xi, y, r)
@@ -1010,12 +1013,12 @@ class _Domain:
         else:
             angular_part = np.array([zeros, zeros, 4.0 * sin_half_angle])
             angular_slope = np.array([zeros, zeros, 2.0 * cos_half_angle])
-        scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
+        field_scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
         root_r = np.sqrt(r)
         return (
-            scale * root_r * angular_part,
-            scale / root_r * (0.5 * cos_angle * angular_part - sin_angle * angular_slope),
-            scale / root_r * (0.5 * sin_angle * angular_part + cos_angle * angular_slope),
+            field_scale * root_r * angular_part,
+            field_scale / root_r * (0.5 * cos_angle * angular_part - sin_angle * angular_slope),
+            field_scale / root_r * (0.5 * sin_angle * angular_part + cos_angle * angular_slope),
         )
 
     def _integrate_tensors(
@@ -1176,7 +1179,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         and structure_pairs.pressure_matrix is not None
         and structure_pairs.areas is not None
     )
-    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_geometries[front.crack]  # type: ignore[union-attr]
+    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_paths_or_surfaces[front.crack]  # type: ignore[union-attr]
     crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
@@ -1196,7 +1199,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             (1.0 - corner_fractions) * edge_fractions,
         ]
     )
-    for corners, corner_distances, corner_front_nodes in zip(
+    for triangle, corner_distances, corner_front_nodes in zip(
         crack.triangles[is_near],
         corner_front_distances[is_near],
         nearest_front_nodes[is_near],
@@ -1216,7 +1219,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
                     t_stop + parameter_period * (t_stop < t_start),
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
-            corner_offsets = corners[corner_order[0]] - front.curve(t, 0)
+            corner_offsets = triangle[corner_order[0]] - front.curve(t, 0)
             points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
                 corner_offsets,
@@ -1225,14 +1228,14 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
         else:
-            points, shape_values = rule_points @ corners[corner_order], rule_points
-            triangle_sides = corners[1:] - corners[0]
+            points, shape_values = (rule_points @ triangle[corner_order], rule_points)
+            triangle_sides = triangle[1:] - triangle[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         domain_radii = front.radius(front.frame_and_curvature(t)[2])
         kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
-        crack_node_index = crack_node_tree.query(corners[corner_order])[1]
+        crack_node_index = crack_node_tree.query(triangle[corner_order])[1]
         factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )

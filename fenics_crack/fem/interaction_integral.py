@@ -36,7 +36,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, CrackPath
-from fenics_crack.fem.elasticity import constants, stress
+from fenics_crack.fem.elasticity import form_constants, stress_expression
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
@@ -84,18 +84,20 @@ class Tip:
 def find_tips(dofs: Dofs) -> list[Tip]:
     """Find all crack tips of a plate (collective)."""
     tips: list[Tip] = []
-    cracks = dofs.plate.crack_geometries
+    cracks = dofs.plate.crack_paths_or_surfaces
     boundary_points = gather_rows(dofs.comm, _outer_points(dofs))
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
         crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
-        length = float(crack.corner_arc_lengths[-1])
-        tip_ends = [("crack tip" if crack.has_mouth else "right crack tip", crack.points, length)]
+        crack_length = float(crack.corner_arc_lengths[-1])
+        tip_ends = [
+            ("crack tip" if crack.has_mouth else "right crack tip", crack.points, crack_length)
+        ]
         if not crack.has_mouth:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
-        for name, points, arc_length in tip_ends:
-            tip_point = points[-1]
-            corner_offsets = tip_point - points[:-1]
+        for tip_name, points_to_tip, arc_length in tip_ends:
+            tip_point = points_to_tip[-1]
+            corner_offsets = tip_point - points_to_tip[:-1]
             growth_direction = corner_offsets[-1] / np.linalg.norm(corner_offsets[-1])
             is_off_line = np.abs(
                 corner_offsets @ [-growth_direction[1], growth_direction[0]]
@@ -115,7 +117,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             )
             tips.append(
                 Tip(
-                    f"the {name}{crack_note}",
+                    f"the {tip_name}{crack_note}",
                     crack_index,
                     tip_point,
                     growth_direction,
@@ -305,7 +307,7 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
-    tip_constants = constants(
+    tip_constants = form_constants(
         space, *(0.0,) * 6, *_kolosov_and_field_scale(scene), scene.material.young
     )
     tip_x, tip_y, e_1x, e_1y, radius, mode_constant, kolosov, field_scale, young = tip_constants
@@ -331,13 +333,15 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
         for vector_field in (test, singular_derivative, nodal_function)
     )
     betti_integrand = ufl.inner(
-        stress(scene, space, test_strain), ufl.outer(singular_derivative, q_gradient)
+        stress_expression(scene, space, test_strain), ufl.outer(singular_derivative, q_gradient)
     )
     betti_integrand -= ufl.inner(
-        stress(scene, space, derivative_strain), ufl.outer(test, q_gradient)
+        stress_expression(scene, space, derivative_strain), ufl.outer(test, q_gradient)
     )
     form = 0.5 * young * betti_integrand * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
-    form -= 0.5 * young * ufl.inner(stress(scene, space, nodal_strain), test_strain) * ufl.dx
+    form -= (
+        0.5 * young * ufl.inner(stress_expression(scene, space, nodal_strain), test_strain) * ufl.dx
+    )
     compiled_form = compat.compile_form(form)
 
     def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:
@@ -373,14 +377,18 @@ def _pressure_row(
         np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pair_index]))
     ]
     pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pair_index])
-    points, rule_weights = _singular_rule(pair_distances, tip.radius)
+    quadrature_distances, rule_weights = _singular_rule(pair_distances, tip.radius)
     kolosov, field_scale = _kolosov_and_field_scale(scene)
     point_weights = (
-        2.0 * (kolosov + 1.0) * field_scale * _weight_function(points, tip.radius) * rule_weights
+        2.0
+        * (kolosov + 1.0)
+        * field_scale
+        * _weight_function(quadrature_distances, tip.radius)
+        * rule_weights
     )
     hat_values = np.array(
         [
-            np.interp(points, pair_distances, identity_row)
+            np.interp(quadrature_distances, pair_distances, identity_row)
             for identity_row in np.eye(len(crack_pair_index))
         ]
     )

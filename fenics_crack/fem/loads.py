@@ -28,9 +28,9 @@ from fenics_crack.basics.errors import InputError, check_choice
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.elasticity import thickness
+from fenics_crack.fem.elasticity import thickness_constant
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import force_parts
+from fenics_crack.fem.setting import force_vector_by_part
 from fenics_crack.model.nodes import (
     MAX_NODE_DISTANCE_RATIO,
     Clamp,
@@ -75,7 +75,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
-        force_vectors = force_parts(scene)
+        force_vectors = force_vector_by_part(scene)
         added_force_harmonics, displacement_weights = _point_load(
             scene, dofs, "excitation", point, force_vectors
         )
@@ -128,8 +128,8 @@ def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
     )
     if not any(largest_force_vector):
         largest_force_vector = mean_force_vector
-    size = math.hypot(*largest_force_vector)
-    return tuple(component / size for component in largest_force_vector)
+    largest_force = math.hypot(*largest_force_vector)
+    return tuple(component / largest_force for component in largest_force_vector)
 
 
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
@@ -146,7 +146,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     """
     if face_point_pairs := [
         lower_and_upper_point
-        for crack in dofs.plate.crack_geometries
+        for crack in dofs.plate.crack_paths_or_surfaces
         if (lower_and_upper_point := crack.points_beside(point)) is not None
     ]:
         (lower_point, upper_point), *_ = face_point_pairs
@@ -158,13 +158,15 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     owned_node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
     if len(coincident_nodes := find_nodes_at(all_node_positions, point)):
         return np.where(owned_node_numbers == coincident_nodes[0], 1.0, 0.0)
-    nodes, basis_values = compat.evaluate_basis(dofs.space, scene.mesh.order, np.array(point))
+    local_cell_nodes, basis_values = compat.evaluate_basis(
+        dofs.space, scene.mesh.order, np.array(point)
+    )
     basis_values = np.where(np.abs(basis_values) < 1e-12, 0.0, basis_values)  # rounding
-    has_point_by_rank = dofs.comm.allgather(len(nodes) > 0)
+    has_point_by_rank = dofs.comm.allgather(len(local_cell_nodes) > 0)
     if not any(has_point_by_rank):
         distances = np.linalg.norm(all_node_positions - point, axis=1)
-        extent = np.ptp(all_node_positions, axis=0).max()
-        if scene.geometry.file is None or distances.min() > MAX_NODE_DISTANCE_RATIO * extent:
+        mesh_extent = np.ptp(all_node_positions, axis=0).max()
+        if scene.geometry.file is None or distances.min() > MAX_NODE_DISTANCE_RATIO * mesh_extent:
             raise InputError(
                 key,
                 tuple(point),
@@ -172,18 +174,20 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
             )
         return np.where(owned_node_numbers == int(distances.argmin()), 1.0, 0.0)
     if dofs.comm.rank != has_point_by_rank.index(True):
-        nodes, basis_values = nodes[:0], basis_values[:0]
+        local_cell_nodes, basis_values = local_cell_nodes[:0], basis_values[:0]
 
     # The cell may have nodes of other ranks: pass every fraction to the node's owner.
-    cell_nodes = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
+    cell_nodes = dofs.space.dofmap.index_map.local_to_global(local_cell_nodes.astype(np.int32))
     cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
     cell_fractions = gather_rows(dofs.comm, basis_values)
     is_owned_node = (cell_nodes >= dofs.first_node) & (
         cell_nodes < dofs.first_node + dofs.n_own_nodes
     )
-    fractions = np.zeros(dofs.n_own_nodes)
-    np.add.at(fractions, cell_nodes[is_owned_node] - dofs.first_node, cell_fractions[is_owned_node])
-    return fractions
+    node_fractions = np.zeros(dofs.n_own_nodes)
+    np.add.at(
+        node_fractions, cell_nodes[is_owned_node] - dofs.first_node, cell_fractions[is_owned_node]
+    )
+    return node_fractions
 
 
 def _point_load(
@@ -219,9 +223,9 @@ def _require_free_force(
     dofs: Dofs, key: str, place: object, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
     """Return forces; raise InputError if all act on clamped dofs."""
-    all_and_free_forces = nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs]
     has_force, has_free_force = (
-        np.any(gather_rows(dofs.comm, forces.ravel())) for forces in all_and_free_forces
+        np.any(gather_rows(dofs.comm, nodal_forces.ravel()))
+        for nodal_forces in (nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs])
     )
     if has_force and not has_free_force:
         raise InputError(key, place, "where the plate is free to move")
@@ -244,7 +248,7 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
     edge_measure = dofs.plate.measure_on(edge_name)
-    test_function, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
+    test_function, t = ufl.TestFunction(dofs.space), thickness_constant(scene, dofs.space)
     x_direction = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     test_function_integrals = compat.assembled_vector(
         t * ufl.inner(x_direction, test_function) * edge_measure
@@ -336,8 +340,12 @@ def _watch_node(
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
     distances = np.linalg.norm(all_points - position, axis=1)
-    order = np.lexsort([*all_points.T, np.round(distances / max(distances.max(), 1e-300), 9)])
-    selected_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[distance_rank]], axis=1)]
-    displacement = np.zeros((dofs.n_own_nodes, dofs.dimension))
-    displacement[selected_nodes[:1]] = direction
-    return dofs.restrict_to_free(displacement.ravel())
+    distance_order = np.lexsort(
+        [*all_points.T, np.round(distances / max(distances.max(), 1e-300), 9)]
+    )
+    selected_nodes = nodes[
+        np.all(dofs.points[nodes] == all_points[distance_order[distance_rank]], axis=1)
+    ]
+    watched_vector = np.zeros((dofs.n_own_nodes, dofs.dimension))
+    watched_vector[selected_nodes[:1]] = direction
+    return dofs.restrict_to_free(watched_vector.ravel())

@@ -36,7 +36,7 @@ from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.ranks import call_on_each_rank, on_root
 from fenics_crack.fem.cracks import (
-    FACETS,
+    FACET_CORNERS_BY_CORNER_COUNT,
     POSITION_TOLERANCE,
     distribute_front_pressures,
     find_unique_rows,
@@ -57,14 +57,14 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Damping, Excitation
 from fenics_crack.scene.tables import Structure as StructureTable
 
-MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
+NASTRAN_LETTER_BY_MATRIX = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter for each matrix in a file with several matrices."""
 ROW_FILE_KEYS = ("gap", "tangential", *FORCE_KEYS)
 """Keys of files with a row for each dof."""
 SCENE_FILE_NAME = "matrices.toml"
 """Name of the scene that reads the written files."""
 OUTPUT_FILE_NAMES = (
-    *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILE_KEYS, "clearance", "areas")),
+    *(f"{n}.mtx" for n in (*NASTRAN_LETTER_BY_MATRIX, *ROW_FILE_KEYS, "clearance", "areas")),
     SCENE_FILE_NAME,
 )
 """Names of all files that may be written."""
@@ -102,31 +102,33 @@ def _make_structure(
     labelled_matrices, gaps_and_forces_by_name, model = call_on_each_rank(
         comm, lambda: _read_files(table)
     )
-    stiffness = labelled_matrices["stiffness"].matrix
+    stiffness_matrix = labelled_matrices["stiffness"].matrix
     structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
     structure_fields |= {
         name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrices.items()
     }
-    n_dofs, order = stiffness.shape[0], np.arange(stiffness.shape[0])
-    pairs, own_nodes, labels = Pairs(), None, labelled_matrices["stiffness"].labels
+    n_dofs, row_order = stiffness_matrix.shape[0], np.arange(stiffness_matrix.shape[0])
+    pairs, own_nodes, row_labels = Pairs(), None, labelled_matrices["stiffness"].labels
     if model is not None:
-        if labels is None:
+        if row_labels is None:
             requirement = "given with structure.model: the file of each row's node and direction"
             raise InputError("structure.dofs", None, requirement)
-        order, node_dofs, node_starts = _order_by_nodes(model, labels, table)
+        row_order, node_dofs, node_starts = _order_by_nodes(model, row_labels, table)
         for name in labelled_matrices:
-            structure_fields[name] = structure_fields[name][order][:, order]
+            structure_fields[name] = structure_fields[name][row_order][:, row_order]
         if scene.contact is not None and table.gap is None:
-            has_rotations = bool(np.any(labels[:, 1] > 3))
+            has_rotations = bool(np.any(row_labels[:, 1] > 3))
             structure_fields["gap"], pairs = find_pairs_and_gaps(
                 model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
-        start, stop = _own_row_range(node_starts, comm)
+        first_row, end_row = _own_row_range(node_starts, comm)
         for name in labelled_matrices:
-            structure_fields[name] = distribute_rows(structure_fields[name][start:stop], comm)
-        own_nodes = _own_nodes(model, node_dofs, start, stop, comm)
+            structure_fields[name] = distribute_rows(
+                structure_fields[name][first_row:end_row], comm
+            )
+        own_nodes = _own_nodes(model, node_dofs, first_row, end_row, comm)
     structure_fields |= {
-        name: gap_or_force[order] for name, gap_or_force in gaps_and_forces_by_name.items()
+        name: gap_or_force[row_order] for name, gap_or_force in gaps_and_forces_by_name.items()
     }
     n_pairs = 0 if structure_fields["gap"] is None else structure_fields["gap"].shape[1]
     structure_fields["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
@@ -168,7 +170,7 @@ def _read_files(
     """
     label_file, labelled_matrices = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
-    for name, letter in MATRIX_LETTERS.items():
+    for name, letter in NASTRAN_LETTER_BY_MATRIX.items():
         if (path := getattr(table, name)) is not None:
             with report_read_errors(
                 name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"
@@ -265,9 +267,13 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     one drawable kind, and nodes carry all dofs.
     """
     nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
-    vtk_type = next(iter(model.cells)) if len(model.cells) == 1 and nodes_have_all_dofs else 0
+    vtk_type = (
+        next(iter(model.cells_by_vtk_type))
+        if len(model.cells_by_vtk_type) == 1 and nodes_have_all_dofs
+        else 0
+    )
     vtk_type = 0 if vtk_type in (13, 26) else vtk_type  # VTK's wedges are not drawn
-    cells = model.cells[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
+    cells = model.cells_by_vtk_type[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
     highest_rows = node_dofs.max(axis=1)
     is_used = highest_rows >= 0
     is_used[cells] = True
@@ -355,33 +361,39 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         local_matrix_by_name["clearance"] = structure.clearance[pair_slice, None]
         areas = structure.pair_areas
         local_matrix_by_name["areas"] = None if areas is None else areas[pair_slice, None]
-    matrices = {
-        name: sparse.csr_matrix(part)
-        for name, part in local_matrix_by_name.items()
-        if part is not None
+    local_csr_matrix_by_name = {
+        name: sparse.csr_matrix(local_matrix)
+        for name, local_matrix in local_matrix_by_name.items()
+        if local_matrix is not None
     }
-    gathered_parts_by_name = {name: comm.gather(part) for name, part in matrices.items()}
+    gathered_parts_by_name = {
+        name: comm.gather(local_matrix) for name, local_matrix in local_csr_matrix_by_name.items()
+    }
     scene_text = _scene_text(
         structure, {name: f"{name}.mtx" for name in gathered_parts_by_name}, scene
     )
 
     def write_files() -> None:
         """Write the gathered matrices, on rank 0."""
-        full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts_by_name.items()}
+        full_matrix_by_name = {
+            name: sparse.vstack(local_matrix)
+            for name, local_matrix in gathered_parts_by_name.items()
+        }
         if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
             squared_omegas, mode_shapes = eigh(
-                full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
+                full_matrix_by_name["stiffness"].toarray(), full_matrix_by_name["mass"].toarray()
             )
             n_damped = count_damped_modes(structure)
             modal_damping = structure.damping.rate(squared_omegas[:n_damped])
             damping_factor_matrix = (
-                full_matrices["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)
+                full_matrix_by_name["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)
             )
-            full_matrices["damping"] = sparse.csr_matrix(
+            full_matrix_by_name["damping"] = sparse.csr_matrix(
                 damping_factor_matrix @ damping_factor_matrix.T
             )
         text_by_file = {
-            f"{name}.mtx": format_matrix_market(matrix) for name, matrix in full_matrices.items()
+            f"{name}.mtx": format_matrix_market(matrix)
+            for name, matrix in full_matrix_by_name.items()
         }
         replace_files(OUTPUT_FILE_NAMES, Path(folder), text_by_file | {SCENE_FILE_NAME: scene_text})
 
@@ -424,14 +436,14 @@ def _scene_text(structure: Structure, file_by_name: dict[str, str], scene: Scene
 
 # --- contact pairs of a model ---------------------------------------------------------------------
 
-FACETS_BY_SHAPE = {
-    4: [FACETS[4]], 8: [FACETS[8]],
+FACETS_BY_CORNER_COUNT = {
+    4: [FACET_CORNERS_BY_CORNER_COUNT[4]], 8: [FACET_CORNERS_BY_CORNER_COUNT[8]],
     6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
 }  # fmt: skip
 """Facets of a cell by its number of corners: triangles, then quadrilaterals."""
-N_CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+N_CORNERS_BY_VTK_TYPE = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
 """Number of corners of a cell, by VTK's cell type."""
-CELL_EDGES = {
+CELL_EDGES_BY_CORNER_COUNT = {
     4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
     6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
     8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
@@ -468,7 +480,7 @@ class _TwinNodes:
         Equal for coincident nodes.
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
-    has_held_twin : (n_nodes,) bool
+    is_in_half_held_pair : (n_nodes,) bool
         True for both of two coincident nodes if only one has dofs. The other is clamped, or tied
         by equations.
     """
@@ -491,8 +503,8 @@ class _TwinNodes:
         )
         self.place_numbers = np.arange(n_model_nodes)
         self.place_numbers[node_pairs[:, 1]] = node_pairs[:, 0]
-        self.has_held_twin = np.zeros(n_model_nodes, dtype=bool)
-        self.has_held_twin[
+        self.is_in_half_held_pair = np.zeros(n_model_nodes, dtype=bool)
+        self.is_in_half_held_pair[
             node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
         ] = True
         self.first_nodes, self.second_nodes = node_pairs[is_pair].T
@@ -624,16 +636,17 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     """
     facet_sets = []
     for n_facet_corners in (3, 4):
-        parts = [
-            _all_cell_facets(model.points, cells, N_CORNERS[kind], local_facets)
-            for kind, cells in model.cells.items()
-            for local_facets in FACETS_BY_SHAPE[N_CORNERS[kind]]
+        facets_and_centres_of_kinds = [
+            _all_cell_facets(model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets)
+            for vtk_type, cells in model.cells_by_vtk_type.items()
+            for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
             if local_facets.shape[1] == n_facet_corners
         ]
-        if not parts:
+        if not facets_and_centres_of_kinds:
             continue
         facet_nodes, cell_centres = (
-            np.concatenate(same_field_arrays) for same_field_arrays in zip(*parts, strict=True)
+            np.concatenate(same_field_arrays)
+            for same_field_arrays in zip(*facets_and_centres_of_kinds, strict=True)
         )
         is_boundary = _row_multiplicities(facet_nodes[:, :n_facet_corners]) == 1
         is_on_crack = is_boundary.copy()
@@ -642,7 +655,7 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
             == 2
         )
         is_on_crack &= np.any(twins.pair_index[facet_nodes[:, :n_facet_corners]] >= 0, axis=1)
-        is_on_crack &= ~np.any(twins.has_held_twin[facet_nodes] & (facet_nodes >= 0), axis=1)
+        is_on_crack &= ~np.any(twins.is_in_half_held_pair[facet_nodes] & (facet_nodes >= 0), axis=1)
         if np.any(is_on_crack):
             facet_sets.append((facet_nodes[is_on_crack], cell_centres[is_on_crack]))
     return facet_sets
@@ -659,7 +672,7 @@ def _all_cell_facets(
     n_facet_corners = local_facets.shape[1]
     middle_column_by_edge = {
         frozenset(edge): n_corners + edge_index
-        for edge_index, edge in enumerate(CELL_EDGES[n_corners])
+        for edge_index, edge in enumerate(CELL_EDGES_BY_CORNER_COUNT[n_corners])
     }
     edge_ends = np.stack([local_facets, np.roll(local_facets, -1, axis=1)], axis=2)
     facet_middle_columns = np.array(
@@ -706,11 +719,13 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if n_corners == 3:
         s, point_weights = s * (1.0 - r), point_weights * (1.0 - r)
         linear_functions = np.array([1.0 - r - s, r, s])
-        slopes = np.broadcast_to([[[-1.0], [1.0], [0.0]], [[-1.0], [0.0], [1.0]]], (2, 3, len(r)))
+        linear_function_slopes = np.broadcast_to(
+            [[[-1.0], [1.0], [0.0]], [[-1.0], [0.0], [1.0]]], (2, 3, len(r))
+        )
         edge_functions = 4.0 * linear_functions * np.roll(linear_functions, -1, axis=0)
     else:
         linear_functions = np.array([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s])
-        slopes = np.array([[s - 1, 1 - s, s, -s], [r - 1, -r, r, 1 - r]])
+        linear_function_slopes = np.array([[s - 1, 1 - s, s, -s], [r - 1, -r, r, 1 - r]])
         edge_end_functions = linear_functions, np.roll(linear_functions, -1, axis=0)
         edge_functions = (
             4.0
@@ -718,7 +733,11 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             * edge_end_functions[1]
             / (edge_end_functions[0] + edge_end_functions[1])
         )
-    return point_weights * np.stack([linear_functions, edge_functions]), linear_functions, slopes
+    return (
+        point_weights * np.stack([linear_functions, edge_functions]),
+        linear_functions,
+        linear_function_slopes,
+    )
 
 
 def _patch_gaps(
@@ -782,13 +801,15 @@ def _patch_gaps(
         # Axes: facet, pressure, node, direction.
         integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
         rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
-        columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
+        patch_columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
         is_kept_entry = (rows >= 0) & (integrals != 0.0)
-        gap_triplets.append((integrals[is_kept_entry], rows[is_kept_entry], columns[is_kept_entry]))
-    integrals, rows, columns = map(np.concatenate, zip(*gap_triplets, strict=True))
-    gap = sparse.csr_matrix((integrals, (rows, columns)), (twins.n_dofs, len(areas)))
-    integrals, rows, columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
-    overlap_matrix = sparse.csr_matrix((integrals, (rows, columns)), (len(areas), len(areas)))
+        gap_triplets.append(
+            (integrals[is_kept_entry], rows[is_kept_entry], patch_columns[is_kept_entry])
+        )
+    integrals, rows, patch_columns = map(np.concatenate, zip(*gap_triplets, strict=True))
+    gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
+    integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
+    overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
     front_shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)
@@ -813,10 +834,10 @@ def _gap_matrix_and_front_nodes(
     front_nodes : (m,) int
         Nodes of the fronts.
     """
-    points = twins.points
-    gap = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))
+    model_points = twins.points
+    gap_matrix = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))
     front_nodes: list[np.ndarray] = []
-    model_extent = float(np.ptp(points, axis=0).max())
+    model_extent = float(np.ptp(model_points, axis=0).max())
     for pair_column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
         neighbours = [twins.connectivity[pair_node].indices for pair_node in (a, b)]
         front_nodes.append(np.intersect1d(*neighbours))
@@ -826,19 +847,25 @@ def _gap_matrix_and_front_nodes(
         )
         if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= n_tangents:
             nearby_crack_nodes = twins.first_nodes
-        centred_points = points[nearby_crack_nodes] - points[nearby_crack_nodes].mean(axis=0)
+        centred_points = model_points[nearby_crack_nodes] - model_points[nearby_crack_nodes].mean(
+            axis=0
+        )
         tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:n_tangents]
-        normal = points[neighbours[1]].mean(axis=0) - points[neighbours[0]].mean(axis=0)
-        normal -= tangents.T @ (tangents @ normal)
-        if np.linalg.norm(normal) <= POSITION_TOLERANCE * model_extent:
-            place_text = format_point(points[a], "g")
+        pair_normal = model_points[neighbours[1]].mean(axis=0) - model_points[neighbours[0]].mean(
+            axis=0
+        )
+        pair_normal -= tangents.T @ (tangents @ pair_normal)
+        if np.linalg.norm(pair_normal) <= POSITION_TOLERANCE * model_extent:
+            place_text = format_point(model_points[a], "g")
             requirement = "a crack with a side below and one above, or a model with its elements"
             raise InputError(
                 "model", f"two nodes at {place_text} that lie on the same side", requirement
             )
-        normal /= np.linalg.norm(normal)
-        for pair_node, sign in ((a, 1.0), (b, -1.0)):
-            for dof, normal_component in zip(twins.dofs[pair_node], sign * normal, strict=True):
+        pair_normal /= np.linalg.norm(pair_normal)
+        for pair_node, face_sign in ((a, 1.0), (b, -1.0)):
+            for dof, normal_component in zip(
+                twins.dofs[pair_node], face_sign * pair_normal, strict=True
+            ):
                 if dof >= 0 and abs(normal_component) > POSITION_TOLERANCE:
-                    gap[dof, pair_column] = normal_component
-    return gap.tocsr(), np.unique(np.concatenate(front_nodes))
+                    gap_matrix[dof, pair_column] = normal_component
+    return gap_matrix.tocsr(), np.unique(np.concatenate(front_nodes))

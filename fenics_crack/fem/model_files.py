@@ -46,13 +46,13 @@ class Model:
         Node labels, in ascending order.
     points : (n, 3)
         Node positions.
-    cells : dict of int to (m, k) int
+    cells_by_vtk_type : dict of int to (m, k) int
         Rows of the cells' nodes in ``labels``, in VTK's order, by VTK's cell type.
     """
 
     labels: np.ndarray
     points: np.ndarray
-    cells: dict[int, np.ndarray]
+    cells_by_vtk_type: dict[int, np.ndarray]
 
 
 def read_model(path: Path) -> Model:

@@ -39,7 +39,7 @@ from fenics_crack.basics.untrusted_files import (
 )
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
-    FACETS,
+    FACET_CORNERS_BY_CORNER_COUNT,
     POSITION_TOLERANCE,
     Cells,
     Cracks,
@@ -58,14 +58,17 @@ Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag, name, gmsh's kind of the elements, and their nodes."""
 RawMesh = tuple[np.ndarray, np.ndarray, list[Group]]
 """Numbers and positions of all nodes, and the groups."""
-CRACK_NAME = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
+CRACK_NAME_PATTERN = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Pattern for names of curves and surfaces that are cracks."""
 
 _MESH_HEADER_PATTERN = re.compile(
     rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s"
 )
 """First bytes of a mesh file in gmsh's format 2 or 4, text or binary."""
-_FACET_KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5: 3, 12: 10}}
+_FACET_KIND_BY_CELL_KIND = {
+    2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26},
+    3: {4: 2, 11: 9, 5: 3, 12: 10},
+}
 """gmsh's kind of facets, for each dimension and each kind of cells that DOLFINx reads."""
 _POINT_KIND = 15
 """gmsh's kind of a point element."""
@@ -76,7 +79,7 @@ _GROUP_TEXTS_BY_DIMENSION = {
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
 """Required contents of groups with cells, and the word for a group of facets."""
-_FACET_WORDS = {2: "an edge", 3: "a facet"}
+_FACET_WORD_BY_DIMENSION = {2: "an edge", 3: "a facet"}
 """Word for a facet in messages, for each dimension."""
 
 
@@ -115,7 +118,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     kind, cells, positions, facets_by_name, point_groups = _select_cells(raw_mesh, dimension)
     mesh_positions = positions[:, :dimension]
     check_cells(kind, cells, mesh_positions)
-    crack_names = [name for name in facets_by_name if CRACK_NAME.match(name)]
+    crack_names = [name for name in facets_by_name if CRACK_NAME_PATTERN.match(name)]
     if dimension == 3:
         _check_inner_surfaces(cells, facets_by_name, crack_names)
     if crack_names:
@@ -143,7 +146,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
             positions[:, :dimension],
         )
     face_corners = [
-        facets_by_name[name][:, : cells.facets.shape[1]]
+        facets_by_name[name][:, : cells.facet_corner_columns.shape[1]]
         for name in CRACK_FACE_NAMES
         if name in facets_by_name
     ]
@@ -164,7 +167,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
     ]
     cell_and_facet_groups += [
-        (dimension - 1, tag, name, _FACET_KINDS[dimension][kind], group_nodes)
+        (dimension - 1, tag, name, _FACET_KIND_BY_CELL_KIND[dimension][kind], group_nodes)
         for tag, name, group_nodes in facet_groups
     ]
     _fill_model(positions, cell_and_facet_groups + point_groups)
@@ -259,7 +262,9 @@ def _select_cells(
     requirement = "one of tetrahedra, or of hexahedra with 27 nodes"
     requirement += ": the load of a unit pressure is negative at corners of these"
     require(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
-    is_one_cell_kind = len(cell_kinds) == 1 and cell_kinds <= _FACET_KINDS[dimension].keys()
+    is_one_cell_kind = (
+        len(cell_kinds) == 1 and cell_kinds <= _FACET_KIND_BY_CELL_KIND[dimension].keys()
+    )
     require(
         is_one_cell_kind,
         f"{len(cell_kinds)} kinds of cells",
@@ -284,7 +289,9 @@ def _select_cells(
         not has_repeated_node, "a cell with a node twice", "one whose cells have different nodes"
     )
     facets_by_name, point_groups = _select_named_groups(
-        groups, {0: _POINT_KIND, dimension - 1: _FACET_KINDS[dimension][kind]}, used_numbers
+        groups,
+        {0: _POINT_KIND, dimension - 1: _FACET_KIND_BY_CELL_KIND[dimension][kind]},
+        used_numbers,
     )
     facet_names_text = (
         f"{facet_name}s named {', '.join(map(repr, facets_by_name))}"
@@ -350,7 +357,7 @@ def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
     )
     corner_indices = np.arange(n_corners)
     facets = (
-        FACETS[n_corners]
+        FACET_CORNERS_BY_CORNER_COUNT[n_corners]
         if dimension == 3
         else np.column_stack([corner_indices, np.roll(corner_indices, -1)])
     )
@@ -391,11 +398,11 @@ def _facets_after_split(
         owner_cells = owner[
             np.minimum(np.searchsorted(facet_keys, split_facet_keys), len(facet_keys) - 1)
         ]
-        columns = np.argmax(
+        cell_node_columns = np.argmax(
             cells.cell_nodes[owner_cells][:, None, :] == facet_nodes[split_rows][:, :, None], axis=2
         )
         new_facets_by_name[name][split_rows] = np.take_along_axis(
-            split_cell_nodes[owner_cells], columns, axis=1
+            split_cell_nodes[owner_cells], cell_node_columns, axis=1
         )
     return new_facets_by_name
 
@@ -445,7 +452,10 @@ def _tag_combinations(
     for index, combination in enumerate(combinations):
         combination_edges = all_edges[np.sort(first_edge_index[combination_index.ravel() == index])]
         tagged_edges.append((index + 1, " and ".join(curve_names[combination]), combination_edges))
-    curve_tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in combinations.T]
+    curve_tags = [
+        tuple((np.flatnonzero(is_combination_on_curve) + 1).tolist())
+        for is_combination_on_curve in combinations.T
+    ]
     return dict(zip(edges_by_name, curve_tags, strict=True)), tagged_edges
 
 
@@ -491,7 +501,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     positions : (n_nodes, d) [m]
         Positions of all nodes.
     """
-    dimension, facet_word = positions.shape[1], _FACET_WORDS[positions.shape[1]]
+    dimension, facet_word = positions.shape[1], _FACET_WORD_BY_DIMENSION[positions.shape[1]]
     cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_nodes(kind)
     gradients = _basis_functions(kind, reference_nodes, "GradLagrange").reshape(
         len(reference_nodes), len(reference_nodes), 3
@@ -608,8 +618,8 @@ def check_parts(
         )
         problem = "a part held by contact alone" if is_held_by_contact else "a part without a clamp"
         requirement = (
-            f"one whose parts each have {_FACET_WORDS[positions.shape[1]]} in 'clamp', or share"
-            " nodes"
+            f"one whose parts each have {_FACET_WORD_BY_DIMENSION[positions.shape[1]]} in 'clamp',"
+            " or share nodes"
         )
         requirement += " with one that has: nothing else holds them"
         raise _mesh_error(

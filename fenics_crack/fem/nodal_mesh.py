@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.fem.cracks import FACETS, find_unique_rows
+from fenics_crack.fem.cracks import FACET_CORNERS_BY_CORNER_COUNT, find_unique_rows
 from fenics_crack.model.structure import Structure
 
 _TRIANGLES_BY_NODE_COUNT = {
@@ -81,7 +81,7 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
+    def pair_centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns
@@ -153,7 +153,7 @@ class NodalMesh:
         )
         local_sides = local_sides if n_nodes_per_cell > n_cell_corners else local_sides[:, ::2]
         if self.dimension == 3:
-            local_sides = FACETS[4 if n_nodes_per_cell in (4, 10) else 8]
+            local_sides = FACET_CORNERS_BY_CORNER_COUNT[4 if n_nodes_per_cell in (4, 10) else 8]
         sides = self.cells[:, local_sides].reshape(-1, local_sides.shape[1])
         first_sides, _, cell_counts = find_unique_rows(
             sides if self.dimension == 3 else sides[:, [0, -1]]

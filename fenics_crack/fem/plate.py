@@ -35,7 +35,7 @@ from fenics_crack.scene.scene import Scene
 
 
 @dataclass(frozen=True)
-class PlateMesh:
+class PartMesh:
     """Distributed mesh of a plate or solid, and its named parts.
 
     Attributes
@@ -48,7 +48,7 @@ class PlateMesh:
         mesh file may name others. A facet in several groups has a tag of its own.
     points : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
-    crack_geometries : tuple of CrackPath or of CrackSurface
+    crack_paths_or_surfaces : tuple of CrackPath or of CrackSurface
         Cracks in the order of the scene or, for a mesh file, from bottom to top.
     """
 
@@ -56,7 +56,7 @@ class PlateMesh:
     facet_tags: Any
     groups: dict[str, tuple[int, ...]]
     points: dict[str, tuple[float, ...]]
-    crack_geometries: Cracks
+    crack_paths_or_surfaces: Cracks
 
     @property
     def has_cracks(self) -> bool:
@@ -73,7 +73,7 @@ class PlateMesh:
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
 
 
-def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
+def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
     """Mesh the scene's plate or solid, or read its mesh file (collective).
 
     Raises
@@ -83,11 +83,11 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
         group.
     """
     with _gmsh_on_root(comm):
-        (facet_tags_by_group, point_by_name), crack_geometries = on_root(
+        (facet_tags_by_group, point_by_name), crack_paths_or_surfaces = on_root(
             comm, lambda: _mesh_scene(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
-    return PlateMesh(mesh, facet_tags, facet_tags_by_group, point_by_name, crack_geometries)
+    return PartMesh(mesh, facet_tags, facet_tags_by_group, point_by_name, crack_paths_or_surfaces)
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
@@ -178,7 +178,7 @@ class Dofs:
     _rotation: sparse.csr_matrix | None = None
 
     def __init__(
-        self, plate: PlateMesh, space: Any, comm: MPI.Comm, is_constrained: np.ndarray | None = None
+        self, plate: PartMesh, space: Any, comm: MPI.Comm, is_constrained: np.ndarray | None = None
     ) -> None:
         """Number the free dofs.
 

@@ -13,7 +13,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping, Excitation, add_harmonics
 
 
-def damping_of(table: Damping) -> DampingRule:
+def damping_rule_of(table: Damping) -> DampingRule:
     """Return the damping that a table describes."""
     if table.ratio is not None:
         return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
@@ -46,7 +46,7 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     return np.asarray(crack_clearances[pairs.cracks % len(crack_clearances)])
 
 
-def force_parts(scene: Scene) -> list[Vector]:
+def force_vector_by_part(scene: Scene) -> list[Vector]:
     """Return the excitation's force by harmonic part [N].
 
     The first vector is the mean, followed by the cosine and sine parts of each order. The orders

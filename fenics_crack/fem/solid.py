@@ -27,7 +27,7 @@ from fenics_crack.basics.tables import format_quantity
 from fenics_crack.basics.untrusted_files import read_first_bytes, run_reader
 from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import (
-    RIM_SIDES,
+    RIM_SIDE_NAMES,
     DiskRim,
     check_cell_count,
     meshing_refusal,
@@ -43,11 +43,11 @@ from fenics_crack.scene.tables import Crack
 
 MILLIMETRE = 1e-3
 """Unit of length for meshing parts [m]."""
-FILE_MARKS = {".brep": b"DBRep_DrawableShape"}
+FILE_MARK_BY_ENDING = {".brep": b"DBRep_DrawableShape"}
 """Text near the beginning of a file, by its ending; other files are STEP."""
-MESHING_SECONDS = 600
+ALLOWED_MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
-MESHING_MEMORY = 2**33
+ALLOWED_MESHING_BYTES = 2**33
 """Maximum address space for meshing a part [byte]."""
 INNER_FRONT_DISTANCE_RATIO = 0.4
 """Distance from a front's middle up to which depth and ligament are measured, over its length."""
@@ -146,11 +146,12 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         )
     }
     for crack_front in find_fronts(structure):
-        arc_lengths = np.append(
+        front_node_arc_lengths = np.append(
             0.0, np.linalg.norm(np.diff(crack_front.node_positions, axis=0), axis=1).cumsum()
         )
         is_inner = crack_front.is_closed | (
-            np.abs(arc_lengths / arc_lengths[-1] - 0.5) <= INNER_FRONT_DISTANCE_RATIO
+            np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
+            <= INNER_FRONT_DISTANCE_RATIO
         )
         inner_nodes, inner_node_parameters = (
             crack_front.node_positions[is_inner],
@@ -168,18 +169,21 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             ),
             default=np.nan,
         )
-        is_in_crack_plane = (
+        are_corners_in_crack_plane = (
             np.abs((surface_triangles - crack_front.node_positions[0]) @ crack_front.normals[0])
             < 1e-6 * nodal_mesh.size
         )
         mouth_triangles = surface_triangles[
-            np.any(is_in_crack_plane & np.isin(surface_facets, nodal_mesh.crack_face_sides), axis=1)
+            np.any(
+                are_corners_in_crack_plane & np.isin(surface_facets, nodal_mesh.crack_face_sides),
+                axis=1,
+            )
         ]
         mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
         depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{format_quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
         text_by_name[crack_front.name] = (
-            f"{format_quantity(float(arc_lengths[-1]), 'm')} long, {depth_text}"
+            f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
             f"{format_quantity(ligament, 'm')} from the surface straight ahead at least"
         )
     return text_by_name
@@ -258,14 +262,14 @@ def _run_mesher(
     ``request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
     """
     with report_read_errors("geometry.file", path, "a part that gmsh reads and meshes"):
-        file_mark = FILE_MARKS.get(Path(path).suffix.lower(), b"ISO-10303-21")
+        file_mark = FILE_MARK_BY_ENDING.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in read_first_bytes(path, 4096):
             raise ValueError("it does not begin as such a file")
         contents = run_reader(
             Path(solid_mesher.__file__),
             Path(path),
-            MESHING_SECONDS,
-            MESHING_MEMORY,
+            ALLOWED_MESHING_SECONDS,
+            ALLOWED_MESHING_BYTES,
             request=request,
         )
         if isinstance(contents, str):
@@ -380,7 +384,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
         if surface_tag not in crack_surface_tags:
             surface_tags_by_name.setdefault(name, []).append(surface_tag)
     if rim is not None:
-        rim.set_periodic(2, *(surface_tags_by_name[name] for name in RIM_SIDES))
+        rim.set_periodic(2, *(surface_tags_by_name[name] for name in RIM_SIDE_NAMES))
     try:
         solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else

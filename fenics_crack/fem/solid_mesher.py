@@ -234,7 +234,9 @@ def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np
 
 
 def _find_names_and_face_tags(
-    names_and_points: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
+    names_and_points: Iterable[tuple[str, list[float]]],
+    part_triangles: np.ndarray,
+    triangle_faces: np.ndarray,
 ) -> Iterable[tuple[str, set[int]]]:
     """Find the faces that a user names by points on them.
 
@@ -242,7 +244,7 @@ def _find_names_and_face_tags(
     ----------
     names_and_points : pairs of (str, (3,))
         Name and point; a name may have several points.
-    triangles, owners
+    part_triangles, triangle_faces
         From :func:`mesh_faces`.
 
     Returns
@@ -250,20 +252,20 @@ def _find_names_and_face_tags(
     pairs of (str, set of int)
         Each name with the tags of the faces nearest to its points.
     """
-    part_size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+    part_size = np.ptp(part_triangles.reshape(-1, 3), axis=0).max()
     face_tags_by_name: dict[str, set[int]] = {}
     for name, point in names_and_points:
-        point_distances = pairwise_triangle_distances(np.array([point]), triangles)[0]
+        point_distances = pairwise_triangle_distances(np.array([point]), part_triangles)[0]
         if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
             raise Refusal("geometry.faces", f"points on faces: ({position_text}) of {name} is"
                           f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
-        face_tags_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
+        face_tags_by_name.setdefault(name, set()).add(triangle_faces[point_distances.argmin()])
     return face_tags_by_name.items()
 
 
 def _match_surfaces(
-    crack_surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
+    crack_surfaces: list[int], part_triangles: np.ndarray, triangle_faces: np.ndarray
 ) -> dict[int, int]:
     """Match the surfaces of the cracked part to the faces of the uncracked part.
 
@@ -275,8 +277,8 @@ def _match_surfaces(
         if surface_tag not in crack_surfaces:
             triangle_centres = _face_triangles(surface_tag).mean(axis=1)
             sample_points = triangle_centres[:: max(1, len(triangle_centres) // N_CURVE_INTERVALS)]
-            nearest_faces = owners[
-                pairwise_triangle_distances(sample_points, triangles).argmin(axis=1)
+            nearest_faces = triangle_faces[
+                pairwise_triangle_distances(sample_points, part_triangles).argmin(axis=1)
             ]
             face_of_surface[surface_tag] = (
                 np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0
@@ -288,7 +290,7 @@ def _match_surfaces(
 
 
 def insert_cracks(
-    solid_dim_tags: Tags, cracks: list[CrackData], triangles: np.ndarray
+    solid_dim_tags: Tags, cracks: list[CrackData], part_triangles: np.ndarray
 ) -> tuple[list[int], list[FrontData]]:
     """Cut cracks into a solid, and return their surfaces and fronts.
 
@@ -303,7 +305,7 @@ def insert_cracks(
         half-plane that ends at its middle; "is_round", True for an ellipse; "reach", the extent
         behind the front, or None; "elements" along this extent, and "grading", the longest over the
         shortest.
-    triangles : (n, 3, 3)
+    part_triangles : (n, 3, 3)
         Faces of the solid. Empty if the scene has checked the crack's position.
 
     Returns
@@ -318,7 +320,7 @@ def insert_cracks(
     occ, crack_face_dim_tags = gmsh.model.occ, []
     for crack in cracks:
         if crack["half"] is None:
-            crack["half"] = [2.0 * np.ptp(triangles.reshape(-1, 3), axis=0).max()] * 2
+            crack["half"] = [2.0 * np.ptp(part_triangles.reshape(-1, 3), axis=0).max()] * 2
         inner_dim_tags = occ.intersect(
             _draw_crack_face(crack), solid_dim_tags, removeObject=True, removeTool=False
         )[0]
@@ -329,11 +331,11 @@ def insert_cracks(
             centres = np.reshape(
                 [occ.getCenterOfMass(*face_dim_tag) for face_dim_tag in inner_dim_tags], (-1, 3)
             )
-            is_on_part_face = pairwise_triangle_distances(centres, triangles) < 1e-6 * np.ptp(
-                triangles
+            is_on_part_face = pairwise_triangle_distances(centres, part_triangles) < 1e-6 * np.ptp(
+                part_triangles
             )
             problem = (
-                f"misses the part{_describe_box(crack, triangles)}" if not inner_dim_tags
+                f"misses the part{_describe_box(crack, part_triangles)}" if not inner_dim_tags
                 else "lies in a face of it" if np.any(is_on_part_face)
                 else f"is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
@@ -355,7 +357,7 @@ def insert_cracks(
         }
         for surface_dim_tags in children[1:]
     ]
-    fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
+    fronts = [_make_front_data(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
     if sum(dimension == 3 for dimension, _ in fragments) != 1:
         crack = next(
             (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
@@ -370,14 +372,14 @@ def insert_cracks(
         if len(surface_dim_tags) != 1 or any(rim & other_rim for other_rim in rims[:crack_index]):
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
-        if len(triangles):
-            _check_crack_position(crack, surface_dim_tags[0][1], front, triangles)
+        if len(part_triangles):
+            _check_crack_is_inside(crack, surface_dim_tags[0][1], front, part_triangles)
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
-def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
+def _describe_box(crack: CrackData, part_triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
-    start, end = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    start, end = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
     start_text, end_text = (
         ", ".join(f"{crack['unit'] * coordinate:.4g}" for coordinate in box_corner)
         for box_corner in (start, end)
@@ -398,11 +400,11 @@ def _draw_crack_face(crack: CrackData) -> Tags:
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
     if crack["is_round"]:
-        curve = occ.addEllipse(
+        ellipse_tag = occ.addEllipse(
             0.0, 0.0, 0.0, a, min(b, MAX_ELLIPSE_AXIS_RATIO * a),
             angle1=ELLIPSE_START_ANGLE, angle2=ELLIPSE_START_ANGLE + 2.0 * math.pi,
         )  # fmt: skip
-        face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
+        face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([ellipse_tag])]))]
     else:
         face_dim_tags = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
     e_2 = np.cross(normal, e_1)
@@ -412,29 +414,31 @@ def _draw_crack_face(crack: CrackData) -> Tags:
         math.acos(np.clip(normal[2], -1.0, 1.0)),
         0.0 if is_horizontal else math.atan2(normal[1], normal[0]),
     )
-    for axis, angle in zip(((0, 0, 1), (0, 1, 0), (0, 0, 1)), euler_angles, strict=True):
-        occ.rotate(face_dim_tags, 0.0, 0.0, 0.0, *axis, angle)
+    for rotation_axis, euler_angle in zip(
+        ((0, 0, 1), (0, 1, 0), (0, 0, 1)), euler_angles, strict=True
+    ):
+        occ.rotate(face_dim_tags, 0.0, 0.0, 0.0, *rotation_axis, euler_angle)
     occ.translate(face_dim_tags, *(crack["middle"] - (crack["reach"] is None) * a * np.array(e_1)))
     return face_dim_tags
 
 
-def _sample_curve(curve: int) -> np.ndarray:
+def _sample_curve(curve_tag: int) -> np.ndarray:
     """Return points on a curve, including its ends: (n, 3)."""
-    (start,), (stop,) = gmsh.model.getParametrizationBounds(1, curve)
-    parameters = np.linspace(start, stop, N_CURVE_INTERVALS + 1)
-    return np.reshape(gmsh.model.getValue(1, curve, parameters), (-1, 3))
+    (first_parameter,), (last_parameter,) = gmsh.model.getParametrizationBounds(1, curve_tag)
+    parameters = np.linspace(first_parameter, last_parameter, N_CURVE_INTERVALS + 1)
+    return np.reshape(gmsh.model.getValue(1, curve_tag, parameters), (-1, 3))
 
 
-def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
+def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     """Return the front of a crack.
 
     It consists of the rim's curves on the border of the ellipse or rectangle.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
-    curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
+    front_curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
     for rim_curve in rim:
-        points = _sample_curve(rim_curve)
-        x, y, _ = ((points - crack["middle"]) @ frame.T).T
+        rim_points = _sample_curve(rim_curve)
+        x, y, _ = ((rim_points - crack["middle"]) @ frame.T).T
         if is_straight:
             relative_border_position, extent_behind_front = (
                 1.0 + x / half_axes[0],
@@ -447,8 +451,8 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
                 np.abs(x) / half_axes[0], np.abs(y) / half_axes[1]
             )
         if np.abs(relative_border_position - 1.0).max() < 1e-5:
-            curves.append(rim_curve)
-            point_arrays.append(points)
+            front_curves.append(rim_curve)
+            point_arrays.append(rim_points)
     extent_behind_front = extent_behind_front if is_straight else crack["reach"]
     element_length_ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
     curve_end_points = np.array(
@@ -459,7 +463,7 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
         < 1e-5 * extent_behind_front
     )
     return {
-        "curves": curves, "points": np.concatenate(point_arrays),
+        "curves": front_curves, "points": np.concatenate(point_arrays),
         "ends": curve_end_points[is_same_end.sum(axis=1) == 1],
         "shortest": float(
             extent_behind_front / (element_length_ratio ** np.arange(crack["elements"])).sum()
@@ -472,8 +476,8 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
     }  # fmt: skip
 
 
-def _check_crack_position(
-    crack: CrackData, surface: int, front: FrontData, triangles: np.ndarray
+def _check_crack_is_inside(
+    crack: CrackData, surface: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
     """Raise Refusal if a crack is in a face, or almost without ligament.
 
@@ -483,7 +487,7 @@ def _check_crack_position(
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
     if (
         not front["curves"]
-        or pairwise_triangle_distances(centre, triangles).min()
+        or pairwise_triangle_distances(centre, part_triangles).min()
         < MIN_LIGAMENT_RATIO * shortest_length
     ):
         problem = "lies in a face of it" if front["curves"] else "has no front in it"
@@ -493,7 +497,7 @@ def _check_crack_position(
         axis=1, initial=np.inf
     )
     points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
-    ligament = pairwise_triangle_distances(points_off_ends, triangles).min(initial=np.inf)
+    ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(initial=np.inf)
     if ligament < MIN_LIGAMENT_RATIO * shortest_length:
         raise Refusal(key, "farther from the surface: of its front some is"
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
@@ -622,21 +626,21 @@ def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
         "numbers" and "positions" of the nodes. "heads": dimension, tag, kind, and number of nodes
         of each group; "names": its name; "nodes": all nodes in succession.
     """
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    headers, names, node_arrays = [], [], [np.zeros(0, dtype=np.uint64)]
-    for dimension, tag, name, entities in groups:
+    node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
+    headers, header_names, node_arrays = [], [], [np.zeros(0, dtype=np.uint64)]
+    for dimension, tag, group_name, entities in groups:
         for entity in entities:
-            kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
+            element_kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
             headers += [
-                (dimension, tag, kind, len(nodes_of_kind))
-                for kind, nodes_of_kind in zip(kinds, element_nodes, strict=True)
+                (dimension, tag, element_kind, len(nodes_of_kind))
+                for element_kind, nodes_of_kind in zip(element_kinds, element_nodes, strict=True)
             ]
-            names += [name] * len(kinds)
+            header_names += [group_name] * len(element_kinds)
             node_arrays += element_nodes
     return {
-        "numbers": numbers, "positions": positions.reshape(-1, 3),
+        "numbers": node_numbers, "positions": node_positions.reshape(-1, 3),
         "heads": np.array(headers, dtype=np.int64).reshape(-1, 4),
-        "names": np.array(names, dtype=str), "nodes": np.concatenate(node_arrays),
+        "names": np.array(header_names, dtype=str), "nodes": np.concatenate(node_arrays),
     }  # fmt: skip
 
 

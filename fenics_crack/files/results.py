@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.compliance import make_compliance_model
 from fenics_crack.balance.error_report import ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.codec import Datasets, pack_dataclass, unpack_dataclass
@@ -309,7 +309,7 @@ def rebuild_solution(
     tangential_force = datasets.get("tangential_force_coefficients")
     force_rows = force if tangential_force is None else np.hstack([force, tangential_force])
     structure_with_friction = add_friction_pairs(contact, structure)
-    compliance = dynamic_compliance(
+    compliance = make_compliance_model(
         structure_with_friction, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
     )
     displacement_coefficients = compliance.displacement(force_rows)
@@ -422,7 +422,7 @@ def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw
     )
     if (
         lacks_datasets
-        or datasets["parameter"] not in BALANCE_EQUATIONS
+        or datasets["parameter"] not in EQUATIONS_CLASS_BY_PARAMETER
         or datasets["subharmonic"] < 1
     ):
         raise ValueError("its parts do not fit")

@@ -38,7 +38,7 @@ Products and sums are not contracted, so results do not depend on the processor.
 names cannot clash with other libraries in the process. Without symbols for debuggers, a default
 of Python's own options, compilation takes a fifth less time.
 """
-PYTHON_CALLBACKS = """
+PYTHON_CALLBACK_DECLARATIONS = """
 extern "Python" {
     int python_evaluate(equations *table, const double *x, double p);
     void python_residual(const equations *table, double *residual_out);
@@ -69,7 +69,7 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
     ffi, sanitizer_flags = FFI(), SANITIZER_FLAGS if sanitize else []
     for header in headers:  # cffi does not take lines for the preprocessor
         ffi.cdef(re.sub(r"(?m)^#.*$", "", header.read_text(encoding="utf-8")))
-    ffi.cdef(PYTHON_CALLBACKS)
+    ffi.cdef(PYTHON_CALLBACK_DECLARATIONS)
     ffi.set_source(
         "fenics_crack.kernel._kernel",
         "\n".join(

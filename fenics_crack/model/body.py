@@ -56,7 +56,7 @@ class Body(ReadOnlyArrays):
         super().__post_init__()
 
 
-MATRIX_INDEPENDENT_NAMES = {
+MATRIX_INDEPENDENT_FIELD_NAMES = {
     "force",
     "clearance",
     "damping",

@@ -73,7 +73,7 @@ class ContactLaw(Protocol):
 
 
 @dataclass(frozen=True)
-class _Penalty:
+class _PenaltyBase:
     """Base of the laws with a penalty stiffness k."""
 
     stiffness: float | np.ndarray
@@ -88,7 +88,7 @@ class _Penalty:
 
 
 @dataclass(frozen=True)
-class UnilateralPenalty(_Penalty):
+class UnilateralPenalty(_PenaltyBase):
     """Penalty law: lambda = k g for g > 0, else 0 (paper, eq. 11).
 
     The tangent jumps from 0 to k at the closing of a pair; at g = 0 it is 0.
@@ -114,7 +114,7 @@ class UnilateralPenalty(_Penalty):
 
 
 @dataclass(frozen=True)
-class SmoothedPenalty(_Penalty):
+class SmoothedPenalty(_PenaltyBase):
     """Smoothed penalty: lambda = k g (1/2 + arctan(s g) / pi) (paper, eq. 12, sign corrected).
 
     The law tends to the penalty law as s grows, but not faster than 1/s. An open crack keeps
@@ -437,7 +437,7 @@ def _check_positive(key: str, number: object, *, allows_array: bool = False) -> 
     return number_array.copy() if number_array.ndim else float(number_array)
 
 
-class FrictionSets:
+class FrictionContactSolver:
     """Solver of contact with friction at successive instants.
 
     Each pair is open, sticks or slips. The matrices of a combination of these states are kept for
@@ -785,7 +785,7 @@ def solve_forces(
         if np.any(is_too_far):
             long_step_instants, start_force = unfinished_instants[is_too_far], force[is_too_far]
             step = all_forces[long_step_instants] - start_force
-            step_fractions = _find_step_fractions(
+            step_fractions = _minimising_step_fraction_by_instant(
                 evaluate, start_force, step, unfinished_gap[is_too_far], slope_tolerance[is_too_far]
             )
             all_forces[long_step_instants] = start_force + step_fractions[:, None] * step
@@ -795,14 +795,14 @@ def solve_forces(
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
 
 
-def _find_step_fractions(
+def _minimising_step_fraction_by_instant(
     evaluate: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
-    force: np.ndarray,
-    step: np.ndarray,
+    start_force: np.ndarray,
+    force_step: np.ndarray,
     gap: np.ndarray,
     slope_tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Find the fractions of Newton steps at which convex functions are smallest.
+    """Return the fraction of the Newton step that minimises a convex function, by instant.
 
     The slope of a function along its step is bisected.
 
@@ -810,7 +810,7 @@ def _find_step_fractions(
     ----------
     evaluate : callable
         Gives gap and law's force, (n, n_pairs) each, for contact forces and slow gaps.
-    force, step : (n, n_pairs) [N]
+    start_force, force_step : (n, n_pairs) [N]
         Contact forces at the start of each step, and their change by a full step.
     gap : (n, n_pairs) [m]
         Slow gaps, without the forces.
@@ -822,10 +822,12 @@ def _find_step_fractions(
     (n,)
         Fractions from 0 to 1.
     """
-    gap_change = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
-    fractions, half_width = np.full(len(force), 0.5), 0.5
+    gap_change = (
+        evaluate(start_force, gap)[0] - evaluate(start_force + force_step, gap)[0]
+    )  # D times the step
+    fractions, half_width = np.full(len(start_force), 0.5), 0.5
     while half_width > MACHINE_EPSILON:
-        trial_forces = force + fractions[:, None] * step
+        trial_forces = start_force + fractions[:, None] * force_step
         slopes = np.sum(gap_change * (trial_forces - evaluate(trial_forces, gap)[1]), axis=1)
         is_steep = np.abs(slopes) > slope_tolerance
         if not np.any(is_steep):

@@ -95,11 +95,15 @@ def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
     return square_matrix(completed_rows, comm)
 
 
-def square_matrix(rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
+def square_matrix(local_csr_rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
     """Make a square PETSc matrix from CSR rows (n_local, n) as they are (collective)."""
-    n_local, n_columns = rows.shape
-    sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
-    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
+    n_local, n_columns = local_csr_rows.shape
+    row_and_column_sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
+    matrix = PETSc.Mat().createAIJ(
+        row_and_column_sizes,
+        csr=(local_csr_rows.indptr, local_csr_rows.indices, local_csr_rows.data),
+        comm=comm,
+    )
     matrix.assemble()
     return matrix
 
@@ -114,11 +118,11 @@ def local_rows(matrix: Any) -> sparse.csr_matrix:
 
 def weighted_sum(matrix: Any, weight: float, added_matrix: Any) -> Any:
     """Return matrix + weight * added_matrix, for any patterns (collective)."""
-    total = matrix.copy()
-    total.axpy(weight, added_matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    compact_total = total.copy()  # factorisations misread the pattern that axpy leaves
-    total.destroy()
-    return compact_total
+    matrix_sum = matrix.copy()
+    matrix_sum.axpy(weight, added_matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    compact_matrix_sum = matrix_sum.copy()  # factorisations misread the pattern that axpy leaves
+    matrix_sum.destroy()
+    return compact_matrix_sum
 
 
 class Factor:
@@ -286,10 +290,10 @@ def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) 
 
     Sum and factor are freed at the end of the context.
     """
-    total = weighted_sum(matrix, weight, added_matrix)
-    with Factor(total, **options) as factor:
-        yield factor
-    total.destroy()
+    matrix_sum = weighted_sum(matrix, weight, added_matrix)
+    with Factor(matrix_sum, **options) as factored_matrix:
+        yield factored_matrix
+    matrix_sum.destroy()
 
 
 def _border_matrix(matrix: Any, border: sparse.spmatrix) -> Any:

@@ -57,15 +57,15 @@ from fenics_crack.model.factor import (
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
-DIRECTION_NUMBERS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
-DIRECTION_NUMBERS |= {str(number): number for number in range(1, 10)}
+DIRECTION_NUMBER_BY_LABEL = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
+DIRECTION_NUMBER_BY_LABEL |= {str(number): number for number in range(1, 10)}
 """Number of each direction, by Ansys's words and by its digit."""
-MIN_ENTRY_BYTES = {"coordinate": 4, "array": 2}
+MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry with the end of its line."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
-TRANSPOSE_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
+TRANSPOSE_SIGN_BY_SYMMETRY = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
-SYMMETRIES = ("general", *TRANSPOSE_SIGNS)
+SYMMETRIES = ("general", *TRANSPOSE_SIGN_BY_SYMMETRY)
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
@@ -180,8 +180,8 @@ def read_labels(path: Path) -> np.ndarray:
     row_numbers: list[int] = []
     for number, line in numbered_lines(path, "#"):
         match = _LABEL_PATTERN.fullmatch(line.rstrip())
-        if match is not None and match[3] in DIRECTION_NUMBERS:
-            labels.append((int(match[2]), DIRECTION_NUMBERS[match[3]]))
+        if match is not None and match[3] in DIRECTION_NUMBER_BY_LABEL:
+            labels.append((int(match[2]), DIRECTION_NUMBER_BY_LABEL[match[3]]))
             row_numbers.append(int(match[1] or len(labels)))
         elif labels:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
@@ -196,7 +196,11 @@ def read_labels(path: Path) -> np.ndarray:
 
 
 def _make_matrix_from_triangle(
-    entries: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int, sign: int = 1
+    entries: np.ndarray,
+    row_indices: np.ndarray,
+    column_indices: np.ndarray,
+    n: int,
+    transpose_sign: int = 1,
 ) -> sparse.csr_matrix:
     """Make a symmetric or skew-symmetric matrix from one triangle.
 
@@ -204,11 +208,11 @@ def _make_matrix_from_triangle(
 
     Parameters
     ----------
-    entries, rows, columns : (m,)
+    entries, row_indices, column_indices : (m,)
         Nonzero entries and their positions.
     n : int
         Number of rows of the matrix.
-    sign : int
+    transpose_sign : int
         1 for a symmetric matrix, -1 for a skew-symmetric one.
 
     Raises
@@ -216,27 +220,27 @@ def _make_matrix_from_triangle(
     ValueError
         Some entries have a mirrored entry and others have none.
     """
-    is_off_diagonal, is_above = rows != columns, rows < columns
+    is_off_diagonal, is_above = row_indices != column_indices, row_indices < column_indices
     if np.any(is_above) and np.any(is_off_diagonal & ~is_above):
         has_twin = np.isin(
-            n * columns[is_off_diagonal] + rows[is_off_diagonal],
-            n * rows[is_off_diagonal] + columns[is_off_diagonal],
+            n * column_indices[is_off_diagonal] + row_indices[is_off_diagonal],
+            n * row_indices[is_off_diagonal] + column_indices[is_off_diagonal],
         )
         if has_twin.all():
-            return sparse.csr_matrix((entries, (rows, columns)), (n, n))
+            return sparse.csr_matrix((entries, (row_indices, column_indices)), (n, n))
         if has_twin.any():
-            row_number = rows[is_off_diagonal][has_twin][0] + 1
-            column_number = columns[is_off_diagonal][has_twin][0] + 1
+            row_number = row_indices[is_off_diagonal][has_twin][0] + 1
+            column_number = column_indices[is_off_diagonal][has_twin][0] + 1
             raise ValueError(
                 f"row {row_number}, column {column_number} is there on both sides of the diagonal, "
                 "others on one"
             )
     rows_and_columns = (
-        np.append(rows, columns[is_off_diagonal]),
-        np.append(columns, rows[is_off_diagonal]),
+        np.append(row_indices, column_indices[is_off_diagonal]),
+        np.append(column_indices, row_indices[is_off_diagonal]),
     )
     return sparse.csr_matrix(
-        (np.append(entries, sign * entries[is_off_diagonal]), rows_and_columns), (n, n)
+        (np.append(entries, transpose_sign * entries[is_off_diagonal]), rows_and_columns), (n, n)
     )
 
 
@@ -266,11 +270,15 @@ def _build_labelled_matrix(
             distinct_directions[distinct_keys % len(distinct_directions)],
         ]
     )
-    rows, columns = label_indices.reshape(-1, 2).T
+    row_indices, column_indices = label_indices.reshape(-1, 2).T
     n = len(labels)
     if has_both_triangles:
-        return LabelledMatrix(sparse.csr_matrix((entries, (rows, columns)), (n, n)), labels)
-    return LabelledMatrix(_make_matrix_from_triangle(entries, rows, columns, n), labels)
+        return LabelledMatrix(
+            sparse.csr_matrix((entries, (row_indices, column_indices)), (n, n)), labels
+        )
+    return LabelledMatrix(
+        _make_matrix_from_triangle(entries, row_indices, column_indices, n), labels
+    )
 
 
 def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
@@ -362,26 +370,26 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
     Nastran, DMAP Programmer's Guide, OUTPUT4.
     """
     lines = numbered_lines(path, "$")
-    number, line, number_width = 0, "", 16
+    line_number, line, number_width = 0, "", 16
 
     def read_integers(count: int) -> list[int]:
-        nonlocal number, line
-        number, line = next(lines)
+        nonlocal line_number, line
+        line_number, line = next(lines)
         return [int(line[start : start + 8]) for start in range(0, 8 * count, 8)]
 
     def read_floats(count: int) -> list[float]:
-        nonlocal number, line
-        numbers: list[float] = []
-        while len(numbers) < count:
-            number, line = next(lines)
+        nonlocal line_number, line
+        column_entries: list[float] = []
+        while len(column_entries) < count:
+            line_number, line = next(lines)
             text = line.upper().replace("D", "E")
-            numbers += [
+            column_entries += [
                 float(text[start : start + number_width])
                 for start in range(0, len(text), number_width)
             ]
-        if len(numbers) > count:
+        if len(column_entries) > count:
             raise ValueError
-        return numbers
+        return column_entries
 
     try:
         while True:
@@ -397,20 +405,22 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
             while True:
                 column, first_row, n_words_left = read_integers(3)
                 while n_words_left > 0:
-                    length, row, n_header_words = n_words_left, first_row, 0
+                    n_words, row, n_header_words = n_words_left, first_row, 0
                     if first_row == 0 and n_rows < 0:
-                        (length, row), n_header_words = read_integers(2), 2
-                        length -= 1
+                        (n_words, row), n_header_words = read_integers(2), 2
+                        n_words -= 1
                     elif first_row == 0:
-                        number, line = next(lines)
-                        length, row, n_header_words = int(line) // 65536 - 1, int(line) % 65536, 1
+                        line_number, line = next(lines)
+                        n_words, row, n_header_words = int(line) // 65536 - 1, int(line) % 65536, 1
                     # Strings count their words, dense columns their numbers.
-                    numbers = read_floats(length // words_per_number if n_header_words else length)
-                    n_words_left -= length + n_header_words
+                    column_entries = read_floats(
+                        n_words // words_per_number if n_header_words else n_words
+                    )
+                    n_words_left -= n_words + n_header_words
                     if is_wanted and column <= n_columns:
-                        entries += numbers
+                        entries += column_entries
                         entry_positions += [
-                            (row - 1 + offset, column - 1) for offset in range(len(numbers))
+                            (row - 1 + offset, column - 1) for offset in range(len(column_entries))
                         ]
                 if column > n_columns:
                     break
@@ -425,7 +435,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
         raise ValueError(f"it has no whole matrix whose name begins with {kind}") from None
     except ValueError:
         expected_format = "a real matrix that OUTPUT4 writes as text"
-        raise ValueError(f"line {number}: {line[:80]!r} is not of {expected_format}") from None
+        raise ValueError(f"line {line_number}: {line[:80]!r} is not of {expected_format}") from None
 
 
 # --- Matrix Market --------------------------------------------------------------------------------
@@ -470,7 +480,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         matrix = sparse.csr_matrix((entries, rows_and_columns), shape)
     else:
         matrix = _make_matrix_from_triangle(
-            entries, *rows_and_columns, shape[0], TRANSPOSE_SIGNS[symmetry]
+            entries, *rows_and_columns, shape[0], TRANSPOSE_SIGN_BY_SYMMETRY[symmetry]
         )
     if layout == "array":
         matrix.eliminate_zeros()
@@ -531,11 +541,11 @@ def _read_header_and_sizes(
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
-    elif transpose_sign := TRANSPOSE_SIGNS.get(header[1]):  # from the diagonal down
+    elif transpose_sign := TRANSPOSE_SIGN_BY_SYMMETRY.get(header[1]):  # from the diagonal down
         n_entries = n_rows * (n_rows + transpose_sign) // 2
     else:
         n_entries = n_rows * n_columns
-    if n_entries * MIN_ENTRY_BYTES[header[0]] > allowed_bytes:
+    if n_entries * MIN_ENTRY_BYTES_BY_FORMAT[header[0]] > allowed_bytes:
         raise ValueError(f"it announces {n_entries} entries, more than it can hold")
     return header, sizes, n_entries
 
@@ -787,8 +797,11 @@ def check_parts(
     stiffness = make_petsc_matrix("stiffness", stiffness, comm, n)
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
-    with Factor(mass) as factor:
-        n_negative_pivots, n_zero_pivots = factor.n_negative_pivots, factor.n_null_pivots
+    with Factor(mass) as factored_mass:
+        n_negative_pivots, n_zero_pivots = (
+            factored_mass.n_negative_pivots,
+            factored_mass.n_null_pivots,
+        )
     if n_negative_pivots or n_zero_pivots:
         problem = f"{n_negative_pivots} negative and {n_zero_pivots} zero eigenvalues"
         raise InputError("mass", problem, "positive definite")
@@ -804,7 +817,7 @@ def check_parts(
         problem = f"zero in column {empty_columns[0] + 1} of {gap.shape[1]}"
         requirement = "a pair in each: a gap that depends on no displacement never opens or closes"
         raise InputError("gap", problem, requirement)
-    parts = {
+    part_by_name = {
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own_rows],
@@ -816,8 +829,8 @@ def check_parts(
         if tangential.shape[1] not in (gap.shape[1], 2 * gap.shape[1]):
             requirement = f"of shape {gap.shape}, as gap is, or with twice the columns"
             raise InputError("tangential", tangential.shape, requirement)
-        parts["tangential"] = tangential[own_rows]
-    return parts
+        part_by_name["tangential"] = tangential[own_rows]
+    return part_by_name
 
 
 def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
@@ -827,7 +840,9 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """
     allowed_columns_by_key = {"force_mean": 1}
     rows_of_parts = [
-        _read_load_columns(key, part, n, allowed_columns_by_key.get(key, MAX_HARMONIC_ORDER))
+        _read_load_columns_as_rows(
+            key, part, n, allowed_columns_by_key.get(key, MAX_HARMONIC_ORDER)
+        )
         for key, part in load_parts.items()
     ]
     load_coefficients = np.zeros((2 * max(map(len, rows_of_parts)) + 1, n))
@@ -836,7 +851,9 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     return load_coefficients
 
 
-def _read_load_columns(name: str, data: Any, n: int, allowed_columns: int = 1) -> np.ndarray:
+def _read_load_columns_as_rows(
+    name: str, data: Any, n: int, allowed_columns: int = 1
+) -> np.ndarray:
     """Read up to ``allowed_columns`` columns (n, m) as rows (m, n).
 
     None gives one row of zeros. InputError: the shape is another one.
@@ -875,11 +892,12 @@ def add_harmonics(
         load_coefficients, max([len(load_coefficients) // 2, *harmonics])
     )
     for order, cosine_and_sine in harmonics.items():
-        name = f"harmonics[{order}]"
+        key = f"harmonics[{order}]"
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
-            raise InputError(name, cosine_and_sine, "(cosine, sine), each (n,) or None")
+            raise InputError(key, cosine_and_sine, "(cosine, sine), each (n,) or None")
         new_coefficients[2 * order - 1 : 2 * order + 1] += [
-            _read_load_columns(name, part, n)[0, own_rows] for part in cosine_and_sine
+            _read_load_columns_as_rows(key, cosine_or_sine, n)[0, own_rows]
+            for cosine_or_sine in cosine_and_sine
         ]
     return new_coefficients
 
@@ -911,9 +929,9 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.n
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
     spring_matrix = distribute_rows(gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm)
-    total = weighted_sum(stiffness, 1.0, spring_matrix)
+    stiffness_with_springs = weighted_sum(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
-    return total
+    return stiffness_with_springs
 
 
 def _check_symmetric(name: str, matrix: Any) -> None:
@@ -936,8 +954,10 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     diagonal_quotients.pointwiseDivide(diagonal_quotients, mass.getDiagonal())
     quotient_magnitudes = diagonal_quotients.copy()
     quotient_magnitudes.abs()
-    with factored_sum(matrix, MATRIX_TOLERANCE * quotient_magnitudes.max()[1], mass) as factor:
-        n_negative_pivots = factor.n_negative_pivots
+    with factored_sum(
+        matrix, MATRIX_TOLERANCE * quotient_magnitudes.max()[1], mass
+    ) as factored_matrix:
+        n_negative_pivots = factored_matrix.n_negative_pivots
     if n_negative_pivots:
         raise InputError(
             name, format_count(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"

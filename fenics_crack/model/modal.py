@@ -64,20 +64,20 @@ class AllModes:
         Phi, mass-normalised.
     damping : (n,) or (n, n) [1/s]
         Phi^T C Phi, or its diagonal if it is diagonal.
-    pairs : (n, n_pairs)
+    gaps_by_mode : (n, n_pairs)
         Phi^T B.
     is_unconstrained : bool
         True if the structure can move as a rigid body.
-    residual : (n_pairs, n_pairs) [m/N] or None
+    residual_compliance : (n_pairs, n_pairs) [m/N] or None
         R_inf, the compliance of the massless coordinates. None if every coordinate has mass.
     """
 
     squares: np.ndarray
     shapes: np.ndarray
     damping: np.ndarray
-    pairs: np.ndarray
+    gaps_by_mode: np.ndarray
     is_unconstrained: bool
-    residual: np.ndarray | None = None
+    residual_compliance: np.ndarray | None = None
     massless_pair_responses: np.ndarray | None = None
     """(n_dofs, n_pairs): displacement of the massless coordinates by unit forces on pairs."""
     massless_flexibility: np.ndarray | None = None
@@ -169,9 +169,13 @@ class AllModes:
             Gap change by unit forces on the pairs.
         """
         is_fast = self._is_fast(min_frequency)
-        fast_pair_compliance = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
+        fast_pair_compliance = (
+            self.gaps_by_mode[is_fast].T / self.squares[is_fast]
+        ) @ self.gaps_by_mode[is_fast]
         return (
-            fast_pair_compliance if self.residual is None else fast_pair_compliance + self.residual
+            fast_pair_compliance
+            if self.residual_compliance is None
+            else fast_pair_compliance + self.residual_compliance
         )
 
     def _is_fast(self, min_frequency: float) -> np.ndarray:
@@ -194,9 +198,9 @@ class AllModes:
         (n_dofs, n_pairs)
         """
         is_fast = self._is_fast(min_frequency)
-        pair_responses: np.ndarray = (self.shapes[:, is_fast] / self.squares[is_fast]) @ self.pairs[
-            is_fast
-        ]
+        pair_responses: np.ndarray = (
+            self.shapes[:, is_fast] / self.squares[is_fast]
+        ) @ self.gaps_by_mode[is_fast]
         return (
             pair_responses
             if self.massless_pair_responses is None
@@ -226,7 +230,7 @@ class AllModes:
             self.squares[is_slow],
             self.shapes[:, is_slow],
             slow_damping,
-            self.pairs[is_slow],
+            self.gaps_by_mode[is_slow],
             self.is_unconstrained,
             self.static_pair_compliance(min_frequency),
             self.static_pair_responses(min_frequency),
@@ -265,8 +269,8 @@ class AllModes:
         force on another.
         """
         if self.damping.ndim == 1:
-            return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
-        return self.pairs.T @ receptance @ self.pairs
+            return np.matmul(self.gaps_by_mode.T * receptance[..., None, :], self.gaps_by_mode)
+        return self.gaps_by_mode.T @ receptance @ self.gaps_by_mode
 
     def transition(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrices that advance modes over a step under constant pair forces.
@@ -285,30 +289,35 @@ class AllModes:
         (2n, n_pairs)
             State after the step by unit forces on the pairs.
         """
-        n_modes, n_pairs = self.pairs.shape
+        n_modes, n_pairs = self.gaps_by_mode.shape
         if self.damping.ndim == 1:
             # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
             velocity_scale = np.maximum(np.sqrt(np.abs(self.squares)), 1.0 / h)
-            system = np.zeros((n_modes, 3, 3))
-            system[:, 0, 1] = velocity_scale
-            system[:, 1, 0], system[:, 1, 1] = -self.squares / velocity_scale, -self.damping
-            system[:, 1, 2] = 1.0
-            e = scipy.linalg.expm(h * system)
-            blocks = (
+            state_matrix = np.zeros((n_modes, 3, 3))
+            state_matrix[:, 0, 1] = velocity_scale
+            state_matrix[:, 1, 0], state_matrix[:, 1, 1] = (
+                -self.squares / velocity_scale,
+                -self.damping,
+            )
+            state_matrix[:, 1, 2] = 1.0
+            e = scipy.linalg.expm(h * state_matrix)
+            transition_blocks = (
                 e[:, 0, 0],
                 e[:, 0, 1] / velocity_scale,
                 e[:, 1, 0] * velocity_scale,
                 e[:, 1, 1],
             )
-            displacement_by_forces = (e[:, 0, 2] / velocity_scale)[:, None] * self.pairs
-            velocity_by_forces = e[:, 1, 2][:, None] * self.pairs
-            return np.array(blocks), np.vstack([displacement_by_forces, velocity_by_forces])
-        system = np.zeros((2 * n_modes + n_pairs,) * 2)
-        system[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
-        system[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
-        system[n_modes : 2 * n_modes, n_modes : 2 * n_modes] = -self.damping
-        system[n_modes : 2 * n_modes, 2 * n_modes :] = self.pairs
-        e = scipy.linalg.expm(h * system)[: 2 * n_modes]
+            displacement_by_forces = (e[:, 0, 2] / velocity_scale)[:, None] * self.gaps_by_mode
+            velocity_by_forces = e[:, 1, 2][:, None] * self.gaps_by_mode
+            return np.array(transition_blocks), np.vstack(
+                [displacement_by_forces, velocity_by_forces]
+            )
+        state_matrix = np.zeros((2 * n_modes + n_pairs,) * 2)
+        state_matrix[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
+        state_matrix[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
+        state_matrix[n_modes : 2 * n_modes, n_modes : 2 * n_modes] = -self.damping
+        state_matrix[n_modes : 2 * n_modes, 2 * n_modes :] = self.gaps_by_mode
+        e = scipy.linalg.expm(h * state_matrix)[: 2 * n_modes]
         return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
 
     def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:
@@ -380,7 +389,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
     gap, modal_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    flexibility_factor = structure.static_root
+    flexibility_factor = structure.truncated_flexibility_root
     pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding
     return AllModes(
         squares,

@@ -160,8 +160,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         return Modes(omega[:count], shapes[:, :count], structure)
     if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
         return cached_modes
-    with Factor(structure.stiffness, definite=True) as factor:
-        return solve_modes_with_factor(factor, structure, int(count), ties)
+    with Factor(structure.stiffness, definite=True) as factored_stiffness:
+        return solve_modes_with_factor(factored_stiffness, structure, int(count), ties)
 
 
 def count_bonded_modes(structure: Structure) -> int:
@@ -186,15 +186,15 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     (n_local, n_ties)
         Columns of the pairs' matrix B, rows of this rank.
     """
-    gap = sparse.csc_matrix(structure.gap)
-    gram = structure.sum_over_ranks((gap.T @ gap).toarray())
-    gram_diagonal = np.diag(gram)
-    if np.all(gram_diagonal > 0.0) and np.count_nonzero(gram) == len(gram):
-        return gap  # orthogonal: no two pairs share a node
-    upper_factor, pivot_order = scipy.linalg.qr(gram, mode="r", pivoting=True)
+    gap_matrix = sparse.csc_matrix(structure.gap)
+    gram_matrix = structure.sum_over_ranks((gap_matrix.T @ gap_matrix).toarray())
+    gram_diagonal = np.diag(gram_matrix)
+    if np.all(gram_diagonal > 0.0) and np.count_nonzero(gram_matrix) == len(gram_matrix):
+        return gap_matrix  # orthogonal: no two pairs share a node
+    upper_factor, pivot_order = scipy.linalg.qr(gram_matrix, mode="r", pivoting=True)
     pivot_sizes = np.abs(np.diag(upper_factor))
-    allowed_rounding = 10.0 * len(gram) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
-    return gap[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
+    allowed_rounding = 10.0 * len(gram_matrix) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
+    return gap_matrix[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
 
 
 def _count_modes(structure: Structure, ties: Any) -> int:
@@ -242,9 +242,9 @@ class BondedInverse:
 
 
 def solve_modes_with_factor(
-    factor: Inverse, structure: Structure, count: int, ties: Any = None
+    stiffness_inverse: Inverse, structure: Structure, n_modes: int, ties: Any = None
 ) -> Modes:
-    """Find the lowest modes of a structure, given the factor of its stiffness (collective).
+    """Find the lowest modes of a structure, given the inverse of its stiffness (collective).
 
     Every dof of the structure has mass.
 
@@ -253,7 +253,7 @@ def solve_modes_with_factor(
     ties : (n_local, n_ties), optional
         From :func:`find_independent_ties`: bond the crack.
     """
-    if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
+    if ties is None and (cached_modes := find_known_modes(structure, n_modes)) is not None:
         return cached_modes
     diagonal_quotients = (
         structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
@@ -261,22 +261,29 @@ def solve_modes_with_factor(
     diagonal_quotients = gather_rows(structure.comm, diagonal_quotients)  # [rad^2/s^2]
     square_scale = float(np.min(diagonal_quotients[diagonal_quotients > 0.0], initial=np.inf))
     square_scale = square_scale if np.isfinite(square_scale) else 1.0
-    begin_stage(format_count(count, "natural mode"))
-    inverse: Inverse = factor if ties is None else BondedInverse(factor, structure, ties)
-    n_requested, available_count = count, _count_modes(structure, ties)
+    begin_stage(format_count(n_modes, "natural mode"))
+    used_inverse: Inverse = (
+        stiffness_inverse if ties is None else BondedInverse(stiffness_inverse, structure, ties)
+    )
+    n_requested_modes, available_count = n_modes, _count_modes(structure, ties)
     while True:
-        squares, shapes = _solve_near_zero(inverse, structure, n_requested, square_scale, ties)
+        squares, shapes = _solve_near_zero(
+            used_inverse, structure, n_requested_modes, square_scale, ties
+        )
         if squares[0] < -1e-8 * square_scale:
             negative_square_text = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", negative_square_text, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.
-        square_bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * square_scale)
-        n_found = np.sum(squares < square_bound)
-        if n_requested == available_count or count_below(structure, square_bound, ties) <= n_found:
+        square_bound = squares[n_modes - 1] - 1e-6 * max(squares[n_modes - 1], 0.01 * square_scale)
+        n_modes_below_bound = np.sum(squares < square_bound)
+        if (
+            n_requested_modes == available_count
+            or count_below(structure, square_bound, ties) <= n_modes_below_bound
+        ):
             break
-        n_requested = min(2 * n_requested + 2, available_count)
-    squares, shapes = squares[:count], shapes[:, :count]
+        n_requested_modes = min(2 * n_requested_modes + 2, available_count)
+    squares, shapes = squares[:n_modes], shapes[:, :n_modes]
     # Rounding of K is relative to the sum of K_ii phi_i^2, omega^2 if each dof moved alone. The
     # largest K_ii / M_ii is no measure: elements that shrink towards a tip make it arbitrarily
     # large, while a low mode moves them hardly more than others.
@@ -289,25 +296,25 @@ def solve_modes_with_factor(
             f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
         )
     omega = np.sqrt(squares)
-    shapes *= _choose_signs(structure, shapes)
+    shapes *= _mode_signs(structure, shapes)
     if ties is None:
         structure.compute_once(_make_empty_modes_list, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
-def find_known_modes(structure: Structure, count: int) -> Modes | None:
+def find_known_modes(structure: Structure, n_modes: int) -> Modes | None:
     """Return the lowest open modes if no solver is needed, else None.
 
     They were computed before, or the structure's coordinates are modes.
     """
     if structure.whole is not structure:  # small and dense
         if (omega_and_shapes := structure.known_omega_and_shapes(is_bonded=False)) is not None:
-            return Modes(omega_and_shapes[0][:count], omega_and_shapes[1][:, :count], structure)
+            return Modes(omega_and_shapes[0][:n_modes], omega_and_shapes[1][:, :n_modes], structure)
     cached_omega_and_shapes = structure.compute_once(_make_empty_modes_list, from_matrices=True)
-    if not cached_omega_and_shapes or len(cached_omega_and_shapes[0]) < count:
+    if not cached_omega_and_shapes or len(cached_omega_and_shapes[0]) < n_modes:
         return None
     return Modes(
-        cached_omega_and_shapes[0][:count], cached_omega_and_shapes[1][:, :count], structure
+        cached_omega_and_shapes[0][:n_modes], cached_omega_and_shapes[1][:, :n_modes], structure
     )
 
 
@@ -320,48 +327,50 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
     return []
 
 
-def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
+def _make_solver(structure: Structure, prefix: str, n_modes: int, krylov_size: int) -> Any:
     """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
     solver = import_slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(solver.ProblemType.GHEP)
-    solver.setDimensions(count, min(structure.n_dofs, krylov_size))
+    solver.setDimensions(n_modes, min(structure.n_dofs, krylov_size))
     solver.getST().getKSP().setType("preonly")
     return solver
 
 
-def _run_solver_to_convergence(solver: Any, count: int) -> None:
+def _run_solver_to_convergence(solver: Any, n_modes: int) -> None:
     """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
     solver.setFromOptions()
     try:
         solver.solve()
     except PETSc.Error as error:  # rounding leaves the mass indefinite in what SLEPc spans
         solver.destroy()
-        raise ConvergenceError(f"modes: SLEPc cannot find {count}: {ROUNDING_ADVICE}") from error
+        raise ConvergenceError(f"modes: SLEPc cannot find {n_modes}: {ROUNDING_ADVICE}") from error
     n_converged = solver.getConverged()
-    if n_converged < count:
+    if n_converged < n_modes:
         solver.destroy()
-        raise ConvergenceError(f"modes: only {n_converged} of {count} converged: {ROUNDING_ADVICE}")
+        raise ConvergenceError(
+            f"modes: only {n_converged} of {n_modes} converged: {ROUNDING_ADVICE}"
+        )
 
 
 def _solve_near_zero(
-    factor: Inverse, structure: Structure, count: int, square_scale: float, ties: Any
+    stiffness_inverse: Inverse, structure: Structure, n_modes: int, square_scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the modes closest to zero frequency, with the factor of K (collective).
+    """Find the modes closest to zero frequency, with the inverse of K (collective).
 
-    If the stiffness K is singular, K + s M is factored instead, with a small part s of ``scale``
-    [rad^2/s^2]. ``ties`` bond the crack (:func:`find_independent_ties`).
+    If the stiffness K is singular, K + s M is factored instead, with a small part s of
+    ``square_scale`` [rad^2/s^2]. ``ties`` bond the crack (:func:`find_independent_ties`).
 
     Returns
     -------
-    (count,) [rad^2/s^2]
+    (n_modes,) [rad^2/s^2]
         omega^2, ascending.
-    (n_local, count)
+    (n_local, n_modes)
         Shapes.
     """
-    if not factor.n_null_pivots:
-        squares, shapes = _solve_near_shift(factor, structure, count, 0.0)
+    if not stiffness_inverse.n_null_pivots:
+        squares, shapes = _solve_near_shift(stiffness_inverse, structure, n_modes, 0.0)
         if squares[0] > MATRIX_TOLERANCE * square_scale:  # a singular K may give values below 0
             return squares, shapes
     shift = -1e-6 * square_scale
@@ -369,33 +378,33 @@ def _solve_near_zero(
         structure.stiffness, -shift, structure.mass, definite=True, border=ties
     )
     with shifted_factor as inverse:
-        return _solve_near_shift(inverse, structure, count, shift)
+        return _solve_near_shift(inverse, structure, n_modes, shift)
 
 
-def krylov_size(count: int) -> int:
+def krylov_size(n_modes: int) -> int:
     """Return the number of Krylov vectors for some modes.
 
-    SLEPc's default is twice the count. For many modes fewer vectors are as quick; for few modes
-    some more avoid a second sweep.
+    SLEPc's default is twice the number of modes. For many modes fewer vectors are as quick; for few
+    modes some more avoid a second sweep.
     """
-    return max(min(2 * count, count + 150), count + 15)
+    return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 
 
 def _solve_near_shift(
-    factor: Inverse, structure: Structure, count: int, shift: float
+    shifted_inverse: Inverse, structure: Structure, n_modes: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
 
-    ``factor`` solves K - shift M.
+    ``shifted_inverse`` solves K - shift M.
 
     Returns
     -------
-    (count,) [rad^2/s^2]
+    (n_modes,) [rad^2/s^2]
         omega^2, ascending.
-    (n_local, count)
+    (n_local, n_modes)
         Mass-normalised shapes.
     """
-    solver = _make_solver(structure, "crack_modes_", count, krylov_size(count))
+    solver = _make_solver(structure, "crack_modes_", n_modes, krylov_size(n_modes))
     solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
@@ -407,13 +416,13 @@ def _solve_near_shift(
     preconditioner = spectral_transform.getKSP().getPC()
     preconditioner.setType("python")
     preconditioner.setPythonContext(
-        SimpleNamespace(apply=lambda _, rhs, solution: factor.apply(rhs, solution))
+        SimpleNamespace(apply=lambda _, rhs, solution: shifted_inverse.apply(rhs, solution))
     )
-    _run_solver_to_convergence(solver, count)
+    _run_solver_to_convergence(solver, n_modes)
     vector, mass_vector = structure.mass.createVecs()
-    squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
+    squares = np.array([solver.getEigenvalue(index).real for index in range(n_modes)])
     ascending_order = np.argsort(squares)
-    shapes = np.empty((count, structure.n_local))
+    shapes = np.empty((n_modes, structure.n_local))
     for row, index in zip(shapes, ascending_order, strict=True):
         solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, mass_vector)
@@ -424,14 +433,16 @@ def _solve_near_shift(
     return squares[ascending_order], shapes.T
 
 
-def count_below(structure: Structure, square: float, ties: Any = None) -> int:
-    """Return the number of modes with omega^2 < square (collective).
+def count_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
+    """Return the number of modes with omega^2 < ``squared_omega`` (collective).
 
-    These are the negative pivots of K - square M (Sylvester). ``ties`` is a matrix of constraints
-    that keep contact pairs closed, or None.
+    These are the negative pivots of K - ``squared_omega`` M (Sylvester). ``ties`` is a matrix of
+    constraints that keep contact pairs closed, or None.
     """
-    with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
-        return int(factor.n_negative_pivots)
+    with factored_sum(
+        structure.stiffness, -squared_omega, structure.mass, border=ties
+    ) as factored_matrix:
+        return int(factored_matrix.n_negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:
@@ -451,13 +462,17 @@ def largest_frequency(structure: Structure) -> float:
 def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """Multiply a PETSc matrix with columns (n_local, m): the same shape (collective)."""
     products = np.empty(columns.shape)
-    for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
-        block = np.array(columns[:, start : start + MAX_BLOCK_COLUMNS], order="F")
-        sizes = (matrix.sizes[1], (PETSc.DECIDE, block.shape[1]))
-        block_matrix = PETSc.Mat().createDense(sizes, array=block, comm=matrix.comm)
+    for start_column in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
+        column_block = np.array(
+            columns[:, start_column : start_column + MAX_BLOCK_COLUMNS], order="F"
+        )
+        block_sizes = (matrix.sizes[1], (PETSc.DECIDE, column_block.shape[1]))
+        block_matrix = PETSc.Mat().createDense(block_sizes, array=column_block, comm=matrix.comm)
         block_matrix.assemble()
         product_matrix = matrix.matMult(block_matrix)
-        products[:, start : start + MAX_BLOCK_COLUMNS] = product_matrix.getDenseArray()
+        products[:, start_column : start_column + MAX_BLOCK_COLUMNS] = (
+            product_matrix.getDenseArray()
+        )
         block_matrix.destroy()
         product_matrix.destroy()
     return products
@@ -501,7 +516,7 @@ def independent_part(
     return columns
 
 
-def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+def _mode_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Return signs that make the largest component of each shape positive.
 
     A symmetric structure has several equally large components. Then the first by position and
@@ -523,11 +538,15 @@ def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
         sort_keys[dof_rows] = np.column_stack(
             [structure.nodes.points[node_indices], component_indices]
         )
-    own_peaks = np.maximum(shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0))
-    peaks = np.max(gather_rows(structure.comm, own_peaks[None]), axis=0)
+    local_largest_components = np.maximum(
+        shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0)
+    )
+    largest_components = np.max(gather_rows(structure.comm, local_largest_components[None]), axis=0)
     signs = np.empty(shapes.shape[1])
-    for mode_index, peak in enumerate(peaks):
-        large_row_indices = np.flatnonzero(np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * peak)
+    for mode_index, largest_component in enumerate(largest_components):
+        large_row_indices = np.flatnonzero(
+            np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * largest_component
+        )
         keys_and_signs = np.column_stack(
             [sort_keys[large_row_indices].round(12), np.sign(shapes[large_row_indices, mode_index])]
         )
@@ -590,9 +609,11 @@ def count_damped_modes(structure: Structure) -> int:
     count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
         raise InputError("damping modes", count, f"at most n_dofs = {structure.n_modes}")
-    ratio = np.asarray(damping.ratio, dtype=float)
-    if ratio.ndim == 1 and len(ratio) != count:
-        raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
+    damping_ratios = np.asarray(damping.ratio, dtype=float)
+    if damping_ratios.ndim == 1 and len(damping_ratios) != count:
+        raise InputError(
+            "damping ratio", f"{len(damping_ratios)} ratios", f"one or {count}, one per mode"
+        )
     return count
 
 
@@ -796,8 +817,11 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
-    count = min(N_LOWEST_MODES, structure.n_modes)
-    open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)
+    n_modes = min(N_LOWEST_MODES, structure.n_modes)
+    open_modes, bonded_modes = (
+        solve_modes(structure, n_modes),
+        solve_bonded_modes(structure, n_modes),
+    )
     return BilinearFrequencies(
         open_modes.omega, bonded_modes.omega[find_bonded_mode_indices(open_modes, bonded_modes)]
     )

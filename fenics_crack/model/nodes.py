@@ -23,7 +23,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.matrices import ReadOnlyArrays, numbers
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate_series
 
 AXES = "xyz"
 
@@ -523,7 +523,7 @@ class Clamp:
         inertia_waves[2::2] = -harmonic_omegas * (
             drag * cosine_coefficients + harmonic_omegas * sine_coefficients
         )
-        reactions_at_phases = evaluate(inertia_waves, 1.0, phases) - evaluate(
+        reactions_at_phases = evaluate_series(inertia_waves, 1.0, phases) - evaluate_series(
             self.load, subharmonic, phases
         )
         return tuple(np.split(reactions_at_phases, [len(self.center)], axis=1))
@@ -552,5 +552,7 @@ class Clamp:
         spline = make_interp_spline(time, inertia_record, k=5)
         inertia_forces = spline.derivative(2)(time) + drag * spline.derivative(1)(time)
         return tuple(
-            np.split(inertia_forces - evaluate(self.load, omega, time), [len(self.center)], axis=1)
+            np.split(
+                inertia_forces - evaluate_series(self.load, omega, time), [len(self.center)], axis=1
+            )
         )

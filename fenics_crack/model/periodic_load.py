@@ -85,14 +85,15 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     )
     complex_coefficient_rows = [mean.astype(complex)]
     for harmonic_order in range(1, harmonics + 1):
-        exponentials = np.exp(1j * harmonic_order * phase)[:, None]
+        exponentials_at_phases = np.exp(1j * harmonic_order * phase)[:, None]
         # int f e = [f e / (i k)] + slope [e] / k^2 over each interval
-        boundary_term = (end_values * exponentials[1:] - start_values * exponentials[:-1]) / (
-            1j * harmonic_order
-        )
+        boundary_term = (
+            end_values * exponentials_at_phases[1:] - start_values * exponentials_at_phases[:-1]
+        ) / (1j * harmonic_order)
         boundary_term = np.where(phase_steps > 0.0, boundary_term, 0.0)
         fourier_integral = np.sum(
-            boundary_term + slope * np.diff(exponentials, axis=0) / harmonic_order**2, axis=0
+            boundary_term + slope * np.diff(exponentials_at_phases, axis=0) / harmonic_order**2,
+            axis=0,
         )
         complex_coefficient_rows.append(np.conj(fourier_integral) / np.pi)
     coefficients = from_complex(np.array(complex_coefficient_rows))

@@ -172,23 +172,23 @@ def _convert_receptance_to_load(
             new_load_rows,
         ]
     )
-    n_known_rows = len(all_load_rows) - len(new_load_rows)
-    if len(known_receptance.modal) - n_known_rows != sources_of(structure).shape[1] - len(
+    n_known_load_rows = len(all_load_rows) - len(new_load_rows)
+    if len(known_receptance.modal) - n_known_load_rows != sources_of(structure).shape[1] - len(
         new_load_rows
     ):
         return None  # only one of the two has tangents
     gram = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
     load_weights = (
-        np.linalg.pinv(gram[:n_known_rows, :n_known_rows], hermitian=True)
-        @ gram[:n_known_rows, n_known_rows:]
+        np.linalg.pinv(gram[:n_known_load_rows, :n_known_load_rows], hermitian=True)
+        @ gram[:n_known_load_rows, n_known_load_rows:]
     )
     residual_norms_squared = structure.sum_over_ranks(
-        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_rows]) ** 2).sum(axis=1)
+        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_load_rows]) ** 2).sum(axis=1)
     )
-    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_rows:]):
+    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_load_rows:]):
         return None
     source_transformation = scipy.linalg.block_diag(
-        np.eye(len(known_receptance.modal) - n_known_rows), load_weights
+        np.eye(len(known_receptance.modal) - n_known_load_rows), load_weights
     )
     rows_by_dof = {
         dof: (shape_row, residual_row @ source_transformation)
@@ -243,8 +243,8 @@ def _extend_receptance(
 ) -> Receptance:
     """Make a receptance with ``n_modes`` modes, from one with fewer modes or none (collective)."""
     begin_stage("factor of the stiffness")
-    with Factor(structure.stiffness, definite=True) as factor:
-        modes = solve_modes_with_factor(factor, structure, n_modes)
+    with Factor(structure.stiffness, definite=True) as factored_stiffness:
+        modes = solve_modes_with_factor(factored_stiffness, structure, n_modes)
         squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs
         flexibility = ResidualFlexibility(structure, modes.shapes, squares, sources_of(structure))
         begin_stage("static responses")
@@ -255,7 +255,7 @@ def _extend_receptance(
             compliance, inertia_diagonal = (
                 zero_compliance_and_inertia
                 if has_all_modes
-                else flexibility.compliance_and_inertia(factor)
+                else flexibility.compliance_and_inertia(factored_stiffness)
             )
             new_receptance = Receptance(
                 squares,
@@ -265,7 +265,9 @@ def _extend_receptance(
                 structure.force,
                 inertia_diagonal[: structure.n_pairs],
             )
-            _store_dof_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
+            _store_dof_rows(
+                new_receptance, structure, _loaded_dofs(structure), flexibility, factored_stiffness
+            )
             return new_receptance
     new_mode_range = slice(known_receptance.n_modes, None)
     modal_flexibility = flexibility.modal_sources[:, new_mode_range] / squares[new_mode_range]
@@ -322,8 +324,10 @@ def displacement_rows(
         )
         _store_dof_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
     shape_rows, residual_rows = (
-        np.array(rows)
-        for rows in zip(*(known_receptance.rows[dof] for dof in requested_dofs), strict=True)
+        np.array(rows_of_dofs)
+        for rows_of_dofs in zip(
+            *(known_receptance.rows[dof] for dof in requested_dofs), strict=True
+        )
     )
     return shape_rows[:, :n_modes], known_receptance.residual_response(
         n_modes, residual_rows, shape_rows
@@ -353,9 +357,9 @@ def expand_residual_response(
     if np.any(is_nonzero_row):
         sources = sources_of(structure.original)
         flexibility = ResidualFlexibility(structure, shapes, squares, sources)
-        with Factor(structure.stiffness, definite=True) as factor:
+        with Factor(structure.stiffness, definite=True) as factored_stiffness:
             displacements[is_nonzero_row] = flexibility.solve(
-                factor, (sources @ amplitudes[is_nonzero_row].T).T
+                factored_stiffness, (sources @ amplitudes[is_nonzero_row].T).T
             )
     return displacements
 

@@ -48,8 +48,8 @@ MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_expo
 class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
-    ``source`` is the structure that was reduced, and ``removed_error_share`` its attribute
-    ``share``; :class:`ReducedStructure` explains all other fields.
+    ``source`` is the structure that was reduced, and ``error_share_removed_by_reference`` its
+    attribute ``share``; :class:`ReducedStructure` explains all other fields.
     """
 
     source: Structure
@@ -57,29 +57,32 @@ class ReducedBody(Body):
     omega: np.ndarray
     reference: ReducedStructure | None = None
     # The reference with the next static shapes lacks a quarter or less.
-    removed_error_share: float = 0.75
+    error_share_removed_by_reference: float = 0.75
 
 
 def _make_body_fields(
-    source: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
-    gap: np.ndarray, tangential_gap: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
+    source: Structure, squared_frequencies: np.ndarray, damping: DampingRule | np.ndarray | None,
+    gap: np.ndarray, tangential_gap: np.ndarray | None, force: np.ndarray,
+    massless_stiffness: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the fields of a :class:`ReducedBody` by name.
 
-    The modal coordinates have mass 1 and stiffness ``squares``. The coordinates without mass, if
-    any, have the stiffness ``compliance``.
+    The modal coordinates have mass 1 and stiffness ``squared_frequencies``. The coordinates without
+    mass, if any, have the stiffness ``massless_stiffness``.
     """
-    n_modes, n_massless = len(squares), len(compliance)
+    n_modes, n_massless = len(squared_frequencies), len(massless_stiffness)
     if isinstance(damping, np.ndarray):
-        damping = distribute_rows(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
-    mass = sparse.diags(np.repeat([1.0, 0.0], [n_modes, n_massless]))
-    stiffness = sparse.block_diag([sparse.diags(squares), compliance])
+        damping = distribute_rows(
+            scipy.linalg.block_diag(damping, 0.0 * massless_stiffness), MPI.COMM_SELF
+        )
+    mass_or_zero_diagonal = sparse.diags(np.repeat([1.0, 0.0], [n_modes, n_massless]))
+    stiffness_blocks = sparse.block_diag([sparse.diags(squared_frequencies), massless_stiffness])
     return {
-        "mass": distribute_rows(mass, MPI.COMM_SELF),
-        "stiffness": distribute_rows(stiffness, MPI.COMM_SELF),
+        "mass": distribute_rows(mass_or_zero_diagonal, MPI.COMM_SELF),
+        "stiffness": distribute_rows(stiffness_blocks, MPI.COMM_SELF),
         "gap": gap, "tangential": tangential_gap, "force": force, "clearance": source.clearance,
         "damping": damping, "nodes": source.nodes, "pairs": source.pairs,
-        "omega": np.sqrt(np.maximum(squares, 0.0)), "source": source,
+        "omega": np.sqrt(np.maximum(squared_frequencies, 0.0)), "source": source,
     }  # fmt: skip
 
 
@@ -107,7 +110,7 @@ class ReducedStructure(Structure):
     body: ReducedBody
     basis: np.ndarray = body_property("basis")
     omega: np.ndarray = body_property("omega")
-    share: float = body_property("removed_error_share")
+    share: float = body_property("error_share_removed_by_reference")
     frequency = hertz_property()
 
     def __init__(
@@ -120,10 +123,10 @@ class ReducedStructure(Structure):
     ) -> None:
         gap, force = source.apply_bt(basis.T), source.sum_over_ranks(source.force @ basis)
         tangential_gap = source.apply_tangential(basis.T)
-        fields = _make_body_fields(
+        field_by_name = _make_body_fields(
             source, squares, damping, gap, tangential_gap, force, np.zeros((0, 0))
         )
-        super().__init__(ReducedBody(**fields, basis=basis, reference=reference))
+        super().__init__(ReducedBody(**field_by_name, basis=basis, reference=reference))
 
     @property
     def _size_description(self) -> str:
@@ -180,19 +183,19 @@ class QuasiStaticReduction(ReducedStructure):
     ----------
     shapes : (n_dofs, n_modes)
         Mode shapes Phi in the coordinates, mass-normalised.
-    static_root : (n_dofs, r) [(m/N)^(1/2)]
+    truncated_flexibility_root : (n_dofs, r) [(m/N)^(1/2)]
         Root L of the flexibility beyond the modes: forces f move the coordinates by L L^T f
         without inertia.
     """
 
     light_lips = True
     shapes: np.ndarray
-    static_root: np.ndarray
+    truncated_flexibility_root: np.ndarray
 
     @property
     def residual_flexibility(self) -> np.ndarray:
         """Static displacement by unit forces, without the modes: (n_dofs, n_dofs) [m/N]."""
-        return self.static_root @ self.static_root.T
+        return self.truncated_flexibility_root @ self.truncated_flexibility_root.T
 
     @property
     def n_modes(self) -> int:
@@ -281,10 +284,12 @@ class MasslessStructure(QuasiStaticReduction):
         pair_columns = np.vstack([modal_pairs, compliance[:, : modal_pairs.shape[1]]])
         gap, tangential_columns = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangential_columns
-        fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        fields["inverse_compliance_root"] = _factor_of_inverse(compliance)
-        fields["removed_error_share"] = share
-        Structure.__init__(self, MasslessBody(**fields, reference=reference))
+        field_by_name = _make_body_fields(
+            source, squares, damping, gap, tangential_gap, force, compliance
+        )
+        field_by_name["inverse_compliance_root"] = _factor_of_inverse(compliance)
+        field_by_name["error_share_removed_by_reference"] = share
+        Structure.__init__(self, MasslessBody(**field_by_name, reference=reference))
 
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]
@@ -306,7 +311,7 @@ class MasslessStructure(QuasiStaticReduction):
         return self.root @ self.root.T
 
     @property
-    def static_root(self) -> np.ndarray:  # type: ignore[override]
+    def truncated_flexibility_root(self) -> np.ndarray:  # type: ignore[override]
         """Root L in the coordinates: ``root`` for the massless ones, zero for the modes."""
         return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
@@ -323,25 +328,25 @@ class MasslessStructure(QuasiStaticReduction):
         """
         if not is_bonded:
             return super().known_omega_and_shapes(is_bonded=False)
-        modal_gaps, residual_compliance = self.gap[: self.n_modes].toarray(), self.residual
-        scaled_modal_gaps = (
-            modal_gaps / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
+        gaps_by_mode, residual_compliance = self.gap[: self.n_modes].toarray(), self.residual
+        scaled_gaps_by_mode = (
+            gaps_by_mode / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
         )
-        ties = _factor_of_inverse(scaled_modal_gaps.T @ scaled_modal_gaps + residual_compliance)
+        ties = _factor_of_inverse(scaled_gaps_by_mode.T @ scaled_gaps_by_mode + residual_compliance)
         tie_flexibilities, tie_eigenvectors = np.linalg.eigh(ties.T @ residual_compliance @ ties)
         ties, is_soft_tie = ties @ tie_eigenvectors, tie_flexibilities > NEGLIGIBLE
-        rigid_tie_gaps = modal_gaps @ ties[:, ~is_soft_tie]
+        rigid_tie_gaps = gaps_by_mode @ ties[:, ~is_soft_tie]
         allowed_motions = (
             scipy.linalg.null_space(rigid_tie_gaps.T)
             if rigid_tie_gaps.size
             else np.eye(self.n_modes)
         )
         modal_pair_forces = (ties[:, is_soft_tie] / tie_flexibilities[is_soft_tie]) @ (
-            modal_gaps @ ties[:, is_soft_tie]
+            gaps_by_mode @ ties[:, is_soft_tie]
         ).T
         squares, eigenvectors = np.linalg.eigh(
             allowed_motions.T
-            @ (np.diag(self.omega**2) + modal_gaps @ modal_pair_forces)
+            @ (np.diag(self.omega**2) + gaps_by_mode @ modal_pair_forces)
             @ allowed_motions
         )
         modal_shapes = allowed_motions @ eigenvectors

@@ -54,7 +54,7 @@ from fenics_crack.model.receptance import ResidualFlexibility, find_loaded_row_m
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
-METHODS = ("massless", "free_interface")
+REDUCTION_METHODS = ("massless", "free_interface")
 MIN_REFERENCE_ERROR_SHARE = 0.1
 """Minimum share of a reference; a smaller one shows nothing of the truncated part."""
 DEFAULT_MODES_OF_LARGE_STRUCTURE = 50
@@ -106,7 +106,7 @@ def reduce_structure(
     --------
     >>> reduced = fc.reduce_structure(structure, modes=10)
     """
-    check_choice("method", method, METHODS)
+    check_choice("method", method, REDUCTION_METHODS)
     check_mass(structure, "reduce the whole one")
     uniform_rule = _uniform_damping_rule_or_none(structure)
     is_modally_damped = uniform_rule is None and isinstance(structure.damping, ModalDamping)
@@ -141,7 +141,9 @@ def reduce_structure(
             own_compliances = structure.sum_over_ranks(
                 (unit_force_rows.T * static_shapes).sum(axis=0)
             )
-            is_rounding = _is_rounding(own_compliances, flexibility.modal_sources.T, squares)
+            is_rounding = _is_residual_flexibility_rounding(
+                own_compliances, flexibility.modal_sources.T, squares
+            )
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
             if not reference:
@@ -162,9 +164,9 @@ def reduce_structure(
 
 
 def _reduce_massless(
-    structure: Structure, modes: int, reference_choice: bool | int
+    structure: Structure, n_kept: int, reference_choice: bool | int
 ) -> MasslessStructure:
-    """Reduce a structure to ``modes`` modes and crack faces without mass.
+    """Reduce a structure to ``n_kept`` modes and crack faces without mass.
 
     The reference, which estimates the error, has twice the modes or ten more, but at most n_dofs -
     n_pairs: each pair then keeps a static part. If this limit leaves a pair more than half of its
@@ -173,66 +175,70 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled, allowed_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
-    n_reference = min(n_doubled, allowed_modes) if allowed_modes > modes else original.n_dofs
-    if has_given_reference := reference_choice is not True and reference_choice > modes:
+    n_doubled, max_reference = (n_kept + max(n_kept, 10), original.n_dofs - original.n_pairs)
+    n_reference = min(n_doubled, max_reference) if max_reference > n_kept else original.n_dofs
+    if has_given_reference := reference_choice is not True and reference_choice > n_kept:
         n_reference = int(reference_choice)
-    mode_counts = (n_reference, modes) if reference_choice else (modes,)
+    mode_counts = (n_reference, n_kept) if reference_choice else (n_kept,)
     largest_receptance = receptance(original, max(mode_counts))
-    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[modes:] == 0.0):
-        requirement = f"at least {modes + n_missing_rigid_modes}: all motions as a rigid body"
-        raise InputError("modes", modes, requirement)
+    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[n_kept:] == 0.0):
+        requirement = f"at least {n_kept + n_missing_rigid_modes}: all motions as a rigid body"
+        raise InputError("modes", n_kept, requirement)
     if (
         reference_choice
         and not has_given_reference
         and n_reference < n_doubled
-        and n_reference == allowed_modes
+        and n_reference == max_reference
     ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
-            np.diag(largest_receptance.compliance_beyond(count))[pair_range]
-            for count in mode_counts
+            np.diag(largest_receptance.compliance_beyond(n_modes))[pair_range]
+            for n_modes in mode_counts
         )
         if np.any(reference_compliance > compliance - reference_compliance):
-            mode_counts = (original.n_dofs, modes)
+            mode_counts = (original.n_dofs, n_kept)
             largest_receptance = receptance(original, original.n_dofs)
-    is_loaded_row, modal_sources = find_loaded_row_mask(original), largest_receptance.modal.T
+    is_loaded_row, modal_sources = (find_loaded_row_mask(original), largest_receptance.modal.T)
     n_load_rows = len(is_loaded_row)
     n_gaps = len(largest_receptance.modal) - np.count_nonzero(is_loaded_row)
     # The amplitudes of the load's parts are unknowns, and S maps them to their forces.
     load_selection_matrix = np.hstack(
         [np.zeros((n_load_rows, n_gaps)), np.eye(n_load_rows)[:, is_loaded_row]]
     )
-    inertia_sums = [float(largest_receptance.inertia_beyond(count).sum()) for count in mode_counts]
+    inertia_sums = [
+        float(largest_receptance.inertia_beyond(n_modes).sum()) for n_modes in mode_counts
+    ]
     error_share = max(
         1.0 - inertia_sums[0] / max(inertia_sums[-1], 1e-300), MIN_REFERENCE_ERROR_SHARE
     )
     error_share = min(error_share, 1.0 if mode_counts[0] == original.n_dofs else 0.5)
     damping_rule, massless_structure = original.damping, None
     damping: Any = damping_rule
-    for count in mode_counts:
-        compliance = largest_receptance.compliance_beyond(count)
-        squares = largest_receptance.squares[:count]
-        is_rounding = _is_rounding(np.diag(compliance), modal_sources[:count], squares)
+    for n_modes in mode_counts:
+        compliance = largest_receptance.compliance_beyond(n_modes)
+        squares = largest_receptance.squares[:n_modes]
+        is_rounding = _is_residual_flexibility_rounding(
+            np.diag(compliance), modal_sources[:n_modes], squares
+        )
         # forces that the kept modes carry alone
         compliance[is_rounding] = compliance[:, is_rounding] = 0.0
         if not isinstance(damping_rule, DampingRule | None):
-            damping = _reduce_damping(original, solve_modes(original, count).shapes, squares)
+            damping = _reduce_damping(original, solve_modes(original, n_modes).shapes, squares)
         massless_structure = MasslessStructure(
             original,
             squares,
             damping,
-            modal_sources[:count, :n_gaps],
-            load_selection_matrix @ np.hstack([largest_receptance.modal[:, :count], compliance]),
+            modal_sources[:n_modes, :n_gaps],
+            load_selection_matrix @ np.hstack([largest_receptance.modal[:, :n_modes], compliance]),
             compliance,
             reference=massless_structure,
-            share=error_share if count == mode_counts[-1] else 0.5,
+            share=error_share if n_modes == mode_counts[-1] else 0.5,
         )
     assert massless_structure is not None
     return massless_structure._in_setting(structure.setting)
 
 
-def _is_rounding(
+def _is_residual_flexibility_rounding(
     compliance_diagonal: np.ndarray, modal_sources: np.ndarray, squares: np.ndarray
 ) -> np.ndarray:
     """Return True for forces whose residual flexibility is only rounding.

@@ -85,13 +85,13 @@ class Rotation:
         if speed == 0.0:
             return self.at_rest
         static_shape_stiffness, stiffness = self.stiffnesses(speed)
-        with Factor(stiffness) as factor:
-            if factor.n_negative_pivots or factor.n_null_pivots:
+        with Factor(stiffness) as factored_stiffness:
+            if factored_stiffness.n_negative_pivots or factored_stiffness.n_null_pivots:
                 raise InputError(
                     "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
                 )
-        with Factor(static_shape_stiffness, definite=True) as factor:
-            rotation_displacement = factor.solve(speed**2 * self.force[None]).T
+        with Factor(static_shape_stiffness, definite=True) as factored_stiffness:
+            rotation_displacement = factored_stiffness.solve(speed**2 * self.force[None]).T
         static_shape_stiffness.destroy()
         load_coefficients = self.at_rest.force.copy()
         load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
@@ -115,9 +115,11 @@ class Rotation:
             self.at_rest.stiffness, speed_squared, self.rotation_stiffness
         )
         displaced_shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
-        stiffness = weighted_sum(static_shape_stiffness, speed_squared, displaced_shape_stiffness)
+        motion_stiffness = weighted_sum(
+            static_shape_stiffness, speed_squared, displaced_shape_stiffness
+        )
         displaced_shape_stiffness.destroy()
-        return static_shape_stiffness, stiffness
+        return static_shape_stiffness, motion_stiffness
 
     def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """Return these terms of rotation about a changed structure at rest."""
@@ -154,13 +156,13 @@ def static_state(
         No set of closed pairs was found.
     """
     contact_forces = np.zeros(structure.n_pairs)
-    with Factor(structure.stiffness, definite=True) as factor:
-        displacement = factor.solve(constant_load[None])[0]
+    with Factor(structure.stiffness, definite=True) as factored_stiffness:
+        displacement = factored_stiffness.solve(constant_load[None])[0]
         gap_without_contact = structure.apply_bt(displacement[None])[0] - clearance
         if np.any(
             gap_without_contact > ZERO_TOLERANCE * np.abs(gap_without_contact).max(initial=0.0)
         ):
-            pair_responses = factor.solve(structure.gap.T.toarray())
+            pair_responses = factored_stiffness.solve(structure.gap.T.toarray())
             compliance = structure.apply_bt(pair_responses)
             contact_forces = solve_complementarity(
                 0.5 * (compliance + compliance.T), gap_without_contact
@@ -222,13 +224,17 @@ def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
     gyroscopic = 2.0 * structure.sum_over_ranks(
         modes.shapes.T @ multiply(structure.mass, shape_cross_products)
     )
-    omega_matrix, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
-    matrix = np.block([[zero, omega_matrix], [-omega_matrix, -gyroscopic]])
-    return np.asarray(np.linalg.eigvalsh(1j * matrix)[n_modes:] / modes.omega - 1.0)
+    omega_matrix, zero_matrix = np.diag(modes.omega), np.zeros((n_modes, n_modes))
+    gyroscopic_eigenproblem_matrix = np.block(
+        [[zero_matrix, omega_matrix], [-omega_matrix, -gyroscopic]]
+    )
+    return np.asarray(
+        np.linalg.eigvalsh(1j * gyroscopic_eigenproblem_matrix)[n_modes:] / modes.omega - 1.0
+    )
 
 
 @dataclass(frozen=True)
-class Ritz:
+class RitzProjection:
     """A rotating structure projected on a basis V for all speeds (Ritz method).
 
     Every rank has all arrays. At the speed of ``structure``, the projected stiffness is I.
@@ -249,7 +255,7 @@ class Ritz:
         Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
         The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
-    modes : int
+    n_modes : int
         Number of modes with mass in a :class:`RunUpStructure`.
     """
 
@@ -263,12 +269,12 @@ class Ritz:
     mass: Any
     gap: sparse.csr_matrix
     tangential: np.ndarray | None
-    modes: int
+    n_modes: int
 
     @classmethod
     def of_range(
         cls, structure: Structure, start: float, stop: float, modes: int, n_bonded: int = 0
-    ) -> Ritz:
+    ) -> RitzProjection:
         """Project a structure on a basis for a range of speeds (collective).
 
         Parameters
@@ -288,19 +294,19 @@ class Ritz:
             reduced_structure = reduce_structure(
                 structure_at_speed, modes=modes, method="free_interface", reference=False
             )
-            shapes, omega = reduced_structure.basis, reduced_structure.omega
+            new_shapes, new_omegas = reduced_structure.basis, reduced_structure.omega
             if n_bonded:
                 bonded_modes = solve_modes(structure_at_speed, n_bonded, lips="tied")
-                shapes = np.hstack([shapes, bonded_modes.shapes])
-                omega = np.append(omega, bonded_modes.omega)
+                new_shapes = np.hstack([new_shapes, bonded_modes.shapes])
+                new_omegas = np.append(new_omegas, bonded_modes.omega)
                 del bonded_modes
-            if not np.all(omega > 0.0):  # pivots need not show what rounding hides
+            if not np.all(new_omegas > 0.0):  # pivots need not show what rounding hides
                 raise InputError(
                     "rotation.speed", float(speed), describe_unstable_speed(structure, float(speed))
                 )
-            new_columns = independent_part(structure, structure.stiffness, basis, shapes)
+            new_columns = independent_part(structure, structure.stiffness, basis, new_shapes)
             basis = np.hstack([basis, new_columns])
-            del structure_at_speed, reduced_structure, shapes, new_columns
+            del structure_at_speed, reduced_structure, new_shapes, new_columns
             collect_garbage(structure.comm)
 
         def project_matrix(petsc_matrix: object) -> np.ndarray:
@@ -372,8 +378,8 @@ class RunUpBody(ReducedBody):
 
     speed: float
     shapes: np.ndarray
-    static_root: np.ndarray
-    ritz: Ritz
+    truncated_flexibility_root: np.ndarray
+    ritz: RitzProjection
     dense_stiffness: np.ndarray
 
 
@@ -389,19 +395,19 @@ class RunUpStructure(QuasiStaticReduction):
         Rotor speed W [rad/s].
     shapes : (n_dofs, n_modes)
         Mode shapes Phi in the coordinates, mass-normalised.
-    static_root : (n_dofs, n_dofs - n_modes)
+    truncated_flexibility_root : (n_dofs, n_dofs - n_modes)
         Root L of the other modes' flexibility, K^-1 - Phi Lambda^-1 Phi^T = L L^T.
     """
 
     body: RunUpBody
     speed: float = body_property("speed")
     shapes: np.ndarray = body_property("shapes")
-    static_root: np.ndarray = body_property("static_root")
+    truncated_flexibility_root: np.ndarray = body_property("truncated_flexibility_root")
 
-    def __init__(self, ritz: Ritz, speed: float) -> None:
-        stiffness, load_coefficients = ritz.stiffness_and_load(speed)
+    def __init__(self, ritz: RitzProjection, speed: float) -> None:
+        dense_stiffness, load_coefficients = ritz.stiffness_and_load(speed)
         try:
-            inverse_factor = np.linalg.inv(np.linalg.cholesky(stiffness))
+            inverse_factor = np.linalg.inv(np.linalg.cholesky(dense_stiffness))
         except np.linalg.LinAlgError:
             raise InputError(
                 "speed", speed, describe_unstable_speed(ritz.structure, speed)
@@ -410,8 +416,8 @@ class RunUpStructure(QuasiStaticReduction):
         inverse_squares, eigenvectors = np.linalg.eigh(
             (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
-        inverse_squares = inverse_squares[: -ritz.modes - 1 : -1]
-        columns = inverse_factor.T @ eigenvectors[:, ::-1]
+        inverse_squares = inverse_squares[: -ritz.n_modes - 1 : -1]
+        scaled_eigenvectors = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(inverse_squares)
         body = RunUpBody(
@@ -419,8 +425,9 @@ class RunUpStructure(QuasiStaticReduction):
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
-            shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],
-            dense_stiffness=stiffness,
+            shapes=scaled_eigenvectors[:, : ritz.n_modes] * omega,
+            truncated_flexibility_root=scaled_eigenvectors[:, ritz.n_modes :],
+            dense_stiffness=dense_stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 
@@ -509,4 +516,4 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
         raise InputError("structure", repr(structure), "one that rotates, of a scene's [rotation]")
     if not isinstance(structure.damping, DampingRule | None):
         raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
-    return RunUpStructure(Ritz.of_range(structure, start, stop, modes), rotation.speed)
+    return RunUpStructure(RitzProjection.of_range(structure, start, stop, modes), rotation.speed)

@@ -30,7 +30,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_damping_ra
 from fenics_crack.basics.suggestions import check_calls
 from fenics_crack.basics.tables import format_count
 from fenics_crack.basics.threads import run_single_threaded
-from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_NAMES, Body, Setting
+from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_FIELD_NAMES, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     AbsentMatrix,
@@ -104,9 +104,9 @@ class ModalDamping:
     def __str__(self) -> str:
         ratio_percents = 100.0 * np.asarray(self.ratio)
         min_text, max_text = f"{ratio_percents.min():.3g}", f"{ratio_percents.max():.3g}"
-        range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
+        ratio_range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
         modes_text = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {range_text} %{modes_text}"
+        return f"modal damping {ratio_range_text} %{modes_text}"
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
 
 
-UNCOPIED_NAMES = {"rotation", "result_cache", "matrix_cache"}
+UNCOPIED_FIELD_NAMES = {"rotation", "result_cache", "matrix_cache"}
 """Attributes that a body with other matrices does not take over."""
 Result = TypeVar("Result")
 
@@ -379,7 +379,7 @@ class Structure(Coordinates):
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
             new_caches: dict[str, Any] = {"result_cache": {}}
-            if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
+            if not changes.keys() <= MATRIX_INDEPENDENT_FIELD_NAMES:
                 new_caches["matrix_cache"] = {}
             body = replace(body, **new_caches | changes)
         Structure.__init__(new_structure, body)
@@ -681,7 +681,9 @@ class Structure(Coordinates):
     def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with changed fields of the body."""
         copied_names = [
-            body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
+            body_field.name
+            for body_field in fields(Body)
+            if body_field.name not in UNCOPIED_FIELD_NAMES
         ]
         return Structure(Body(**({name: getattr(self, name) for name in copied_names} | changes)))
 
@@ -732,14 +734,20 @@ class Structure(Coordinates):
             A shape does not fit, an entry is not finite or larger than 1e60, a matrix is not
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
-        load_parts = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = check_parts(mass, stiffness, (gap, tangential), load_parts, clearance, comm)
+        load_part_by_key = {
+            "force_mean": force_mean,
+            "force_cos": force_cos,
+            "force_sin": force_sin,
+        }
+        part_by_name = check_parts(
+            mass, stiffness, (gap, tangential), load_part_by_key, clearance, comm
+        )
         if not isinstance(damping, DampingRule | None):
-            mass_matrix = parts["mass"]
+            mass_matrix = part_by_name["mass"]
             damping = make_petsc_matrix(
                 "damping", damping, mass_matrix.comm.tompi4py(), mass_matrix.size[0]
             )
-        return cls(Body(**parts, damping=damping))
+        return cls(Body(**part_by_name, damping=damping))
 
 
 def _is_mean_kept(load_weights: np.ndarray) -> bool:

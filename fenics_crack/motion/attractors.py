@@ -24,7 +24,7 @@ from fenics_crack.motion.search import (
     describe_closest_return,
     follow_periods,
 )
-from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 
 MAX_SETTLED_CHANGE = 1e-3
@@ -49,7 +49,7 @@ class Attractor:
         Outcome in words.
     periods : int
         Number of load periods that were integrated.
-    orbits : FlowOrbits
+    orbits : FlowOrbitEquations
         Flow, load frequency and period, as equations z(T) = z(0).
     last : (flow.size,)
         Last state, in the scaled unknowns x of ``orbits``.
@@ -60,7 +60,7 @@ class Attractor:
     orbit: PeriodicOrbit | None
     description: str
     periods: int
-    orbits: FlowOrbits
+    orbits: FlowOrbitEquations
     last: np.ndarray
     growth: float = math.nan
 
@@ -101,7 +101,7 @@ class Attractor:
 
 
 def find_attractor(
-    orbits: FlowOrbits, start_unknown: np.ndarray, max_periods: int | None = None
+    orbit_equations: FlowOrbitEquations, start_unknown: np.ndarray, max_periods: int | None = None
 ) -> Attractor:
     """Return the exact motion after many periods from a start.
 
@@ -109,7 +109,7 @@ def find_attractor(
 
     Parameters
     ----------
-    orbits : FlowOrbits
+    orbit_equations : FlowOrbitEquations
         Flow, load frequency and period.
     start_unknown : (flow.size,)
         State at phase zero, in the scaled unknowns x of ``orbits``.
@@ -121,7 +121,7 @@ def find_attractor(
     begin_stage(f"the exact motion over up to {max_periods} periods")
     states_at_periods, state_iterator = (
         start_unknown[None],
-        follow_periods(orbits, start_unknown, max_periods),
+        follow_periods(orbit_equations, start_unknown, max_periods),
     )
     while new_states := list(
         islice(state_iterator, len(states_at_periods) - 1 + MAX_RETURN_PERIODS)
@@ -133,17 +133,17 @@ def find_attractor(
         )
         state_size = np.linalg.norm(last_state)
         for lag_index in np.flatnonzero(lag_distances <= MAX_SETTLED_CHANGE * state_size):
-            n_orbit_load_periods = int(1 + lag_index) * orbits.subharmonic
+            n_orbit_load_periods = int(1 + lag_index) * orbit_equations.subharmonic
             orbit = find_orbit(
-                orbits.flow,
-                orbits.omega,
-                orbits.state(last_state),
+                orbit_equations.flow,
+                orbit_equations.omega,
+                orbit_equations.state(last_state),
                 subharmonic=n_orbit_load_periods,
             )
             if orbit is None:
                 continue
             relative_decay_per_period = 1.0 - abs(orbit.multipliers[0])
-            distance_to_orbit = np.linalg.norm(orbits.unknown(orbit.state) - last_state)
+            distance_to_orbit = np.linalg.norm(orbit_equations.unknown(orbit.state) - last_state)
             # A state at the distance d from an orbit with the multiplier mu moves by at least
             # (1 - |mu|) d in a period.
             allowed_movement = 2.0 * lag_distances[lag_index] + MAX_LOCATION_RESIDUAL * state_size
@@ -156,18 +156,18 @@ def find_attractor(
                 return Attractor(
                     orbit,
                     description,
-                    (len(states_at_periods) - 1) * orbits.subharmonic,
-                    orbits,
+                    (len(states_at_periods) - 1) * orbit_equations.subharmonic,
+                    orbit_equations,
                     last_state,
                 )
-    description = (
-        f"does not settle: {describe_closest_return(states_at_periods, orbits.subharmonic, 'it')}"
+    description = "does not settle: " + describe_closest_return(
+        states_at_periods, orbit_equations.subharmonic, "it"
     )
     return Attractor(
         None,
         description,
-        (len(states_at_periods) - 1) * orbits.subharmonic,
-        orbits,
+        (len(states_at_periods) - 1) * orbit_equations.subharmonic,
+        orbit_equations,
         states_at_periods[-1],
     )
 
@@ -197,12 +197,14 @@ def find_irregular_motion(
     Source: Benettin et al., Meccanica 15 (1980) 9-20.
     """
     begin_stage("growth of a disturbance of the exact motion")
-    period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
+    period, weights = 2.0 * np.pi * subharmonic / omega, flow.energy_weights(omega / subharmonic)
     state_change = np.random.default_rng(1).normal(size=flow.size) / weights
     remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):
-            motion = flow.advance(state, omega, period, budget=Budget(pieces=remaining_pieces))
+            motion = flow.advance(
+                state, omega, period, budget=Budget(allowed_pieces=remaining_pieces)
+            )
             state_change = motion.track @ (state_change / np.linalg.norm(weights * state_change))
             state, remaining_pieces = motion.state, remaining_pieces - motion.n_taylor_pieces
             cumulative_log_growths.append(
@@ -215,13 +217,13 @@ def find_irregular_motion(
     growth_per_period = math.exp(
         total_log_growth / (len(cumulative_log_growths) - 1 - transient_end_index)
     )
-    orbits = FlowOrbits(flow, omega, state, subharmonic)
+    orbit_equations = FlowOrbitEquations(flow, omega, state, subharmonic)
     return Attractor(
         None,
         "is irregular: a small disturbance grows"
         f" {float(f'{growth_per_period:.2g}'):,g}-fold in a period",
         (len(cumulative_log_growths) - 1) * subharmonic,
-        orbits,
-        orbits.start_unknown,
+        orbit_equations,
+        orbit_equations.start_unknown,
         growth_per_period,
     )

@@ -53,14 +53,14 @@ class Budget:
 
     Attributes
     ----------
-    pieces : int
+    allowed_pieces : int
         Maximum pieces of the motion, each with a Taylor series.
-    intervals : int
+    allowed_intervals : int
         Maximum intervals between events: pairs open, close, stick or slip.
     """
 
-    pieces: int = 100_000
-    intervals: int = 20_000
+    allowed_pieces: int = 100_000
+    allowed_intervals: int = 20_000
 
 
 class BudgetError(ConvergenceError):
@@ -134,7 +134,7 @@ class Flow:
     clearance : (n_rows,) [m]
         g0 of the rows; 0 for tangents.
     modal_model : AllModes
-        Moving modes; their pairs are the contact rows.
+        Moving modes; their gaps are those of the contact rows.
     n_modes, size : int
         Number of modes, and of entries in a state.
     residual_flexibility : (n_rows, n_rows) [m/N]
@@ -169,22 +169,25 @@ class Flow:
         self.load_gap[0] -= self.clearance
 
     def state(
-        self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None
+        self,
+        displacement: np.ndarray,
+        velocity: np.ndarray,
+        sticking_places: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the states (..., size) of displacements and velocities (..., n_dofs).
 
-        ``places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the tangential gaps
-        without contact forces.
+        ``sticking_places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the
+        tangential gaps without contact forces.
         """
         dof_to_mode_matrix, n_pairs = self.modal_model.inverse.T, self.structure.n_pairs
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
         if self.friction_law:
-            if places is None:
-                places = (
-                    state_parts[0] @ self.modal_model.pairs[:, n_pairs:]
+            if sticking_places is None:
+                sticking_places = (
+                    state_parts[0] @ self.modal_model.gaps_by_mode[:, n_pairs:]
                     + self.load_gap[0, n_pairs:]
                 )
-            state_parts.append(places)
+            state_parts.append(sticking_places)
         return np.concatenate(state_parts, axis=-1)
 
     def displacement(
@@ -260,9 +263,9 @@ class ContactFlow(Flow):
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
         modal_model, n_pairs = self.modal_model, structure.n_pairs
-        closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.pairs.T)
+        closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.gaps_by_mode.T)
         closed_stiffness_matrix = (
-            np.diag(modal_model.squares) + modal_model.pairs @ closed_pair_forces_of_modes
+            np.diag(modal_model.squares) + modal_model.gaps_by_mode @ closed_pair_forces_of_modes
         )
         self.rate_bound = _bound_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
@@ -279,7 +282,7 @@ class ContactFlow(Flow):
             "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=friction_coefficients,
             coupled=modal_model.damping.ndim == 2, squares=as_doubles(modal_model.squares),
             damping=as_doubles(modal_model.damping),
-            rows=as_doubles(modal_model.pairs.T), compliance=as_doubles(self.compliance),
+            rows=as_doubles(modal_model.gaps_by_mode.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
             gap=self.load_gap, max_rate=self.rate_bound, max_open_rate=self.open_rate_bound,
@@ -333,7 +336,7 @@ class ContactFlow(Flow):
         mode_flexibilities = np.zeros_like(modal_model.squares)
         np.divide(1.0, modal_model.squares, out=mode_flexibilities, where=modal_model.squares > 0.0)
         normal_gaps_of_modes, normal_compliance = (
-            modal_model.pairs[:, :n_pairs],
+            modal_model.gaps_by_mode[:, :n_pairs],
             self.compliance[:, :n_pairs],
         )
         modal_displacement_by_force = mode_flexibilities[:, None] * normal_gaps_of_modes
@@ -359,7 +362,7 @@ class ContactFlow(Flow):
         if self.friction_law:
             state_parts.append(
                 (
-                    modal_displacement @ modal_model.pairs
+                    modal_displacement @ modal_model.gaps_by_mode
                     + self.load_gap[0]
                     - normal_compliance @ normal_forces
                 )[n_pairs:]
@@ -373,7 +376,7 @@ class ContactFlow(Flow):
         """
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
-    def weights(self, base_omega: float) -> np.ndarray:
+    def energy_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the energy norm |w z|: (size,).
 
         Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
@@ -392,7 +395,7 @@ class ContactFlow(Flow):
         Energy weights are divided by the mode's frequency, at least ``base_omega``, so modal
         displacements have weight 1. For h the divisor is the first mode's.
         """
-        weights = self.weights(base_omega)
+        weights = self.energy_weights(base_omega)
         mode_rates = weights[: self.n_modes]
         place_rates = np.full(self.size - 2 * self.n_modes, mode_rates[0])
         return weights / np.concatenate([mode_rates, mode_rates, place_rates])
@@ -406,7 +409,7 @@ class ContactFlow(Flow):
         start: float = 0.0,
         instants: np.ndarray | None = None,
         budget: Budget | None = None,
-    ) -> Motion:
+    ) -> IntegratedMotion:
         """Integrate a motion from a state.
 
         Parameters
@@ -451,7 +454,7 @@ class ContactFlow(Flow):
             int(motion_struct.address.n_events),
             int(motion_struct.address.n_pieces),
         )
-        return Motion(end_state, n_events, n_taylor_pieces, track, samples)
+        return IntegratedMotion(end_state, n_events, n_taylor_pieces, track, samples)
 
     def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
@@ -497,8 +500,8 @@ class ContactFlow(Flow):
         arrays by name.
         """
         budget = budget or Budget()
-        if self._track_buffer_length < budget.intervals:
-            self._track_buffer_length = max_intervals = budget.intervals
+        if self._track_buffer_length < budget.allowed_intervals:
+            self._track_buffer_length = max_intervals = budget.allowed_intervals
             pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
             self._track_arrays = {"sets": pair_state_buffer, "lengths": np.empty(max_intervals)}
             if self.friction_law:
@@ -509,7 +512,10 @@ class ContactFlow(Flow):
                 }
             self._base_struct = Struct("flow_motion", **self._track_arrays)
         track_arrays = self._track_arrays
-        limits_by_name = {"max_pieces": budget.pieces, "max_intervals": budget.intervals}
+        limits_by_name = {
+            "max_pieces": budget.allowed_pieces,
+            "max_intervals": budget.allowed_intervals,
+        }
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
             return {
@@ -673,7 +679,7 @@ class Samples:
         return np.where(self.is_closed, spring_gaps, -self.forces_and_openings)
 
     @property
-    def places(self) -> np.ndarray:
+    def sticking_places(self) -> np.ndarray:
         """Return tangential gaps h of sticking pairs: (n, n_pairs) [m].
 
         If a pair does not stick, h follows the motion. Without friction: (n, 0).
@@ -683,7 +689,7 @@ class Samples:
     @property
     def whole_states(self) -> np.ndarray:
         """Return the flow's states: q, q' and, with friction, h of all pairs: (n, size)."""
-        return np.hstack([self.states, self.places])
+        return np.hstack([self.states, self.sticking_places])
 
     @property
     def force(self) -> np.ndarray:
@@ -700,28 +706,28 @@ class Samples:
         """Return the displacement of the structure: (n, n_dofs) [m]."""
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
 
-    def products(self, rows: np.ndarray) -> np.ndarray:
+    def row_products(self, rows: np.ndarray) -> np.ndarray:
         """Return products of rows (m, n_dofs) with the displacement: (n, m)."""
         flow, modal_displacement = self.flow, self.states[:, : self.flow.n_modes]
         load_basis = fourier_basis_for(flow.modal_load, self.omega * self.time)
         return flow.combine_displacement(modal_displacement, self.forces, load_basis, rows=rows)
 
 
-class Motion(NamedTuple):
+class IntegratedMotion(NamedTuple):
     """A motion that has been integrated.
 
     Attributes
     ----------
     state : (size,)
         State at the end.
-    events, n_taylor_pieces : int
+    n_events, n_taylor_pieces : int
         Number of events (a pair opens, closes, sticks or slips), and of Taylor pieces.
     track : Track
     samples : Samples
     """
 
     state: np.ndarray
-    events: int
+    n_events: int
     n_taylor_pieces: int
     track: Track
     samples: Samples

@@ -295,7 +295,7 @@ class Harmonics:
         return self.harmonic(multiple) / self.fundamental
 
 
-class Point(Harmonics):
+class PointDisplacement(Harmonics):
     """Displacement of a point: a product in a record.
 
     Attributes
@@ -314,7 +314,7 @@ class Point(Harmonics):
         )
 
 
-class Faces:
+class CrackFaces:
     """The crack faces in a record.
 
     Attributes
@@ -525,9 +525,9 @@ class ObservedMotion:
             if record_index < len(self._face_numbers):
                 dof_record = replace(dof_record, gaps=dof_record.gaps[:, :0])
             else:
-                self._face_numbers.append(_read_face_numbers(dof_record))
+                self._face_numbers.append(_face_number_by_name(dof_record))
             shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
-            point_iterator = (Point(dof_record, row) for row in range(len(rows)))
+            point_iterator = (PointDisplacement(dof_record, row) for row in range(len(rows)))
             number_dicts_of_records.append(
                 [shared_numbers | read_observables(Place.POINT, point) for point in point_iterator]
             )
@@ -550,11 +550,15 @@ class ObservedMotion:
         ]
         return observed_displacements, self._gather_numbers(place_number_dicts)
 
-    def _gather_numbers(self, number_dicts: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    def _gather_numbers(
+        self, dicts_of_numbers_by_name: Sequence[Mapping[str, float]]
+    ) -> dict[str, Any]:
         """Gather each named number over all records: a float, on a curve (n,)."""
         return {
-            name: self._gather([number_dict[name] for number_dict in number_dicts])
-            for name in number_dicts[0]
+            name: self._gather(
+                [number_by_name[name] for number_by_name in dicts_of_numbers_by_name]
+            )
+            for name in dicts_of_numbers_by_name[0]
         }
 
     def _gather(self, values: list[Any]) -> Any:
@@ -573,7 +577,7 @@ class ObservedMotion:
         return []
 
 
-def _read_face_numbers(record: Record) -> dict[str, float]:
+def _face_number_by_name(record: Record) -> dict[str, float]:
     """Return the numbers of the crack faces in a record by name.
 
     Numbers without pairs, or without friction, are nan.
@@ -583,5 +587,5 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
         missing_requirements = (
             REQUIRES_FRICTION if record.friction_coefficient is None else IN_FILES_ONLY
         )
-        face_numbers |= read_observables(Place.FACES, Faces(record), missing_requirements)
+        face_numbers |= read_observables(Place.FACES, CrackFaces(record), missing_requirements)
     return face_numbers | dict(record.exact_numbers)

@@ -45,7 +45,14 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import Described, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
+from fenics_crack.motion.flow import (
+    Budget,
+    BudgetError,
+    ContactFlow,
+    IntegratedMotion,
+    Samples,
+    Track,
+)
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
     MAX_LOCATION_RESIDUAL,
@@ -123,7 +130,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         Frequency of the load [rad/s].
     subharmonic : int
         Number of load periods in the orbit's period.
-    motion : Motion
+    motion : IntegratedMotion
         Motion over the period.
     state : (flow.size,)
         State z at phase zero of the load: modal displacements q and velocities q', with friction
@@ -135,7 +142,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     flow: ContactFlow
     omega: float
     subharmonic: int
-    motion: Motion
+    motion: IntegratedMotion
     state: np.ndarray
     flows: int
 
@@ -154,7 +161,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     @property
     def events(self) -> int:
         """Return how often pairs open, close, stick or slip in a period."""
-        return self.motion.events
+        return self.motion.n_events
 
     @property
     def monodromy(self) -> np.ndarray:
@@ -172,12 +179,14 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         The norm is the energy norm.
         """
-        change = self.motion.state - self.state
-        return self.energy_norm(change) / (self.energy_norm(self.state) or 1.0)
+        state_change = self.motion.state - self.state
+        return self.energy_norm(state_change) / (self.energy_norm(self.state) or 1.0)
 
     def energy_norm(self, change: np.ndarray) -> float:
         """Return the energy norm of a state's change (flow.size,)."""
-        return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
+        return float(
+            np.linalg.norm(self.flow.energy_weights(self.omega / self.subharmonic) * change)
+        )
 
     @cached_property
     def inverse(self) -> IMinusMSolver:
@@ -185,7 +194,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         M is the monodromy matrix. Raises LinAlgError if I - M is singular.
         """
-        weights = self.flow.weights(self.omega / self.subharmonic)
+        weights = self.flow.energy_weights(self.omega / self.subharmonic)
         return _make_i_minus_m_solver(self.flow, self.motion.track, weights)
 
     def samples(self, time: np.ndarray) -> Samples:
@@ -254,28 +263,31 @@ class PeriodicOrbit(ObservedMotion, Described):
         each piece of the period, the polynomial through Gauss nodes. With a given number of
         ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
         """
-        samples, piece_lengths = self._gauss_samples_and_lengths(
+        gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
             len(self.flow.modal_load) // 2 * self.omega
         )
-        nodes, gauss_weights, _ = gauss_legendre_rule()
-        column_blocks = samples.products(rows), samples.gaps, samples.forces
-        node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(nodes))
-        piece_ends, alternating_signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
-        barycentric_weights = alternating_signs * np.sqrt((1.0 - nodes**2) * gauss_weights)
+        gauss_nodes, gauss_weights, _ = gauss_legendre_rule()
+        column_blocks = gauss_samples.row_products(rows), gauss_samples.gaps, gauss_samples.forces
+        node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(gauss_nodes))
+        piece_ends, alternating_signs = (
+            np.cumsum(piece_lengths),
+            (-1.0) ** np.arange(len(gauss_nodes)),
+        )
+        barycentric_weights = alternating_signs * np.sqrt((1.0 - gauss_nodes**2) * gauss_weights)
         column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
 
-        def evaluate(period_fractions: np.ndarray) -> Any:
+        def interpolate_at(period_fractions: np.ndarray) -> Any:
             time = self.period * np.mod(period_fractions, 1.0)
             piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
             piece_coordinate = (
                 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
             )
-            node_distances = piece_coordinate[:, None] - nodes
+            node_distances = piece_coordinate[:, None] - gauss_nodes
             node_distances = np.where(node_distances == 0.0, sys.float_info.min, node_distances)
             node_weights = barycentric_weights / node_distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
-            column_indices = len(nodes) * piece_index[:, None] + node_indices_in_piece
-            row_starts = len(nodes) * np.arange(len(time) + 1)
+            column_indices = len(gauss_nodes) * piece_index[:, None] + node_indices_in_piece
+            row_starts = len(gauss_nodes) * np.arange(len(time) + 1)
             interpolation_matrix = sparse.csr_matrix(
                 (node_weights.ravel(), column_indices.ravel(), row_starts),
                 (len(time), len(node_values)),
@@ -284,7 +296,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
-        row_products, row_gaps, row_forces = evaluate(period_fractions)
+        row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
             track, exact_numbers = self.motion.track, dict(self.sliding)
             exact_numbers |= (
@@ -296,7 +308,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             row_products, row_gaps, row_forces,
             structure=self.structure,
             friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
-            evaluate_at_period_fractions=evaluate,
+            evaluate_at_period_fractions=interpolate_at,
             exact_numbers=exact_numbers,
         )  # fmt: skip
 
@@ -305,9 +317,11 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
-        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
-        row_gaps, row_forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
-        node_values = np.hstack([row_gaps, row_forces, samples.states[:, :n_modes]])
+        gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
+            0
+        ]
+        row_gaps, row_forces, n_modes = gauss_samples.gaps, gauss_samples.forces, self.flow.n_modes
+        node_values = np.hstack([row_gaps, row_forces, gauss_samples.states[:, :n_modes]])
         column_splits = np.cumsum([row_gaps.shape[1], row_forces.shape[1]])
         stacked_coefficients = self._integrate_coefficients(node_values, harmonics)
         gap_coefficients, force_coefficients, modal_coefficients = np.split(
@@ -332,8 +346,10 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         ``rows`` (m, n_dofs) are factors of the displacement.
         """
-        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
-        return self._integrate_coefficients(samples.products(rows), harmonics)
+        gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
+            0
+        ]
+        return self._integrate_coefficients(gauss_samples.row_products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
@@ -351,8 +367,8 @@ class PeriodicOrbit(ObservedMotion, Described):
             weighted_phasor = 2.0 * time_weights[sample_slice] * base_phasor
             weighted_basis[0] = time_weights[sample_slice]
             # Products take a tenth of the time of sines and cosines.
-            for order in range(1, harmonics + 1):
-                weighted_basis[2 * order - 1], weighted_basis[2 * order] = (
+            for harmonic_order in range(1, harmonics + 1):
+                weighted_basis[2 * harmonic_order - 1], weighted_basis[2 * harmonic_order] = (
                     weighted_phasor.real,
                     weighted_phasor.imag,
                 )
@@ -403,7 +419,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes.
         """
         flow = self.flow
-        samples, piece_lengths = self._gauss_samples_and_lengths(
+        gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
             len(flow.modal_load) // 2 * self.omega
         )
         _, gauss_weights, differentiation = gauss_legendre_rule()
@@ -416,18 +432,22 @@ class PeriodicOrbit(ObservedMotion, Described):
                 np.einsum("k,pkc,pkc->c", gauss_weights, node_forces.reshape(shape), rates)
             )
 
-        load_basis = fourier_basis_for(flow.modal_load, self.omega * samples.time)
-        velocities = samples.states[:, flow.n_modes :]
+        load_basis = fourier_basis_for(flow.modal_load, self.omega * gauss_samples.time)
+        modal_velocities = gauss_samples.states[:, flow.n_modes :]
         time_weights = (0.5 * piece_lengths[:, None] * gauss_weights).ravel()
-        damping_power = np.sum(velocities * flow.modal_model.damping_force(velocities), axis=1)
+        damping_power = np.sum(
+            modal_velocities * flow.modal_model.damping_force(modal_velocities), axis=1
+        )
         damping_work = float(time_weights @ damping_power)
         n_pairs = flow.structure.n_pairs
         pair_friction_work = np.zeros(n_pairs)
         if flow.friction_law:
             pair_friction_work = integrate_power(
-                samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:]
+                gauss_samples.forces[:, n_pairs:], gauss_samples.gaps[:, n_pairs:]
             )
-        load_work = float(integrate_power(load_basis, samples.products(flow.structure.force)).sum())
+        load_work = float(
+            integrate_power(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
+        )
         return Work(load_work, damping_work, pair_friction_work)
 
     @cached_property
@@ -606,7 +626,9 @@ def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     Events are not counted. For a large model the result is False.
     """
     pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.pieces
+    return (
+        flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.allowed_pieces
+    )
 
 
 def predict_orbit(
@@ -624,7 +646,7 @@ def predict_orbit(
     Prediction or None
         None if the motion cannot be integrated.
     """
-    weights = flow.weights(omega / subharmonic)
+    weights = flow.energy_weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
         end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
@@ -633,16 +655,16 @@ def predict_orbit(
             np.zeros(flow.size), state_jumps, interval_counts
         )[-1]
         solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, weights)
-        changes = solution_track.carry_changes(
+        state_changes = solution_track.carry_changes(
             solve_i_minus_m(period_end_change, FORCING_TERM), state_jumps, interval_counts
         )[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.pairs
-    gap_changes = changes[:, : flow.n_modes] @ flow.modal_model.pairs
+    part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
+    gap_changes = state_changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     return Prediction(
         relative_to_motion(gap_changes, part_start_gaps),
-        states + changes,
+        states + state_changes,
         solution_track,
         solve_i_minus_m,
     )
@@ -713,7 +735,7 @@ def find_orbit(
     PeriodicOrbit or None
         None if the search fails.
     """
-    search = _Search(flow, omega, subharmonic, state)
+    search = _NewtonOrbitSearch(flow, omega, subharmonic, state)
     try:
         if not search.leads_to_orbit(solve_i_minus_m, step_tolerance):
             return None
@@ -732,7 +754,7 @@ def find_orbit(
     return orbit if orbit.residual <= MULTIPLIER_TOLERANCE else None
 
 
-class _Search:
+class _NewtonOrbitSearch:
     """Newton's method for states with z(T) = z(0) after a period T.
 
     Attributes
@@ -754,7 +776,7 @@ class _Search:
                 math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period)),
             )
         self.allowed_taylor_pieces = self._remaining_pieces = allowed_taylor_pieces
-        self._weights = flow.weights(omega / subharmonic)
+        self._weights = flow.energy_weights(omega / subharmonic)
         self.state, self.n_integrated_periods = state, 0
 
     def size(self, change: np.ndarray) -> float:
@@ -770,10 +792,10 @@ class _Search:
         nonlinearity |simplified step - (1 - damping) step|.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
-        min_damping = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
+        min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._follow(self.state)
-        damping, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
+        damping_factor, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
         steps_with_same_m: list[np.ndarray] = []
         if forms_monodromy and solve_i_minus_m is not None:
             steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
@@ -785,7 +807,7 @@ class _Search:
                 is_m_current = True
                 steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
             newton_step = steps_with_same_m[-1]
-            trial_state = self.state + damping * newton_step
+            trial_state = self.state + damping_factor * newton_step
             trial_motion = self._follow(trial_state)
             simplified_step = solve_i_minus_m(
                 trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
@@ -795,30 +817,33 @@ class _Search:
                 simplified_step = simplified_step + projection_factor * later_step
             step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
             nonlinear_part_size = (
-                self.size(simplified_step - (1.0 - damping) * newton_step) + sys.float_info.min
+                self.size(simplified_step - (1.0 - damping_factor) * newton_step)
+                + sys.float_info.min
             )
             state_size = self.size(trial_state)
-            if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
+            if not simplified_size <= (1.0 - 0.25 * damping_factor) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
                 if not is_m_current:
                     steps_with_same_m = []
                     continue
-                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinear_part_size)
-                if damping < min_damping:
+                damping_factor = min(
+                    0.5 * damping_factor, 0.5 * damping_factor**2 * step_size / nonlinear_part_size
+                )
+                if damping_factor < min_damping_factor:
                     return False
                 continue
             self.state, self.motion, is_m_current = trial_state, trial_motion, False
             if simplified_size <= step_tolerance * state_size:
                 return True
             # After a good step M serves once more.
-            if forms_monodromy and damping == 1.0 and simplified_size <= 0.1 * step_size:
+            if forms_monodromy and damping_factor == 1.0 and simplified_size <= 0.1 * step_size:
                 steps_with_same_m.append(
                     simplified_step / (1.0 - self._fraction_along(simplified_step, newton_step))
                 )
                 continue
             steps_with_same_m = []
-            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinear_part_size)
+            damping_factor = min(1.0, 0.5 * damping_factor**2 * step_size / nonlinear_part_size)
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
@@ -826,10 +851,10 @@ class _Search:
         twice_weighted_step = self._weights**2 * step
         return float(change @ twice_weighted_step / (step @ twice_weighted_step))
 
-    def _follow(self, state: np.ndarray) -> Motion:
+    def _follow(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, on the remaining budget."""
         self.n_integrated_periods += 1
-        budget = Budget(pieces=self._remaining_pieces)
+        budget = Budget(allowed_pieces=self._remaining_pieces)
         motion = self._flow.advance(state, self._omega, self._period, budget=budget)
         self._remaining_pieces -= motion.n_taylor_pieces
         return motion
@@ -846,7 +871,7 @@ def orbit_from(
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
 
 
-def is_same_orbit(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
+def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
     """Return True if two orbits agree to 1e-6 of their size in the energy norm."""
     energy_distance = orbit.energy_norm(orbit.state - other_orbit.state)
     return energy_distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)

@@ -1,6 +1,6 @@
 """Search for a periodic orbit: a ladder of starts, and a budget.
 
-The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`Start` leads to an orbit:
+The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`StartStrategy` leads to an orbit:
 
 1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
    harmonics. Nearly all guesses lead to an orbit.
@@ -42,10 +42,10 @@ from fenics_crack.motion.orbit import (
     IMinusMSolver,
     PeriodicOrbit,
     find_orbit,
-    is_same_orbit,
+    is_same_orbit_in_phase,
     predict_orbit,
 )
-from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
+from fenics_crack.motion.shooting import FlowOrbitEquations, OrbitPoint
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL, DenseLinearisation
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_period
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
@@ -55,7 +55,7 @@ SEGMENTS_PER_PERIOD = 32
 """Multiple-shooting segments per period."""
 SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
 """Samples of an orbit at which its segments begin."""
-PIECES_PER_PERIOD = 200
+MIN_PIECES_CHARGED_PER_PERIOD = 200
 """Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
 one."""
 MAX_RETURN_PERIODS = 8
@@ -81,18 +81,18 @@ class SearchOptions:
     period_budget: int = 4000
 
     @classmethod
-    def pieces(cls, flow: ContactFlow) -> int:
+    def piece_budget(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, in pieces with a Taylor series."""
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
-        return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
+        return int(MIN_PIECES_CHARGED_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
     @classmethod
-    def periods(cls, flow: ContactFlow) -> int:
+    def max_periods(cls, flow: ContactFlow) -> int:
         """Return the maximum number of periods for integrating a motion."""
-        return max(cls.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
+        return max(cls.piece_budget(flow) // (4 * MIN_PIECES_CHARGED_PER_PERIOD), 60)
 
 
-class Start(NamedTuple):
+class StartStrategy(NamedTuple):
     """Start for a search, by a name that the progress line prints.
 
     Attributes
@@ -106,7 +106,7 @@ class Start(NamedTuple):
     generate_candidates: Callable[..., Iterable[Any]]
 
 
-class OrbitSearch(NamedTuple):
+class OrbitSearchResult(NamedTuple):
     """Result of an orbit search.
 
     Attributes
@@ -131,8 +131,8 @@ def search_orbit(
     subharmonic: int = 1,
     *,
     prefer_stable: bool = True,
-    starts: Iterable[Start] = (),
-) -> OrbitSearch:
+    start_strategies: Iterable[StartStrategy] = (),
+) -> OrbitSearchResult:
     """Search for an orbit of the flow from guesses, taken as needed.
 
     Parameters
@@ -141,20 +141,22 @@ def search_orbit(
         States at equal parts of the period, from phase zero on.
     prefer_stable : bool
         Continue after an unstable orbit. A stable orbit then comes first.
-    starts : iterable of Start
+    start_strategies : iterable of StartStrategy
         Some of :data:`ORBIT_STARTS_BY_NAME`; default: all.
 
     Returns
     -------
-    OrbitSearch
+    OrbitSearchResult
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
     task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
-    for start in starts or ORBIT_STARTS_BY_NAME.values():
-        begin_stage(start.name)
-        if orbits_from_start := [*start.generate_candidates(task)]:
-            return OrbitSearch(orbits_from_start[0], tuple(orbits_from_start[1:]), start.name)
-    return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
+    for start_strategy in start_strategies or ORBIT_STARTS_BY_NAME.values():
+        begin_stage(start_strategy.name)
+        if orbits_from_start := [*start_strategy.generate_candidates(task)]:
+            return OrbitSearchResult(
+                orbits_from_start[0], tuple(orbits_from_start[1:]), start_strategy.name
+            )
+    return OrbitSearchResult(None, (), "; ".join(task.failure_reasons[-2:]))
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ class _SearchTask:
     ----------
     tried_states : list of (n, flow.size)
         Guesses that led to no orbit.
-    reasons : list of str
+    failure_reasons : list of str
         Why starts failed.
     """
 
@@ -175,7 +177,7 @@ class _SearchTask:
     subharmonic: int
     prefer_stable: bool
     tried_states: list[np.ndarray] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
+    failure_reasons: list[str] = field(default_factory=list)
 
     def find_orbit(
         self, state: np.ndarray, solve_i_minus_m: IMinusMSolver | None = None
@@ -183,14 +185,14 @@ class _SearchTask:
         """Search for an orbit by Newton's method."""
         return find_orbit(
             self.flow, self.omega, state, subharmonic=self.subharmonic,
-            solve_i_minus_m=solve_i_minus_m, failure_reasons=self.reasons,
+            solve_i_minus_m=solve_i_minus_m, failure_reasons=self.failure_reasons,
         )  # fmt: skip
 
     @property
-    def flow_orbits(self) -> FlowOrbits:
+    def orbit_equations(self) -> FlowOrbitEquations:
         """Return orbit equations next to the last guess, or to rest."""
         start_state = self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.size)
-        return FlowOrbits(self.flow, self.omega, start_state, self.subharmonic)
+        return FlowOrbitEquations(self.flow, self.omega, start_state, self.subharmonic)
 
 
 def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
@@ -201,7 +203,7 @@ def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
         orbit = task.find_orbit(guessed_states[0])
         if orbit is None:
             continue
-        if not any(is_same_orbit(orbit, known_orbit) for known_orbit in found_orbits):
+        if not any(is_same_orbit_in_phase(orbit, known_orbit) for known_orbit in found_orbits):
             found_orbits.append(orbit)
         if not task.prefer_stable or orbit.is_stable:
             break
@@ -288,8 +290,9 @@ class Homotopy:
         Taylor pieces left in the budget.
     """
 
-    def __init__(self, orbits: FlowOrbits, taylor_piece_budget: int) -> None:
-        self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, taylor_piece_budget
+    def __init__(self, orbit_equations: FlowOrbitEquations, taylor_piece_budget: int) -> None:
+        self._orbit_equations, self.shape = orbit_equations, orbit_equations.shape
+        self.remaining_pieces = taylor_piece_budget
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """Return the equations at a scaled state and a parameter p.
@@ -301,35 +304,35 @@ class Homotopy:
         """
         if self.remaining_pieces <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
-        orbit_point = self._orbits.linearise(unknown, 1.0)
-        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, PIECES_PER_PERIOD)
-        return _HomotopyPoint(orbit_point, parameter, self._orbits.start_unknown)
+        orbit_point = self._orbit_equations.linearise(unknown, 1.0)
+        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, MIN_PIECES_CHARGED_PER_PERIOD)
+        return _HomotopyPoint(orbit_point, parameter, self._orbit_equations.start_unknown)
 
 
 def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find the orbit to which a path leads from the last guess."""
     if not task.tried_states or task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
-    flow_orbits = task.flow_orbits
-    homotopy = Homotopy(flow_orbits, SearchOptions.pieces(task.flow) // 2)
-    path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
+    orbit_equations = task.orbit_equations
+    homotopy = Homotopy(orbit_equations, SearchOptions.piece_budget(task.flow) // 2)
+    path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.allowed_pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
         solution_point = solve_in_plane(
-            flow_orbits,
-            flow_orbits.start_unknown,
+            orbit_equations,
+            orbit_equations.start_unknown,
             1.0,
             None,
             tolerance=MAX_LOCATION_RESIDUAL,
             max_iterations=1,
         )
         if solution_point is not None:
-            yield flow_orbits.orbit(solution_point)
+            yield orbit_equations.orbit(solution_point)
             return
-        start_point = point_on_path(homotopy, flow_orbits.start_unknown, 0.0)
+        start_point = point_on_path(homotopy, orbit_equations.start_unknown, 0.0)
         end_point = Path(homotopy, start_point, path_options, [Target(1.0)]).run_to_terminal_event()
         if end_point is not None:
-            yield from filter(None, [task.find_orbit(flow_orbits.state(end_point.unknown))])
+            yield from filter(None, [task.find_orbit(orbit_equations.state(end_point.unknown))])
 
 
 # --- along the motion -----------------------------------------------------------------------------
@@ -337,18 +340,19 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
-    flow_orbits, remaining_pieces = task.flow_orbits, SearchOptions.pieces(task.flow) // 4
+    orbit_equations = task.orbit_equations
+    remaining_pieces = SearchOptions.piece_budget(task.flow) // 4
     state_iterator = follow_periods(
-        flow_orbits, flow_orbits.start_unknown, SearchOptions.periods(task.flow)
+        orbit_equations, orbit_equations.start_unknown, SearchOptions.max_periods(task.flow)
     )
-    states_at_periods = np.array([flow_orbits.start_unknown, *state_iterator])
-    task.reasons.append(describe_closest_return(states_at_periods, task.subharmonic))
+    states_at_periods = np.array([orbit_equations.start_unknown, *state_iterator])
+    task.failure_reasons.append(describe_closest_return(states_at_periods, task.subharmonic))
     distances_after_period = np.linalg.norm(np.diff(states_at_periods, axis=0), axis=1)
     # Start from the last state, then from the close returns, the closest first.
     for state_index in (-1, *np.argsort(distances_after_period, kind="stable").tolist()):
         if remaining_pieces <= 0:
             return
-        start_state = flow_orbits.state(states_at_periods[state_index])
+        start_state = orbit_equations.state(states_at_periods[state_index])
         orbit = find_orbit(task.flow, task.omega, start_state, subharmonic=task.subharmonic)
         if orbit is not None:
             yield orbit
@@ -357,32 +361,36 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
         remaining_pieces -= (
             MAX_SEARCH_PERIODS
             // 2
-            * max(PIECES_PER_PERIOD, flow_orbits.n_taylor_pieces_in_last_period)
+            * max(MIN_PIECES_CHARGED_PER_PERIOD, orbit_equations.n_taylor_pieces_in_last_period)
         )
 
 
 ORBIT_STARTS_BY_NAME = {
-    "guesses": Start("exact orbit by Newton's method", _find_from_guesses),
-    "steps": Start("exact orbit by a step of the whole motion", _find_after_multiple_shooting_step),
-    "path": Start("exact orbit along a path from the motion", _find_along_path),
-    "motion": Start("exact orbit by following the motion", _find_along_motion),
+    "guesses": StartStrategy("exact orbit by Newton's method", _find_from_guesses),
+    "steps": StartStrategy(
+        "exact orbit by a step of the whole motion", _find_after_multiple_shooting_step
+    ),
+    "path": StartStrategy("exact orbit along a path from the motion", _find_along_path),
+    "motion": StartStrategy("exact orbit by following the motion", _find_along_motion),
 }
 """Starts for an orbit search, by name, in order."""
 
 
-def follow_periods(orbits: FlowOrbits, state: np.ndarray, max_periods: int) -> Iterator[np.ndarray]:
+def follow_periods(
+    orbit_equations: FlowOrbitEquations, state: np.ndarray, max_periods: int
+) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.
 
     The motion ends after ``max_periods`` periods, at a failure, or at 200 Taylor pieces times
     ``max_periods``.
     """
-    remaining_pieces = PIECES_PER_PERIOD * max_periods
+    remaining_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end
         for _ in range(max_periods):
             if remaining_pieces <= 0:
                 return
-            state = orbits.unknown_after_period(state, 1.0)
-            remaining_pieces -= orbits.n_taylor_pieces_in_last_period
+            state = orbit_equations.unknown_after_period(state, 1.0)
+            remaining_pieces -= orbit_equations.n_taylor_pieces_in_last_period
             yield state
 
 

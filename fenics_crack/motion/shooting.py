@@ -38,7 +38,7 @@ class OrbitPoint(DenseLinearisation):
     ----------
     make_monodromy, make_parameter_derivative : callable
         Return the monodromy matrix S M S^-1 in the unknowns x, and dF/dp.
-    events, n_taylor_pieces : int
+    n_events, n_taylor_pieces : int
         Number of the contact pairs' events in the period, and of Taylor pieces.
     """
 
@@ -46,7 +46,7 @@ class OrbitPoint(DenseLinearisation):
     residual: np.ndarray
     make_monodromy: Callable[[], np.ndarray]
     make_parameter_derivative: Callable[[], np.ndarray]
-    events: int
+    n_events: int
     n_taylor_pieces: int
 
     @cached_property
@@ -105,8 +105,8 @@ class ShootingEquations(Equations):
             harmonics=len(flow.modal_load) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction_law is not None,
             base=omega[0], rate=omega[1],
-            turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.pieces,
-            max_intervals=Budget.intervals, **arrays,
+            turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.allowed_pieces,
+            max_intervals=Budget.allowed_intervals, **arrays,
         )  # fmt: skip
         self._kernel_point_pointer = attach_destructor(
             kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point
@@ -184,7 +184,7 @@ class ShootingEquations(Equations):
         return point
 
 
-class FlowOrbits(ShootingEquations):
+class FlowOrbitEquations(ShootingEquations):
     """Equations of periodic orbits over the load frequency w, p = w / w_0.
 
     The unknowns x are the state z at phase zero times a diagonal scale S.

@@ -20,15 +20,15 @@ PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
 RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Callable from instants in the period to a motion [m], gaps [m] and contact forces [N] of all
 rows."""
-OFFSETS = np.linspace(-1.0, 1.0, 9)
+SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
 """Offsets from a sample, relative to the spacing of the samples."""
 MAX_GRID_REFINEMENTS = 10
 """Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
 period. Its square is rounding error, for up to 100 harmonics."""
-POWERS = np.arange(len(OFFSETS))
+OFFSET_POWERS = np.arange(len(SAMPLE_OFFSETS))
 """Exponents of the polynomial through nine values."""
-POLYNOMIAL_FROM_VALUES = np.linalg.inv(OFFSETS[:, None] ** POWERS)
-"""Matrix from nine values at ``OFFSETS`` to the coefficients of their polynomial."""
+COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** OFFSET_POWERS)
+"""Matrix from nine values at ``SAMPLE_OFFSETS`` to the coefficients of their polynomial."""
 MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum error of a predicted maximum, relative to the nine values' range."""
 
@@ -59,7 +59,7 @@ def find_maximum_values(
         if evaluate_functions is None or not len(period_fractions):
             break
         candidate_indices = np.arange(len(period_fractions))
-        nearby_fractions = period_fractions[:, None] + spacing * OFFSETS
+        nearby_fractions = period_fractions[:, None] + spacing * SAMPLE_OFFSETS
         nearby_values = evaluate_functions(nearby_fractions.ravel())
         nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[
             candidate_indices, :, function_indices
@@ -70,7 +70,7 @@ def find_maximum_values(
         )
         if refinement_index == 0:
             peak_offset, peak_estimate = _maximise_polynomial(
-                nearby_values, OFFSETS[largest_nearby_index]
+                nearby_values, SAMPLE_OFFSETS[largest_nearby_index]
             )
             peak_value = evaluate_functions(period_fractions + spacing * peak_offset)[
                 candidate_indices, function_indices
@@ -87,7 +87,7 @@ def find_maximum_values(
             candidate_indices, largest_nearby_index[candidate_indices]
         ]
         function_indices = function_indices[candidate_indices]
-        spacing *= OFFSETS[1] - OFFSETS[0]
+        spacing *= SAMPLE_OFFSETS[1] - SAMPLE_OFFSETS[0]
     return maxima
 
 
@@ -99,7 +99,7 @@ def _maximise_polynomial(
     Parameters
     ----------
     values : (n, 9)
-        Values at ``OFFSETS``, equally spaced from -1 to 1.
+        Values at ``SAMPLE_OFFSETS``, equally spaced from -1 to 1.
     start_offset : (n,)
         First guess of each offset, from -1 to 1.
 
@@ -110,13 +110,13 @@ def _maximise_polynomial(
     maximum : (n,)
         Values of the polynomials there.
     """
-    coefficients, offset = values @ POLYNOMIAL_FROM_VALUES.T, start_offset
-    slope_coefficients = coefficients[:, 1:] * POWERS[1:]
-    curvature_coefficients = slope_coefficients[:, 1:] * POWERS[1:-1]
+    coefficients, offset = values @ COEFFICIENTS_FROM_VALUES.T, start_offset
+    slope_coefficients = coefficients[:, 1:] * OFFSET_POWERS[1:]
+    curvature_coefficients = slope_coefficients[:, 1:] * OFFSET_POWERS[1:-1]
     for _ in range(3):
-        powers = offset[:, None] ** POWERS
+        powers = offset[:, None] ** OFFSET_POWERS
         slope = (slope_coefficients * powers[:, :-1]).sum(1)
         curvature = (curvature_coefficients * powers[:, :-2]).sum(1)
         offset = offset - slope / np.where(curvature < 0.0, curvature, -np.inf)
         offset = np.minimum(np.maximum(offset, -1.0), 1.0)
-    return offset, (coefficients * offset[:, None] ** POWERS).sum(1)
+    return offset, (coefficients * offset[:, None] ** OFFSET_POWERS).sum(1)

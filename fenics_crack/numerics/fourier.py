@@ -79,7 +79,7 @@ def fourier_basis_for(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray
     return np.moveaxis(basis, 0, -1)
 
 
-def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
+def evaluate_series(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
     """Return a wave x(t) at times (n,) [s] from coefficients (2H+1, ...): (n, ...)."""
     phase = omega * np.atleast_1d(np.asarray(time, dtype=float))
     return np.tensordot(fourier_basis_for(coefficients, phase), coefficients, 1)
@@ -100,7 +100,7 @@ def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
     For coefficients (2H+1, ...) more than 2H instants are necessary.
     """
     if len(coefficients) * n_instants <= MAX_MATRIX_SIZE:
-        return _multiply_columns(
+        return _multiply_first_axis(
             fourier_basis_over_period(len(coefficients) // 2, n_instants), coefficients
         )
     import scipy.fft  # slow to import, and needed for long series only
@@ -116,7 +116,7 @@ def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
     The n > 2H samples (n, ...) are equally spaced.
     """
     if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_SIZE:
-        return _multiply_columns(_analysis_matrix(harmonics, len(values)), values)
+        return _multiply_first_axis(_analysis_matrix(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -124,7 +124,7 @@ def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
     return from_complex(spectrum)
 
 
-def count_instants(harmonics: int) -> int:
+def n_instants_for_products(harmonics: int) -> int:
     """Return the number of instants for products of waves with H and 2H harmonics.
 
     From 4H + 1 instants on, harmonics up to H of the product are exact. A slightly larger count may
@@ -164,10 +164,10 @@ def _analysis_matrix(harmonics: int, n_instants: int) -> np.ndarray:
     return matrix
 
 
-def _multiply_columns(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return matrix @ columns for columns of any shape (n, ...)."""
-    product: np.ndarray = matrix @ columns.reshape(len(columns), -1)
-    return product.reshape(len(matrix), *columns.shape[1:])
+def _multiply_first_axis(matrix: np.ndarray, array: np.ndarray) -> np.ndarray:
+    """Return the product of a matrix with the first axis of an array (n, ...)."""
+    product: np.ndarray = matrix @ array.reshape(len(array), -1)
+    return product.reshape(len(matrix), *array.shape[1:])
 
 
 def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
@@ -178,14 +178,14 @@ def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
     return resized_coefficients
 
 
-def stretch_period(coefficients: np.ndarray, factor: int) -> np.ndarray:
+def stretch_period(coefficients: np.ndarray, period_factor: int) -> np.ndarray:
     """Return the coefficients of a wave in a longer period.
 
-    In ``factor`` times the period, harmonic k becomes harmonic k * factor.
+    In ``period_factor`` times the period, harmonic k becomes harmonic k * period_factor.
     """
     harmonics = to_complex(coefficients)
     stretched_harmonics = np.zeros(
-        (factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex
+        (period_factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex
     )
-    stretched_harmonics[::factor] = harmonics
+    stretched_harmonics[::period_factor] = harmonics
     return from_complex(stretched_harmonics)

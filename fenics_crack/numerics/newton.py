@@ -145,14 +145,14 @@ class Snes(ABC):
         needs_default_line_search = not petsc_options.hasName("snes_linesearch_type")
         if needs_default_line_search:
             petsc_options["snes_linesearch_type"] = "basic"
-        self._choose_solver(self._snes.getKSP())
+        self._set_linear_solver_type(self._snes.getKSP())
         self._snes.setFromOptions()
         if needs_default_line_search:
             petsc_options.delValue("snes_linesearch_type")
         self._snes.setConvergenceTest(self._test_convergence)
 
     @abstractmethod
-    def _choose_solver(self, solver: Any) -> None:
+    def _set_linear_solver_type(self, linear_solver: Any) -> None:
         """Set the default linear solver, a KSP."""
 
     @abstractmethod
@@ -233,18 +233,18 @@ class SystemSnes(Snes):
         matrix.setUp()
         super().__init__(matrix, residual_norms)
 
-    def _choose_solver(self, solver: Any) -> None:
+    def _set_linear_solver_type(self, linear_solver: Any) -> None:
         if self.system.matrix_free:
-            solver.setType("gmres")
-            solver.setGMRESRestart(GMRES_RESTART)
-            solver.setTolerances(max_it=GMRES_RESTART)
-            solver.getPC().setType("none")
+            linear_solver.setType("gmres")
+            linear_solver.setGMRESRestart(GMRES_RESTART)
+            linear_solver.setTolerances(max_it=GMRES_RESTART)
+            linear_solver.getPC().setType("none")
             self._snes.setUseEW(True, version=2, rtol_0=FORCING_TERM, rtol_max=FORCING_TERM)
             self._snes.setMaxLinearSolveFailures(1000)  # better an inexact step than none
         else:
-            solver.setType("preonly")
-            solver.getPC().setType("python")
-            solver.getPC().setPythonContext(self)
+            linear_solver.setType("preonly")
+            linear_solver.getPC().setType("python")
+            linear_solver.getPC().setPythonContext(self)
 
     def solve_and_linearise(
         self, start: np.ndarray, parameter: float, tolerance: float, max_iterations: int
@@ -343,13 +343,16 @@ class Tangent:
             + self.time_mean_weight * float(flat_vector[:n_means] @ other_flat_vector[:n_means])
         )
 
-    def cosine_to(self, reference: Tangent, system: System) -> float:
+    def cosine_to(self, reference_tangent: Tangent, system: System) -> float:
         """Return the cosine of the angle to a reference tangent.
 
         The norm is that of the reference.
         """
-        product = reference.product(system, self.x, reference.x) + self.p * reference.p
-        own_length_squared = reference.product(system, self.x, self.x) + self.p**2
+        product = (
+            reference_tangent.product(system, self.x, reference_tangent.x)
+            + self.p * reference_tangent.p
+        )
+        own_length_squared = reference_tangent.product(system, self.x, self.x) + self.p**2
         # The slope overflows if the Jacobian is singular to rounding: there is no direction.
         return product / float(np.sqrt(own_length_squared)) if own_length_squared > 0.0 else 0.0
 
@@ -570,21 +573,24 @@ def correction_struct(
 
 def predict_and_correct(
     system: System,
-    start: PathPoint,
-    step: float,
+    start_point: PathPoint,
+    step_length: float,
     tolerance: float,
     *,
     max_parameter_change: float | None = None,
 ) -> PathPoint | None:
-    """Return the point at a distance ``step`` along a path; None without success.
+    """Return the point at a distance ``step_length`` along a path; None without success.
 
     The prediction follows the tangent at the start. The returned point keeps that tangent.
     ``max_parameter_change`` limits the change of the parameter from its prediction; default: 3
     steps.
     """
-    tangent = start.tangent
-    unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
-    max_parameter_change = max_parameter_change or MAX_PARAMETER_CHANGE_IN_STEPS * step
+    tangent = start_point.tangent
+    unknown, parameter = (
+        start_point.unknown + step_length * tangent.x,
+        start_point.parameter + step_length * tangent.p,
+    )
+    max_parameter_change = max_parameter_change or MAX_PARAMETER_CHANGE_IN_STEPS * step_length
     return solve_in_plane(
         system,
         unknown,
@@ -596,17 +602,17 @@ def predict_and_correct(
 
 
 def try_step(
-    system: System, start: PathPoint, step: float, tolerance: float = 1e-8
+    system: System, start_point: PathPoint, step_length: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
-    """Return a path's point at a distance ``step`` from a start, with tangent.
+    """Return a path's point at a distance ``step_length`` from a start, with tangent.
 
     The tangent keeps the direction of the tangent at the start. None if the point is not found.
     """
-    point = predict_and_correct(system, start, step, tolerance)
+    point = predict_and_correct(system, start_point, step_length, tolerance)
     if point is None or point.linearisation is None:
         return None
     return replace(
-        point, tangent=tangent_of(system, point.unknown, point.linearisation, start.tangent)
+        point, tangent=tangent_of(system, point.unknown, point.linearisation, start_point.tangent)
     )
 
 

@@ -337,7 +337,7 @@ def find_zero_and_residual(
         fraction: (point, function(point)) for fraction, point in zip((0.0, 1.0), ends, strict=True)
     }
 
-    def evaluate(fraction: float) -> float:
+    def function_value_at(fraction: float) -> float:
         if fraction not in points_and_values_by_fraction:
             scale = fraction * (1.0 - fraction) * full_chord_length
             tangent_weights = scale * np.array([1.0 - fraction, -fraction])
@@ -367,7 +367,10 @@ def find_zero_and_residual(
         return points_and_values_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
-    kept_function_value, last_function_value = evaluate(kept_fraction), evaluate(last_fraction)
+    kept_function_value, last_function_value = (
+        function_value_at(kept_fraction),
+        function_value_at(last_fraction),
+    )
     with suppress(ConvergenceError):
         while (
             kept_function_value * last_function_value < 0.0
@@ -379,7 +382,7 @@ def find_zero_and_residual(
             )
             if fraction in (kept_fraction, last_fraction):
                 break
-            new_function_value = evaluate(fraction)
+            new_function_value = function_value_at(fraction)
             if new_function_value * last_function_value < 0.0:
                 kept_fraction, kept_function_value = last_fraction, last_function_value
             else:  # the Illinois method: halve the value at the end that stays
@@ -577,19 +580,19 @@ class Path:
         return self.last_point if self.end_reason is EndReason.REACHED else None
 
     def __iter__(self) -> Iterator[PathSegment]:
-        n_remaining, retry_step = self._options.max_steps, math.inf
+        n_remaining_points, retry_step = self._options.max_steps, math.inf
         while self.end_reason is None:
-            if not n_remaining:
+            if not n_remaining_points:
                 self.end_reason = EndReason.TOO_MANY_POINTS
                 return
-            segment = self._follow(n_remaining)
+            segment = self._follow(n_remaining_points)
             if segment is None:
                 continue
             if len(segment) == 1:
                 self.end_reason = EndReason.STEPS_TOO_SHORT
                 return
             for segment_part, retry_index in self._split_at_events(segment):
-                n_remaining -= len(segment_part)
+                n_remaining_points -= len(segment_part)
                 if retry_index is None:
                     self._start_points[:] = [*self._start_points, *segment_part[-2:]][-2:]
                 else:
@@ -678,12 +681,12 @@ class Path:
             else float(system_rounding(point.parameter))
         )
 
-    def _restart(self, point: PathPoint, step: float) -> None:
+    def _restart(self, point: PathPoint, step_length: float) -> None:
         """Continue from a point with a given step."""
-        self._start_points, self._next_step_length, self._orientation = [point], step, 0.0
+        self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
     def _cut_at_rejected_step(
-        self, segment: PathSegment, n_known: int, first_step_length: float
+        self, segment: PathSegment, n_known_points: int, first_step_length: float
     ) -> PathSegment | None:
         """Cut a segment before the first rejected step, and halve the step for the next attempt.
 
@@ -701,20 +704,20 @@ class Path:
             is accepted.
         """
         assert self._step_control is not None
-        new_step_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
+        new_step_control_values = self._system.observe(segment.records[n_known_points:])  # type: ignore[attr-defined]
         segment.step_control_values = np.concatenate(
             [
                 [start_point.step_control_values for start_point in self._start_points],
                 new_step_control_values,
             ]
         )
-        step_lengths = segment.chord_lengths[n_known:].copy()
+        step_lengths = segment.chord_lengths[n_known_points:].copy()
         step_lengths[0] = min(
             step_lengths[0], first_step_length
         )  # a chord across a jump is no step
         can_be_halved = step_lengths > 2.0 * self._options.min_step
         rejected_step_indices = np.flatnonzero(
-            self._step_control.mark_rejected_steps(segment, n_known - 1) & can_be_halved
+            self._step_control.mark_rejected_steps(segment, n_known_points - 1) & can_be_halved
         )
         if not len(rejected_step_indices):
             self._max_step = min(2.0 * self._max_step, self._options.max_step)
@@ -722,17 +725,19 @@ class Path:
                 self._points_per_call = min(
                     2 * self._points_per_call, self._options.points_per_call
                 )
-            return segment[n_known - 1 :]
-        last_index = n_known - 1 + int(rejected_step_indices[0])
+            return segment[n_known_points - 1 :]
+        last_index = n_known_points - 1 + int(rejected_step_indices[0])
         if segment.crosses_branch[last_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._next_step_length = self._max_step = 0.5 * float(
             step_lengths[rejected_step_indices[0]]
         )
         self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
-        return segment[n_known - 1 : last_index + 1] if last_index >= n_known else None
+        return (
+            segment[n_known_points - 1 : last_index + 1] if last_index >= n_known_points else None
+        )
 
-    def _follow(self, n_remaining: int) -> PathSegment | None:
+    def _follow(self, n_remaining_points: int) -> PathSegment | None:
         """Follow the path in one kernel call.
 
         Parameters
@@ -750,7 +755,7 @@ class Path:
         target_parameters = [event.parameter for event in self._events if isinstance(event, Target)]
         parameter_bounds = [*path_options.span, *target_parameters]
         n_points = min(
-            n_remaining, self._points_per_call if self._equations.follows_many_points else 1
+            n_remaining_points, self._points_per_call if self._equations.follows_many_points else 1
         )
         n_record_entries = (
             0

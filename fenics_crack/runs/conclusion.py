@@ -23,7 +23,7 @@ from fenics_crack.basics.tables import (
     frequency_axis,
 )
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
-from fenics_crack.curves.peak import RISING_AT_END
+from fenics_crack.curves.peak import RISING_AT_END_TEXT
 from fenics_crack.errors.numbers import natural_name
 from fenics_crack.errors.stated import not_estimated
 from fenics_crack.errors.verification import Verification
@@ -229,7 +229,7 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
         answer_text = f"the response of the {run.watched_name} grows up to where the curve ended, "
         answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
     elif largest_response.at_end:
-        answer_text += f", {RISING_AT_END}, {location_text}{error_text}"
+        answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
     else:
         location_error = (
             run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0

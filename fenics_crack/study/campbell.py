@@ -56,7 +56,12 @@ from fenics_crack.model.modes import (
     multiply,
     solve_modes,
 )
-from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, static_state
+from fenics_crack.model.rotation import (
+    RitzProjection,
+    RunUpStructure,
+    coriolis_shifts,
+    static_state,
+)
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import damping_ratios, describe_coriolis, remarks_on_scene
@@ -451,7 +456,9 @@ def campbell(
     # The bonded mode with an open mode's shape may come later, if the bond moves it past others.
     n_bonded_modes = min(count + 2, max_modes) if fastest_structure.n_pairs else 0
     start, stop = speed_array[[0, -1]]
-    projection = Ritz.of_range(fastest_structure.damped(None), start, stop, count, n_bonded_modes)
+    projection = RitzProjection.of_range(
+        fastest_structure.damped(None), start, stop, count, n_bonded_modes
+    )
     load_amplitude = projection.force[1] - 1j * projection.force[2]
     peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, fastest_structure)
 
@@ -494,7 +501,7 @@ def campbell(
 
 
 def _find_load_resonances(
-    diagram: Campbell, projection: Ritz
+    diagram: Campbell, projection: RitzProjection
 ) -> tuple[tuple[int, LoadResonance], ...]:
     """Find the resonance at the load for each crossing of the load's engine order.
 
@@ -507,7 +514,7 @@ def _find_load_resonances(
     law = scene_contact_law(scene, projection.structure)
     if engine_order is None or law is None:
         return ()
-    search_projection = replace(projection, modes=max(projection.modes, N_SEARCH_MODES))
+    search_projection = replace(projection, n_modes=max(projection.n_modes, N_SEARCH_MODES))
 
     def find_resonance(speed: float) -> LoadResonance:
         try:

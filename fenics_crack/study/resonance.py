@@ -26,7 +26,7 @@ from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.rotation import Ritz, RunUpStructure
+from fenics_crack.model.rotation import RitzProjection, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, reduce_study, reduction_of
@@ -161,7 +161,7 @@ def find_study_resonance(
             if math.isnan(crossing_speed):
                 raise ConvergenceError(f"engine order {engine_order} does not meet it")
             run_up_structure = RunUpStructure(
-                Ritz.of_range(whole_structure, crossing_speed, crossing_speed, n_modes),
+                RitzProjection.of_range(whole_structure, crossing_speed, crossing_speed, n_modes),
                 crossing_speed,
             )
             return find_load_resonance(

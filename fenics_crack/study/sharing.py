@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.fem.setting import clearance_of, damping_of
+from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.files.store import scene_file_digests
 from fenics_crack.model.body import DEFAULT_SETTING
 from fenics_crack.model.structure import Structure
@@ -90,7 +90,7 @@ def assemble_or_reuse(
         pairs = last_entry.structure.pairs
         setting_changes = {
             "clearance": clearance_of(scene, pairs),
-            "damping": damping_of(scene.damping),
+            "damping": damping_rule_of(scene.damping),
         }
         if last_entry.dependencies[1] != dependencies[1]:
             from fenics_crack.fem.build import assemble_load_fields

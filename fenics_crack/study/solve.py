@@ -10,7 +10,7 @@ from mpi4py import MPI
 from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT
 from fenics_crack.balance.harmonic_balance import (
-    FIRST_MODES,
+    FIRST_MODE_COUNT,
     mode_counts,
     slide_along_lines,
     solve_linear,
@@ -181,7 +181,7 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
         max_modes = min(
             max_modes, len(structure.compute_once(make_empty_receptance_list)[0].squares) // 2
         )
-    return mode_counts(structure, FIRST_MODES if is_large else reduction.n_modes, max_modes)
+    return mode_counts(structure, FIRST_MODE_COUNT if is_large else reduction.n_modes, max_modes)
 
 
 def reduce_to_modes(study: Study, n_modes: int) -> Study:
@@ -204,8 +204,8 @@ def reduce_with_more_modes(
     plates took the second number or more.
     """
     candidate_counts, structure = candidate_mode_counts(study, max_modes), study.structure
-    if candidate_counts[:1] == [FIRST_MODES] and structure.has_matrices:
-        receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
+    if candidate_counts[:1] == [FIRST_MODE_COUNT] and structure.has_matrices:
+        receptance(structure, min(4 * FIRST_MODE_COUNT, structure.n_dofs - structure.n_pairs))
     yield from (reduce_to_modes(study, n_modes) for n_modes in candidate_counts)
     if not candidate_counts:
         yield reduce_study(study)

@@ -196,7 +196,7 @@ def _find_pair_upper_bound(scene: Scene) -> int:
             return 0  # its cases will fail
         if not plate_mesh.has_cracks:
             return 0
-        n_cracks = len(plate_mesh.crack_geometries)
+        n_cracks = len(plate_mesh.crack_paths_or_surfaces)
         n_face_nodes = len(plate_mesh.facets("lower_lip")) * mesh_table.order + n_cracks
     else:
         n_cracks = len(scene.all_cracks)

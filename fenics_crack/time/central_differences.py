@@ -47,7 +47,7 @@ from fenics_crack.kernel import Struct, kernel, pointer
 from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
-    FrictionSets,
+    FrictionContactSolver,
     add_friction_pairs,
     check_law,
     coefficient_of,
@@ -64,7 +64,7 @@ from fenics_crack.model.reduced import MASS_REMEDY, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
-NAME, MORE_STEPS = "central differences", "take more steps per period"
+SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -100,7 +100,8 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     if is_small(structure):
         open_modes = all_modes(structure_with_friction_rows)
         bonded_stiffness = (
-            np.diag(open_modes.squares) + (open_modes.pairs * springs) @ open_modes.pairs.T
+            np.diag(open_modes.squares)
+            + (open_modes.gaps_by_mode * springs) @ open_modes.gaps_by_mode.T
         )
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
@@ -255,7 +256,7 @@ class _ModalDifferences(Scheme):
     (n, n) if it couples them.
     """
 
-    name, remedy = NAME, MORE_STEPS
+    name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: March) -> None:
         self._structure_with_friction_rows = add_friction_pairs(request.contact, request.structure)
@@ -264,17 +265,15 @@ class _ModalDifferences(Scheme):
             all_modes(self._structure_with_friction_rows),
             request.step_size,
         )
-        modes, (n_modes, n_rows) = self._modes, self._modes.pairs.shape
+        modes, (n_modes, n_rows) = self._modes, self._modes.gaps_by_mode.shape
         springs, friction_members = None, dict[str, Any]()
         if not request.rigid:
             springs = _contact_stiffnesses(request.structure, request.contact)
         if (mu := coefficient_of(request.contact)) is not None:
             assert springs is not None
-            self._friction_solver = FrictionSets(np.diag(1.0 / springs), mu)
-            self._sticking_places, pair_states = (
-                np.zeros(n_rows // 2),
-                np.zeros(n_rows // 2, dtype=np.int8),
-            )
+            self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
+            self._sticking_places = np.zeros(n_rows // 2)
+            pair_states = np.zeros(n_rows // 2, dtype=np.int8)
             friction_members = {
                 "friction_solver": self._friction_solver.handle,
                 "sticking_places": self._sticking_places,
@@ -289,8 +288,8 @@ class _ModalDifferences(Scheme):
                 request.start[2] if request.start[2:] else initial_gap[n_rows // 2 :]
             )
         if request.rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
-            self._modal_displacement -= modes.pairs @ solve_complementarity(
-                modes.pairs.T @ modes.pairs, initial_gap
+            self._modal_displacement -= modes.gaps_by_mode @ solve_complementarity(
+                modes.gaps_by_mode.T @ modes.gaps_by_mode, initial_gap
             )
         self._increment = dt * modal_velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(
             modal_velocity
@@ -303,15 +302,17 @@ class _ModalDifferences(Scheme):
         damped_mass = identity + 0.5 * dt * modes.damping
         inverse = 1.0 / damped_mass if damped_mass.ndim == 1 else np.linalg.inv(damped_mass)
         force_response = (
-            inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
+            inverse[:, None] * modes.gaps_by_mode
+            if inverse.ndim == 1
+            else inverse @ modes.gaps_by_mode
         )
         increment_per_force = dt**2 * force_response
         contiguous = np.ascontiguousarray
         vibration_struct = Struct(
             "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
-            squared_frequencies=contiguous(modes.squares), gap_rows=contiguous(modes.pairs.T),
+            squared_frequencies=contiguous(modes.squares),
             clearance=np.array(self._structure_with_friction_rows.clearance, dtype=float),
-            spring_stiffnesses=springs,
+            spring_stiffnesses=springs, gap_rows=contiguous(modes.gaps_by_mode.T),
             load_rows=contiguous(request.structure.force @ modes.shapes),
             load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
             work=np.empty(2 * n_modes + n_rows), **friction_members,
@@ -321,7 +322,7 @@ class _ModalDifferences(Scheme):
             increment_factor=2.0 * inverse - identity, force_factor=dt**2 * inverse,
             increment_per_force=contiguous(increment_per_force.T),
             contact_solver=(
-                ActiveSetSolver(modes.pairs.T @ increment_per_force).handle
+                ActiveSetSolver(modes.gaps_by_mode.T @ increment_per_force).handle
                 if request.rigid else None
             ),
             displacements=self._modal_displacement, increment=self._increment,
@@ -331,7 +332,7 @@ class _ModalDifferences(Scheme):
     def _gap(self) -> np.ndarray:
         """Return the gaps at the end of the integration: (n_rows,) [m]."""
         return np.asarray(
-            self._modal_displacement @ self._modes.pairs
+            self._modal_displacement @ self._modes.gaps_by_mode
             - self._structure_with_friction_rows.clearance
         )
 
@@ -346,16 +347,16 @@ class _ModalDifferences(Scheme):
             load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._modal_displacement
         if not self._request.rigid:
-            acceleration -= modes.pairs @ self._forces(self._gap())
+            acceleration -= modes.gaps_by_mode @ self._penalty_forces(self._gap())
         return np.asarray(acceleration - modes.damping_force(velocity))
 
-    def _forces(self, gap: np.ndarray) -> np.ndarray:
+    def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N]."""
         if friction_of(self._request.contact) is None:
             return self._request.contact.force(gap)
         return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         modes, request, n_window_steps = self._modes, self._request, len(window.gap)
         n_steps_in_cache = max(1, MODAL_COORDINATES_IN_CACHE // len(modes.squares))
         for first_step in range(0, n_window_steps, n_steps_in_cache):
@@ -382,14 +383,11 @@ class _ModalDifferences(Scheme):
         modal_velocity = _last_velocity(
             self._request.step_size, self._increment, self._acceleration_at_phase_zero
         )
-        displacement_and_velocity = (
+        has_friction = friction_of(self._request.contact) is not None
+        return (
             self._modes.shapes @ self._modal_displacement,
             self._modes.shapes @ modal_velocity,
-        )
-        return (
-            displacement_and_velocity
-            if friction_of(self._request.contact) is None
-            else (*displacement_and_velocity, self._sticking_places.copy())
+            *((self._sticking_places.copy(),) if has_friction else ()),
         )
 
 
@@ -405,7 +403,7 @@ class _CentralDifferences(Scheme):
         A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
     """
 
-    name, remedy = NAME, MORE_STEPS
+    name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: March) -> None:
         self.structure, dt = request.structure, request.step_size
@@ -419,7 +417,7 @@ class _CentralDifferences(Scheme):
         self._gap_block = structure_with_friction_rows.gap[self._contact_dofs].toarray()
         self._clearance = structure_with_friction_rows.clearance
         if (mu := coefficient_of(request.contact)) is not None:
-            self._friction_solver = FrictionSets(
+            self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
         self._recorded_local_dofs = request.recorded_dofs - structure.first_dof
@@ -455,7 +453,7 @@ class _CentralDifferences(Scheme):
                 response_column[:] = self._solve(response_column, zero_velocity)
             self._compliance = structure.apply_bt(self._displacement_per_force.T).T
         displacement, velocity = request.start[:2]
-        self.displacement = self._admissible(displacement)
+        self.displacement = self._nearest_admissible_displacement(displacement)
         if friction_of(self.contact) is not None:
             initial_tangential_gap = self._gap_of(displacement)[structure.n_pairs :]
             self._sticking_places = (
@@ -465,52 +463,52 @@ class _CentralDifferences(Scheme):
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
         self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
-    def fill(self, window: Window, number: int) -> None:
-        for step in range(len(window.gap)):
+    def fill_period(self, window: Window, period_number: int) -> None:
+        for step_index in range(len(window.gap)):
             displacement = self.displacement
-            self.advance(step)
-            window.gap[step], window.force[step] = self.gap, self.contact_force
-            window.displacement_at_load[step] = displacement[self.loaded_dofs]
-            window.recorded_displacement[step] = displacement[self._recorded_local_dofs]
+            self.advance(step_index)
+            window.gap[step_index], window.force[step_index] = self.gap, self.contact_force
+            window.displacement_at_load[step_index] = displacement[self.loaded_dofs]
+            window.recorded_displacement[step_index] = displacement[self._recorded_local_dofs]
         self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self.step_size, self.increment, self._acceleration_at_phase_zero)
-        displacement_and_velocity = self.displacement.copy(), velocity
+        has_friction = friction_of(self.contact) is not None
         return (
-            displacement_and_velocity
-            if friction_of(self.contact) is None
-            else (*displacement_and_velocity, self._sticking_places.copy())
+            self.displacement.copy(),
+            velocity,
+            *((self._sticking_places.copy(),) if has_friction else ()),
         )
 
-    def advance(self, step: int) -> None:
-        """Integrate one step, from instant ``step`` of the period."""
+    def advance(self, step_index: int) -> None:
+        """Integrate one step, from instant ``step_index`` of the period."""
         dt = self.step_size
-        scaled_net_force = dt**2 * self._net_force(step)
+        scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step_index)
         self.increment = self.increment + self._solve(scaled_net_force, dt * self.increment)
         if self.rigid:
-            next_gap = self.gap + self._gap_motion(self.increment)
+            next_gap = self.gap + self._gap_change(self.increment)
             self.contact_force = solve_complementarity(
                 self._compliance, next_gap, self.contact_force > 0.0
             )
             self.increment -= self._displacement_per_force @ self.contact_force
         self.displacement = self.displacement + self.increment
 
-    def _net_force(self, step: int) -> np.ndarray:
+    def _load_minus_elastic_and_contact_force(self, step_index: int) -> np.ndarray:
         """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
-        ``step`` is the instant in the period. Forces of a constraint are left out: they belong to
-        the next step.
+        ``step_index`` is the instant in the period. Forces of a constraint are left out: they
+        belong to the next step.
         """
         self.gap = self._gap_of(self.displacement)
-        net_force = -self._apply(self.structure.stiffness.mult, self.displacement)
-        net_force[self.loaded_dofs] += self.load_samples[step]
+        net_force = -self._apply_operator(self.structure.stiffness.mult, self.displacement)
+        net_force[self.loaded_dofs] += self.load_samples[step_index]
         if not self.rigid:
-            self.contact_force = self._forces(self.gap)
+            self.contact_force = self._penalty_forces(self.gap)
             net_force[self._contact_dofs] -= self._gap_block @ self.contact_force
         return net_force
 
-    def _forces(self, gap: np.ndarray) -> np.ndarray:
+    def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N].
 
         With friction the tangential gaps at which pairs stick are updated.
@@ -523,15 +521,17 @@ class _CentralDifferences(Scheme):
         self._sticking_places = sticking_places[0]
         return forces[0]
 
-    def _gap_motion(self, displacement: np.ndarray) -> np.ndarray:
+    def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
         """Return B^T u, the gaps' change by a displacement u (n_local,): (n_rows,) [m]."""
         return self.structure.sum_over_ranks(displacement[self._contact_dofs] @ self._gap_block)
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return the gaps of a displacement (n_local,): (n_rows,) [m]."""
-        return self._gap_motion(displacement) - self._clearance
+        return self._gap_change(displacement) - self._clearance
 
-    def _apply(self, operator: Callable[[Any, Any], None], vector: np.ndarray) -> np.ndarray:
+    def _apply_operator(
+        self, operator: Callable[[Any, Any], None], vector: np.ndarray
+    ) -> np.ndarray:
         """Apply a PETSc operator to a vector (n_local,)."""
         self._input_vector.array_w[:] = vector
         operator(self._input_vector, self._output_vector)
@@ -541,13 +541,13 @@ class _CentralDifferences(Scheme):
         """Return A^-1 (r - C v) with A = M + dt/2 C, a force r and a velocity v (n_local,)."""
         modes = self._modes
         if modes is None:
-            return self._apply(
+            return self._apply_operator(
                 self._factored_damped_mass.apply, force - self._damping_force(velocity)
             )
-        mass_times_velocity = self._apply(self.structure.mass.mult, velocity)
+        mass_times_velocity = self._apply_operator(self.structure.mass.mult, velocity)
         local_modal_parts = np.stack([force @ modes.shapes, mass_times_velocity @ modes.shapes])
         modal_force, modal_velocity = self.structure.sum_over_ranks(local_modal_parts)
-        acceleration = self._apply(self._factored_damped_mass.apply, force)
+        acceleration = self._apply_operator(self._factored_damped_mass.apply, force)
         return acceleration + modes.shapes @ (
             self._modal_inverse_correction * modal_force - self._modal_decay * modal_velocity
         )
@@ -555,7 +555,7 @@ class _CentralDifferences(Scheme):
     def _damping_force(self, velocity: np.ndarray) -> np.ndarray:
         """Return the damping force C v: (n_local,) [N]."""
         if self._damping_matrix is not None:
-            return self._apply(self._damping_matrix.mult, velocity)
+            return self._apply_operator(self._damping_matrix.mult, velocity)
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
@@ -563,7 +563,7 @@ class _CentralDifferences(Scheme):
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
-        force = self._net_force(0) - self._damping_force(velocity)
+        force = self._load_minus_elastic_and_contact_force(0) - self._damping_force(velocity)
         with Factor(self.structure.mass, definite=True) as factored_mass:
             return np.asarray(factored_mass.solve(force[None])[0])
 
@@ -577,7 +577,7 @@ class _CentralDifferences(Scheme):
         )
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
-    def _admissible(self, displacement: np.ndarray) -> np.ndarray:
+    def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement (n_local,) without penetration, in the norm of M."""
         gap = self._gap_of(displacement)
         if not self.rigid or not np.any(gap > 0.0):

@@ -42,7 +42,12 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, require_shape
-from fenics_crack.model.contact import ActiveSetSolver, ContactLaw, FrictionSets, coefficient_of
+from fenics_crack.model.contact import (
+    ActiveSetSolver,
+    ContactLaw,
+    FrictionContactSolver,
+    coefficient_of,
+)
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow_or_error
@@ -168,12 +173,9 @@ def _displacement_and_velocity(
     With friction the sticking places (n_pairs,) [m] follow.
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
-    displacement_and_velocity = displacement.copy(), flow.modal_model.shapes @ modal_velocity
-    return (
-        (*displacement_and_velocity, sticking_places.copy())
-        if flow.friction_law
-        else displacement_and_velocity
-    )
+    velocity = flow.modal_model.shapes @ modal_velocity
+    friction_part = (sticking_places.copy(),) if flow.friction_law else ()
+    return displacement.copy(), velocity, *friction_part
 
 
 class _ByEvents(Scheme):
@@ -184,11 +186,11 @@ class _ByEvents(Scheme):
     def __init__(self, request: March) -> None:
         self._request, self._flow = request, exact_flow_or_error(request.structure, request.contact)
         self._period = 2.0 * np.pi / request.omega
-        fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
-        self._instants = fractions * self._period
+        period_fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
+        self._instants = period_fractions * self._period
         self._state = self._flow.state(*request.start)
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         request = self._request
         period_motion = self._flow.advance(
             self._state, request.omega, self._period, instants=self._instants
@@ -235,11 +237,11 @@ class ExponentialFlow(Flow):
             steps_per_period,
             2.0 * np.pi / omega / steps_per_period,
         )
-        modes, (n_modes, n_rows) = self.modal_model, self.modal_model.pairs.shape
-        transition, response = modes.transition(self.step_size)
-        halved_response = 0.5 * response  # Gamma
-        gap_response = modes.pairs.T @ halved_response[:n_modes]
-        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((n_rows, n_modes))])
+        modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
+        transition, force_response = modes.transition(self.step_size)
+        halved_force_response = 0.5 * force_response  # Gamma
+        gap_response = modes.gaps_by_mode.T @ halved_force_response[:n_modes]
+        self.gap_rows = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
         enumerated_loads = enumerate(to_complex(self.modal_load))
         response_harmonics = [
             modes.steady_response(harmonic_order * omega, load_harmonic)
@@ -253,29 +255,32 @@ class ExponentialFlow(Flow):
             [displacement_coefficients, differentiate(displacement_coefficients, omega)]
         )
         self.linear_gap = basis_at_instants @ (
-            displacement_coefficients @ modes.pairs + self.load_gap
+            displacement_coefficients @ modes.gaps_by_mode + self.load_gap
         )
         step_compliance = self.compliance + gap_response
-        set_members: dict[str, Any]
-        if (mu := coefficient_of(contact)) is None:
+        contact_struct_members: dict[str, Any]
+        if (friction_coefficient := coefficient_of(contact)) is None:
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
-            set_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
+            contact_struct_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
-            self._initial_friction_solver = FrictionSets(self.compliance, mu)
+            self._initial_friction_solver = FrictionContactSolver(
+                self.compliance, friction_coefficient
+            )
             self._sticking_places = np.empty(n_rows // 2)
-            self._friction_solver = FrictionSets(step_compliance, mu)
-            set_members = {
+            self._friction_solver = FrictionContactSolver(step_compliance, friction_coefficient)
+            contact_struct_members = {
                 "friction_solver": self._friction_solver.handle,
                 "sticking_places": self._sticking_places,
             }
         self._kernel_data = Struct(
             "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
             has_coupled_modes=modes.damping.ndim == 2, transition=transition,
-            gap_rows=as_doubles(modes.pairs.T),
-            force_response=as_doubles(halved_response.T), gap_response=as_doubles(gap_response),
+            gap_rows=as_doubles(modes.gaps_by_mode.T),
+            force_response=as_doubles(halved_force_response.T),
+            gap_response=as_doubles(gap_response),
             steady_gap=self.linear_gap, steady_states=self.steady_states,
             work=np.empty(4 * n_modes + 2 * n_rows),
-            **set_members,
+            **contact_struct_members,
         )  # fmt: skip
 
     def displacement_from_phase_zero(
@@ -288,7 +293,7 @@ class ExponentialFlow(Flow):
         phase = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
         return self.displacement(states, force, phase, dofs)
 
-    def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
+    def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
         """Integrate whole load periods from a state (size,) at phase 0.
 
         Raises
@@ -302,21 +307,23 @@ class ExponentialFlow(Flow):
             periods * self.steps_per_period,
         )
         state, sticking_places = np.split(require_shape(state, self.size), [n_modal_states])
-        states, forces = (
+        modal_states, contact_forces = (
             np.empty((n_requested_steps + 1, n_modal_states)),
             np.empty((n_requested_steps + 1, len(self.softness))),
         )
-        is_closed = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
-        states[0] = state
+        pair_states = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
+        modal_states[0] = state
         initial_gap = self.gap_rows @ (state - self.steady_states[0]) + self.linear_gap[0]
         if self.friction_law:
-            forces[:1], is_closed[:1], new_sticking_places, _ = self._initial_friction_solver.solve(
-                initial_gap[None], sticking_places
+            contact_forces[:1], pair_states[:1], new_sticking_places, _ = (
+                self._initial_friction_solver.solve(initial_gap[None], sticking_places)
             )
             self._sticking_places[:] = new_sticking_places[0]
         else:
-            forces[:1], is_closed[:1] = self._initial_contact_solver.solve(initial_gap[None])
-        array_pointers = map(pointer, (states, forces, is_closed))
+            contact_forces[:1], pair_states[:1] = self._initial_contact_solver.solve(
+                initial_gap[None]
+            )
+        array_pointers = map(pointer, (modal_states, contact_forces, pair_states))
         n_steps_made = kernel.march_exponential(
             self._kernel_data.address, n_requested_steps, *array_pointers
         )
@@ -325,11 +332,17 @@ class ExponentialFlow(Flow):
                 f"exponential: the contact forces of step {n_steps_made + 1} were not found"
             )
         sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
-        return Steps(self, states, forces, is_closed > 0, np.append(states[-1], sticking_places))
+        return ExponentialSteps(
+            self,
+            modal_states,
+            contact_forces,
+            pair_states > 0,
+            np.append(modal_states[-1], sticking_places),
+        )
 
 
 @dataclass(frozen=True)
-class Steps:
+class ExponentialSteps:
     """States and contact forces at the N + 1 instants of integrated load periods.
 
     Attributes
@@ -393,7 +406,7 @@ class _ByExponentials(Scheme):
         )
         self._energy_input = self._missing_energy = 0.0
 
-    def fill(self, window: Window, number: int) -> None:
+    def fill_period(self, window: Window, period_number: int) -> None:
         flow, request = self._flow, self._request
         flow_steps = flow.advance(self._state)
         states, forces = flow_steps.states, flow_steps.forces
@@ -407,8 +420,8 @@ class _ByExponentials(Scheme):
         window.displacement_at_load[:] = displacement_at_load[:-1] * _loaded_coordinate_scales(
             request
         )
-        if number == 0:
-            self._energy_input = self._energy(flow_steps, 0)
+        if period_number == 0:
+            self._energy_input = self._total_energy(flow_steps, 0)
             self._missing_energy = -self._energy_input
         modal_velocity = states[:, len(flow.modal_model.squares) :]
         damping_power = np.einsum(
@@ -421,12 +434,12 @@ class _ByExponentials(Scheme):
         )
         self._missing_energy += flow_steps.friction_loss - load_work
         self.set_created_energy_ratio(
-            self._energy(flow_steps, -1) + self._missing_energy, self._energy_input
+            self._total_energy(flow_steps, -1) + self._missing_energy, self._energy_input
         )
         self._state = flow_steps.end_state
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
-    def _energy(self, flow_steps: Steps, instant_index: int) -> float:
+    def _total_energy(self, flow_steps: ExponentialSteps, instant_index: int) -> float:
         """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
         displacement = flow.displacement_from_phase_zero(

@@ -34,13 +34,13 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
     differentiate,
-    evaluate,
+    evaluate_series,
     fourier_basis_for,
     fourier_coefficients,
 )
 from fenics_crack.numerics.newton import motion_size
 
-MEMORY_LIMIT = 2**31
+ALLOWED_RECORD_BYTES = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
 Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
@@ -105,10 +105,10 @@ class March:
         check_number("settle", self.settle, 0.0)
         max_dofs_per_rank = max(self.structure.comm.allgather(len(self.recorded_dofs)))
         n_instants = self.n_kept_periods * self.steps_per_period
-        if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > MEMORY_LIMIT:
+        if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > ALLOWED_RECORD_BYTES:
             contents_text, limit_text = (
                 f"{n_instants} instants of {max_dofs_per_rank} dofs",
-                f"{MEMORY_LIMIT // 2**30} GiB",
+                f"{ALLOWED_RECORD_BYTES // 2**30} GiB",
             )
             allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
             raise InputError("record_periods", self.record_periods, allowed)
@@ -283,22 +283,28 @@ class TimeHistory(ObservedMotion, Tabular):
         The last four periods determine the limit if two Floquet multipliers still decay (minimal
         polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2).
         """
-        records = [record[-N_RECORDED_PERIODS:] for record in self._watched_periods]
-        n_periods = len(records[0])
+        watched_arrays = [
+            watched_array[-N_RECORDED_PERIODS:] for watched_array in self._watched_periods
+        ]
+        n_periods = len(watched_arrays[0])
         if n_periods < 3:
             return math.nan
-        sizes = _sizes([record[-1] for record in records])
-        scaled_records = [
-            record.reshape(n_periods, -1) / size
-            for record, size in zip(records, sizes, strict=True)
+        moving_part_sizes = _moving_part_sizes(
+            [watched_array[-1] for watched_array in watched_arrays]
+        )
+        scaled_arrays = [
+            watched_array.reshape(n_periods, -1) / moving_part_size
+            for watched_array, moving_part_size in zip(
+                watched_arrays, moving_part_sizes, strict=True
+            )
         ]
-        scaled_changes = np.diff(np.hstack(scaled_records), axis=0)
+        scaled_changes = np.diff(np.hstack(scaled_arrays), axis=0)
         extrapolation_weights = np.append(
             np.linalg.lstsq(scaled_changes[:-1].T, -scaled_changes[-1], rcond=None)[0], 1.0
         )
         weighted_offsets = [
-            np.tensordot(extrapolation_weights, scaled_record[:-1] - scaled_record[-1], 1)
-            for scaled_record in scaled_records
+            np.tensordot(extrapolation_weights, scaled_array[:-1] - scaled_array[-1], 1)
+            for scaled_array in scaled_arrays
         ]
         max_offset_norm = max(
             float(np.linalg.norm(weighted_offset)) for weighted_offset in weighted_offsets
@@ -322,7 +328,7 @@ class TimeHistory(ObservedMotion, Tabular):
         if periods >= len(records[0]):
             raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
         newest = [record[-1] for record in records]
-        return _change(newest, [record[-1 - periods] for record in records])
+        return _relative_change(newest, [record[-1 - periods] for record in records])
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
@@ -377,7 +383,7 @@ class TimeHistory(ObservedMotion, Tabular):
         ):
             allowed = "None, to record all displacements, of which these are made"
             raise InputError("dofs", "some", allowed)
-        motion = structure.sum_over_ranks(
+        row_products = structure.sum_over_ranks(
             self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T
         )
         n_steps, gap, force = self.steps_per_period, self.gap, self.contact_force
@@ -386,8 +392,8 @@ class TimeHistory(ObservedMotion, Tabular):
             force = np.hstack([force, self.tangential_force])
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / n_steps / np.ptp(self.time), 1, self.time,
-            fourier_coefficients(motion[-n_steps:], min(10, (n_steps - 1) // 2)),
-            motion, gap, force,
+            fourier_coefficients(row_products[-n_steps:], min(10, (n_steps - 1) // 2)),
+            row_products, gap, force,
             structure=structure,
             friction_coefficient=self.friction,
             instants_per_load_period=n_steps,
@@ -421,8 +427,8 @@ class Scheme(ABC):
     """PETSc objects that are freed after the integration."""
 
     @abstractmethod
-    def fill(self, window: Window, number: int) -> None:
-        """Integrate period ``number``, from 0 on, fill the window, and sum up the energy."""
+    def fill_period(self, window: Window, period_number: int) -> None:
+        """Integrate period ``period_number``, from 0 on, fill the window, and sum up the energy."""
 
     @abstractmethod
     def state(self) -> tuple[np.ndarray, ...]:
@@ -449,13 +455,13 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
 
     The scheme's PETSc objects are freed.
     """
-    structure, n_kept, steps = request.structure, request.n_kept_periods, request.steps_per_period
+    structure, n_kept, steps = (request.structure, request.n_kept_periods, request.steps_per_period)
     widths = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
-    records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
-    gap, force, recorded_displacement = records
+    kept_arrays: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
+    gap, force, recorded_displacement = kept_arrays
     displacement_at_load = np.empty((steps, len(request.loaded_dofs)))
-    n_periods = 0
-    previous: tuple[np.ndarray, np.ndarray] | None = None
+    n_periods, change = 0, np.inf
+    previous_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
         begin_stage("")
@@ -466,23 +472,25 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
         StopRequest() as stop_request,
         add_progress_text(lambda: f"{n_periods} of {request.periods} periods"),
     ):
-        for number in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
-            period_rows = slice(number % n_kept * steps, (number % n_kept + 1) * steps)
+        for period in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
+            period_rows = slice(period % n_kept * steps, (period % n_kept + 1) * steps)
             window = Window(
                 gap[period_rows],
                 force[period_rows],
                 recorded_displacement[period_rows],
                 displacement_at_load,
             )
-            scheme.fill(window, number)
-            n_periods = number + 1
+            scheme.fill_period(window, period)
+            n_periods = period + 1
             gathered_displacement_at_load = np.concatenate(
                 structure.comm.allgather(displacement_at_load), axis=1
             )
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
             # Slow modes hardly move the gaps.
-            newest = gap_motion, gathered_displacement_at_load
-            change, previous = np.inf if previous is None else _change(newest, previous), newest
+            newest_arrays = gap_motion, gathered_displacement_at_load
+            if previous_arrays is not None:
+                change = _relative_change(newest_arrays, previous_arrays)
+            previous_arrays = newest_arrays
             if change < request.settle or stop_request.is_requested(structure.comm):
                 break
     seconds = clock.perf_counter() - started
@@ -490,7 +498,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     n_kept_rows = min(n_periods, n_kept) * steps
     oldest_row = n_periods % n_kept * steps if n_periods > n_kept else 0
     gap, force, recorded_displacement = (
-        np.roll(record[:n_kept_rows], -oldest_row, axis=0) for record in records
+        np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
     final_state = scheme.state()
     for petsc_object in scheme.petsc_objects:
@@ -516,23 +524,23 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     )
 
 
-def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
+def _relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change between two periods of the arrays (N, m)."""
-    compared_parts_and_sizes = zip(newest, previous, _sizes(newest), strict=True)
+    compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
         float(np.linalg.norm(newest_part - previous_part)) / size
         for newest_part, previous_part, size in compared_parts_and_sizes
     )
 
 
-def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
+def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     """Return the size of the moving part of each array (N, m) over a period.
 
     Means count no more than all else, because a clearance or a steady load may make them large. The
     size is infinite if the array is rounding error beside the largest one, so that its changes do
     not count. An example are the gaps of rigid crack faces that stay closed.
     """
-    sizes = [motion_size(part) for part in parts]
+    sizes = [motion_size(period_array) for period_array in period_arrays]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
@@ -553,32 +561,38 @@ def initial_state(
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
     initial = getattr(initial, "result", initial)  # of a Run
     has_friction = friction_of(contact) is not None
-    state: tuple[np.ndarray, ...]
+    state_parts: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
-        coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        state_coefficients = coefficients, differentiate(coefficients, omega)
-        state = tuple(
-            evaluate(part_coefficients, omega, np.zeros(1))[0]
-            for part_coefficients in state_coefficients
+        displacement_coefficients, omega = initial.displacement_coefficients, initial.base_omega
+        state_coefficients = (
+            displacement_coefficients,
+            differentiate(displacement_coefficients, omega),
+        )
+        state_parts = tuple(
+            evaluate_series(state_part_coefficients, omega, np.zeros(1))[0]
+            for state_part_coefficients in state_coefficients
         )
         if has_friction and friction_of(initial.contact) is not None:
-            state = *state, initial.sticking_places(np.zeros(1))[0]
+            state_parts = *state_parts, initial.sticking_places(np.zeros(1))[0]
     else:
         try:
-            state = tuple(numbers(part) for part in initial)
+            state_parts = tuple(numbers(state_part) for state_part in initial)
         except TypeError:
-            state = ()
+            state_parts = ()
     expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
     shape_match_flags = [
-        part.shape == shape for part, shape in zip(state, expected_shapes, strict=False)
+        state_part.shape == expected_shape
+        for state_part, expected_shape in zip(state_parts, expected_shapes, strict=False)
     ]
-    has_right_shapes = all(shape_match_flags) and len(state) in ((2, 3) if has_friction else (2,))
+    has_right_shapes = all(shape_match_flags) and len(state_parts) in (
+        (2, 3) if has_friction else (2,)
+    )
     allowed = (
         "a solution of this structure, or finite displacement and velocity of shape "
         f"{expected_shapes[0]} as two arrays, with friction a third of finite places, of shape "
         f"{expected_shapes[2]}"
     )
-    input_error = InputError("initial", [part.shape for part in state], allowed)
-    is_finite = all(np.all(np.isfinite(part)) for part in state)
+    input_error = InputError("initial", [state_part.shape for state_part in state_parts], allowed)
+    is_finite = all(np.all(np.isfinite(state_part)) for state_part in state_parts)
     raise_first_error(structure.comm, None if has_right_shapes and is_finite else input_error)
-    return state
+    return state_parts

@@ -63,7 +63,7 @@ def test_jacobian_against_finite_differences(
 ) -> None:
     """By every unknown and by the parameter of the softness."""
     hard = system_of(short_chain, LAWS[law], 2)
-    system = type(hard)(hard.compliance, hard.integrals, softness)
+    system = type(hard)(hard.compliance_model, hard.integrals, softness)
     unknown = random_gaps(2, 3)
     point = system.linearise(unknown, 0.4)
     matrix, step = point.jacobian, 1e-7
@@ -102,7 +102,7 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
     unknown, other = random_gaps(6, 3), random_gaps(6, 3, 5)
     points, hard = [], system_of(short_chain, RIGID, 6)
     for free in (False, True):
-        system = type(hard)(hard.compliance, hard.integrals, 0.5)
+        system = type(hard)(hard.compliance_model, hard.integrals, 0.5)
         assert not system.matrix_free
         system.matrix_free = free
         points.append(system.linearise(unknown, 0.4))

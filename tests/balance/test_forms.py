@@ -193,7 +193,7 @@ def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics
     which it is closed has one linear solution, which counts if it has these signs."""
     compliance = Problem(structure, omega, fc.UnilateralPenalty(k), harmonics).compliance()
     rows = 2 * harmonics + 1
-    value, response = evaluate(np.eye(rows), 1.0, instants(harmonics)), np.empty((rows, rows))
+    value, response = (evaluate(np.eye(rows), 1.0, instants(harmonics)), np.empty((rows, rows)))
     moved = compliance.matrices[:, :, 0] * to_complex(np.eye(rows))
     response[0], response[1::2], response[2::2] = moved[0].real, moved[1:].real, -moved[1:].imag
     in_time = value @ response @ np.linalg.inv(value)

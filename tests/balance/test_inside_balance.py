@@ -41,7 +41,7 @@ from fenics_crack import (
     build_structure,
     solve_modes,
 )
-from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, dynamic_compliance
+from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, make_compliance_model
 from fenics_crack.balance.contact_integrals import (
     CoupledIntegrals,
     ExactIntegrals,
@@ -55,10 +55,10 @@ from fenics_crack.model.modes import damped_modes, multiply
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
-    count_instants,
-    evaluate,
+    evaluate_series,
     fourier_coefficients,
     from_complex,
+    n_instants_for_products,
     resize_harmonics,
     sample_period,
     to_complex,
@@ -80,12 +80,12 @@ def grazing_gaps(depth: np.ndarray, harmonics: int = 4) -> np.ndarray:
     gap = random_gaps(harmonics, len(depth), seed=2)
     phase = 2.0 * np.pi * np.arange(1 << 12) / (1 << 12)
     for pair in range(len(depth)):
-        theta = np.array([phase[np.argmax(evaluate(gap[:, pair], 1.0, phase))]])
+        theta = np.array([phase[np.argmax(evaluate_series(gap[:, pair], 1.0, phase))]])
         order = np.arange(harmonics + 1)
         for _ in range(8):  # Newton's method for g' = 0
             wave = to_complex(gap[:, pair]) * np.exp(1j * order * theta[0])
             theta += np.sum(order * wave.imag) / -np.sum(order**2 * wave.real)
-        gap[0, pair] += depth[pair] - evaluate(gap[:, pair], 1.0, theta)[0]
+        gap[0, pair] += depth[pair] - evaluate_series(gap[:, pair], 1.0, theta)[0]
     return gap
 
 
@@ -117,7 +117,9 @@ def test_exact_force_against_adaptive_quadrature() -> None:
         assert len(instants) >= 2
 
         def force(t: float, pair: int = pair) -> float:
-            return float(STIFFNESS[pair] * max(evaluate(gap[:, pair], 1.0, np.array([t]))[0], 0.0))
+            return float(
+                STIFFNESS[pair] * max(evaluate_series(gap[:, pair], 1.0, np.array([t]))[0], 0.0)
+            )
 
         for row in range(2 * harmonics + 1):
             order = (row + 1) // 2
@@ -156,7 +158,7 @@ def test_smoothed_force_by_samples_against_quadrature() -> None:
     found = SampledIntegrals(law, 3, 1024).force(gap)[:, 0]
 
     def force(t: float) -> float:
-        return float(law.force(evaluate(gap[:, 0], 1.0, np.array([t])))[0])
+        return float(law.force(evaluate_series(gap[:, 0], 1.0, np.array([t])))[0])
 
     weights = [lambda t: 0.5, np.cos, np.sin, lambda t: np.cos(2 * t), lambda t: np.sin(2 * t)]
     for row, weight in enumerate(weights):
@@ -377,13 +379,13 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     harmonics, made = 4, integrals(law, 4)
     gap = random_gaps(harmonics, 3, 2)
     grid = np.linspace(0.0, 2.0 * np.pi, 4097)
-    _, closed = made.active_set_solver.solve(evaluate(gap, 1.0, grid))
+    _, closed = made.active_set_solver.solve(evaluate_series(gap, 1.0, grid))
     events = []
     for place in np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)):
         low, high = grid[place], grid[place + 1]
         for _ in range(60):
             middle = 0.5 * (low + high)
-            same = made.active_set_solver.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
+            same = made.active_set_solver.solve(evaluate_series(gap, 1.0, np.array([middle])))[1][0]
             low, high = (middle, high) if np.array_equal(same, closed[place]) else (low, middle)
         events.append(low)
     assert len(events) >= 6
@@ -393,7 +395,7 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     for low, high in pairwise(ends):
         theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
         force = (
-            made.forces_at_gap_samples(evaluate(gap, 1.0, theta))
+            made.forces_at_gap_samples(evaluate_series(gap, 1.0, theta))
             * (0.5 * (high - low) * weights)[:, None]
         )
         expected[0] += force.sum(axis=0) / (2.0 * np.pi)
@@ -465,7 +467,7 @@ def test_smoothed_force_by_quadrature() -> None:
 
     def products(t: float) -> np.ndarray:
         waves = np.array([0.5, np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
-        return waves * made.forces_at_gap_samples(evaluate(gap, 1.0, np.array([t])))[0, 0]
+        return waves * made.forces_at_gap_samples(evaluate_series(gap, 1.0, np.array([t])))[0, 0]
 
     integrals, _ = scipy.integrate.quad_vec(products, 0.0, 2.0 * np.pi, epsabs=1e-11, limit=200)
     assert found == pytest.approx(integrals / np.pi, abs=1e-9)
@@ -559,7 +561,9 @@ def test_complex_form_is_inverse_and_evaluates(coefficients: np.ndarray) -> None
     harmonics = to_complex(coefficients)
     omega, time = 3.0, np.linspace(0.0, 2.0, 7)
     phases = np.exp(1j * omega * np.outer(time, np.arange(HARMONICS + 1)))
-    assert np.allclose((phases @ harmonics).real, evaluate(coefficients, omega, time), atol=1e-13)
+    assert np.allclose(
+        (phases @ harmonics).real, evaluate_series(coefficients, omega, time), atol=1e-13
+    )
     assert np.array_equal(from_complex(harmonics), coefficients)
 
 
@@ -567,7 +571,7 @@ def test_sampling_and_balancing_are_inverse(coefficients: np.ndarray) -> None:
     """Samples are values at i T / N, and a band-limited wave comes back exactly."""
     values = sample_period(coefficients, 32)
     time = np.arange(32) * 2.0 * np.pi / 32
-    assert np.allclose(values, evaluate(coefficients, 1.0, time), atol=1e-13)
+    assert np.allclose(values, evaluate_series(coefficients, 1.0, time), atol=1e-13)
     assert np.allclose(fourier_coefficients(values, HARMONICS), coefficients, atol=1e-13)
 
 
@@ -579,7 +583,7 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
     found = []
     for limit in (10**6, 0):
         monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_SIZE", limit)
-        count = count_instants(harmonics)
+        count = n_instants_for_products(harmonics)
         assert count > 4 * harmonics
         values = sample_period(wave, 300), sample_period(other, count) * sample_period(wave, count)
         found.append(
@@ -593,7 +597,7 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
         np.testing.assert_allclose(one, same, atol=1e-12)
     np.testing.assert_allclose(found[0][1], wave, atol=1e-12)
     time = np.arange(300) * 2.0 * np.pi / 300
-    np.testing.assert_allclose(found[0][0], evaluate(wave, 1.0, time), atol=1e-11)
+    np.testing.assert_allclose(found[0][0], evaluate_series(wave, 1.0, time), atol=1e-11)
 
 
 def test_resized_cuts_and_pads(coefficients: np.ndarray) -> None:
@@ -741,7 +745,7 @@ def test_dissipation() -> None:
 
 
 # --- at and near natural frequencies --------------------------------------------------------------
-OFFSETS = [
+SAMPLE_OFFSETS = [
     0.0, 1e-15, -1e-15, 1e-12, 1e-8, -1e-8, 1e-5, 9e-4, 1.1e-3, -1.1e-3, 0.49 * DEFLATION_BAND,
     0.51 * DEFLATION_BAND, -0.51 * DEFLATION_BAND, 0.1,
 ]  # fmt: skip
@@ -760,7 +764,7 @@ def check_near_resonance(structure: Structure, mode: int, offset: float) -> None
 
 
 @pytest.mark.drawn(10)
-@pytest.mark.parametrize("offset", OFFSETS)
+@pytest.mark.parametrize("offset", SAMPLE_OFFSETS)
 @pytest.mark.parametrize("ratio", [0.1, 0.001])
 def test_near_a_resonance(ratio: float, offset: float) -> None:
     """Nothing is lost to cancellation, at a resonance or close to it."""
@@ -769,7 +773,7 @@ def test_near_a_resonance(ratio: float, offset: float) -> None:
 
 
 @pytest.mark.drawn(10)
-@pytest.mark.parametrize("offset", OFFSETS)
+@pytest.mark.parametrize("offset", SAMPLE_OFFSETS)
 @pytest.mark.parametrize("ratio", [0.1, 0.001])
 def test_paper_plate_near_a_resonance(
     paper_structure: Structure, ratio: float, offset: float
@@ -780,7 +784,7 @@ def test_paper_plate_near_a_resonance(
 
 
 @pytest.mark.drawn(10)
-@pytest.mark.parametrize("offset", OFFSETS)
+@pytest.mark.parametrize("offset", SAMPLE_OFFSETS)
 @pytest.mark.parametrize("split", [0.0, 1e-12, 1e-7, 1e-3])
 def test_near_several_resonances_at_once(split: float, offset: float) -> None:
     """A double frequency, and frequencies that nearly coincide, three of them."""
@@ -802,11 +806,11 @@ def test_near_resonances_with_different_damping() -> None:
     structure = Structure.from_matrices(
         *with_frequencies(omega), gap=np.eye(N)[:, :N_PAIRS], damping=ModalDamping(ratios)
     )
-    for offset in OFFSETS:
+    for offset in SAMPLE_OFFSETS:
         check_near_resonance(structure, 3, offset)
 
 
-@pytest.mark.parametrize("offset", OFFSETS)
+@pytest.mark.parametrize("offset", SAMPLE_OFFSETS)
 def test_near_a_resonance_of_the_damped_modes_alone(offset: float) -> None:
     """With few damped modes: LAPACK's solution of the dense system, which damping keeps regular."""
     structure = random_structure(ModalDamping([0.05, 0.02, 0.03, 0.1], 4))
@@ -855,7 +859,7 @@ def test_a_light_stiff_part_is_no_rigid_body() -> None:
     mass, own = 1e-9, 1e7
     stiffness = np.array([[1.0 + own, -own], [-own, own]])
     sensor = Structure.from_matrices(np.diag([1.0, mass]), stiffness, gap=[1.0, 0.0], damping=None)
-    compliance = dynamic_compliance(sensor, 0.5, 1)
+    compliance = make_compliance_model(sensor, 0.5, 1)
     assert compliance.matrices[:, 0, 0].real == pytest.approx([1.0, 1.0 / 0.75], rel=1e-6)
 
 

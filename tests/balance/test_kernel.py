@@ -39,15 +39,15 @@ from fenics_crack.balance import contact_system
 from fenics_crack.balance.contact_integrals import (
     CoupledIntegrals,
     ExactIntegrals,
-    respond,
-    respond_to_columns,
+    multiply_compliance_and_force,
+    multiply_compliance_and_tangent,
 )
 from fenics_crack.balance.contact_system import CompiledEquations
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER, BalanceEquations
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import ActiveSetSolver, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING, Linearisation, System
-from fenics_crack.numerics.fourier import evaluate, sample_period, to_complex
+from fenics_crack.numerics.fourier import evaluate_series, sample_period, to_complex
 from fenics_crack.numerics.newton import (
     PathPoint,
     point_on_path,
@@ -201,9 +201,13 @@ WRONG = {
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
     "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
-    "responses, other pairs": lambda: respond(np.ones((2, 3, 3)), np.ones((3, 2))),
-    "responses, an even number of rows": lambda: respond(np.ones((3, 2, 2)), np.ones((4, 2))),
-    "columns, an even number of rows": lambda: respond_to_columns(
+    "responses, other pairs": lambda: multiply_compliance_and_force(
+        np.ones((2, 3, 3)), np.ones((3, 2))
+    ),
+    "responses, an even number of rows": lambda: multiply_compliance_and_force(
+        np.ones((3, 2, 2)), np.ones((4, 2))
+    ),
+    "columns, an even number of rows": lambda: multiply_compliance_and_tangent(
         np.ones((3, 2, 2)), np.ones((2, 4, 5))
     ),
     "system, fewer stiffnesses": lambda: CompiledEquations(
@@ -278,16 +282,16 @@ def test_sets_are_those_of_every_instant(pairs: int, harmonics: int, seed: int) 
     theta = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 4000)
     distance = np.abs(theta[:, None] - intervals.theta).min(axis=1)
     theta = theta[distance > 1e-6]
-    _, expected = contact.solve(evaluate(gap, 1.0, theta))
+    _, expected = contact.solve(evaluate_series(gap, 1.0, theta))
     assert np.array_equal(closed_at(intervals, theta), expected)
     assert len(intervals.theta) > pairs
     # The forces on both sides of an event are the same: they vanish, or begin, there.
-    values = evaluate(gap, 1.0, intervals.theta[1:])
+    values = evaluate_series(gap, 1.0, intervals.theta[1:])
     before, after = (
         np.einsum("npq,nq->np", contact.invert_sets(sets), values)
         for sets in (intervals.closed[:-1], intervals.closed[1:])
     )
-    largest = np.abs(contact.solve(evaluate(gap, 1.0, theta))[0]).max()
+    largest = np.abs(contact.solve(evaluate_series(gap, 1.0, theta))[0]).max()
     assert np.abs(before - after).max() < 1e-9 * largest
 
 
@@ -318,7 +322,7 @@ def test_a_compliance_close_to_singular(stiffness: float) -> None:
     gap = random_gaps(6, 40, 1)
     intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 200)
-    values = evaluate(gap, 1.0, theta)
+    values = evaluate_series(gap, 1.0, theta)
     for value, closed in zip(values, closed_at(intervals, theta), strict=True):
         force = np.zeros(40)
         force[closed] = np.linalg.solve(compliance[np.ix_(closed, closed)], value[closed])
@@ -344,7 +348,7 @@ def test_contact_that_comes_and_goes_in_a_cell(depth: float) -> None:
     gaps = grazing_gaps(np.full(20, depth))
     phase = np.linspace(0.0, 2.0 * np.pi, 1 << 16, endpoint=False)
     for gap in gaps.T[:, :, None]:
-        wave = evaluate(gap, 1.0, phase)[:, 0]
+        wave = evaluate_series(gap, 1.0, phase)[:, 0]
         top = int(np.argmax(wave))
         width = phase[1] - phase[0]
         bend = (wave[top - 1] - 2.0 * wave[top] + wave[(top + 1) % len(wave)]) / width**2
@@ -387,7 +391,7 @@ def test_events_at_the_ends_of_cells(wave: str, harmonics: int) -> None:
         assert closed_for(intervals, 0) == pytest.approx(np.pi, abs=1e-12)
         assert closed_for(intervals, 1) == pytest.approx(np.pi, abs=1e-12)
         theta = np.linspace(0.1, 6.2, 37)
-        expected = evaluate(sign * gap, 1.0, theta) > 0.0
+        expected = evaluate_series(sign * gap, 1.0, theta) > 0.0
         assert np.array_equal(closed_at(intervals, theta), expected)
 
 
@@ -478,7 +482,7 @@ def integrals_by_scan(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     changes = np.flatnonzero((values > 0.0) != (np.roll(values, -1) > 0.0))
 
     def wave(theta: float) -> float:
-        return float(evaluate(gap, 1.0, np.array([theta]))[0])
+        return float(evaluate_series(gap, 1.0, np.array([theta]))[0])
 
     zeros = [
         scipy.optimize.brentq(wave, i * width, (i + 1) * width, xtol=1e-15, rtol=1e-15)
@@ -539,7 +543,7 @@ def test_respond_to_columns(harmonics: int, pairs: int, columns: int, seed: int)
         + 1j * np.where(np.arange(harmonics + 1) > 0, 1, 0)[:, None, None] * (matrices[1])
     )
     tangent = random.normal(size=(pairs, rows, columns))
-    found = respond_to_columns(matrices, tangent).reshape(rows, pairs, columns, pairs)
+    found = multiply_compliance_and_tangent(matrices, tangent).reshape(rows, pairs, columns, pairs)
     for pair in range(pairs):
         moved = np.einsum("kp,kc->kpc", matrices[:, :, pair], to_complex(tangent[pair]))
         assert np.allclose(found[0, :, :, pair], moved[0].real, rtol=0.0, atol=1e-12)
@@ -562,7 +566,9 @@ def test_equations_at_a_point(
     random = np.random.default_rng(seed)
     law = fc.UnilateralPenalty(random.uniform(0.5, 20.0, pairs))
     structure = chain(damping, pairs=pairs, seed=seed % 1000)
-    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
+    family = EQUATIONS_CLASS_BY_PARAMETER[name](
+        fc.Problem(structure, 0.83, law, harmonics), *RANGES[name]
+    )
     kernel = family.compiled_equations
     if damping == "matrix" and name in ("omega", "damping"):
         assert kernel is None  # it couples modes
@@ -586,7 +592,7 @@ def test_equations_at_a_point(
 def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
     """Compiled equations take the steps that those in Python take."""
     law = fc.UnilateralPenalty(stiffness)
-    family = BALANCE_EQUATIONS["omega"](
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](
         fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3
     )
     start = fc.solve_harmonic_balance(oscillator(0.02, 0.1), 2.0, law, harmonics=harmonics)
@@ -598,7 +604,7 @@ def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
 def test_path_of_a_chain(name: str) -> None:
     """With three pairs, in every family, by steps that are too long for some points."""
     structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    family = EQUATIONS_CLASS_BY_PARAMETER[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     first = family.problem_at(family.start)
     start = fc.solve_harmonic_balance(
         first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
@@ -643,7 +649,7 @@ def assert_same_path(
 def test_corrections(bordered: bool, min_damping: float | None) -> None:
     """From random guesses, far ones among them: found or not, the same."""
     law = fc.UnilateralPenalty(10.0)
-    family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
     start = fc.solve_harmonic_balance(oscillator(), 0.9, law, harmonics=4).gap_coefficients
     plane = tangent_of(family, start, family.linearise(start, 0.0)) if bordered else None
     random, outcomes = np.random.default_rng(3), []
@@ -669,7 +675,7 @@ def test_corrections(bordered: bool, min_damping: float | None) -> None:
 def test_undamped_resonance() -> None:
     """One error, as from Python."""
     structure = oscillator(None, 0.1)
-    family = BALANCE_EQUATIONS["omega"](
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](
         fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
     )
     with pytest.raises(fc.ConvergenceError, match="singular"):
@@ -680,7 +686,7 @@ def test_fold_and_value_between_two_points() -> None:
     """p(s) turns at t_p = 0, and takes the value asked for, on the path; the same from Python."""
     law = fc.UnilateralPenalty(1.0)
     structure = oscillator(0.02, 0.1)
-    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
     start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=10).gap_coefficients
     points = followed(
         family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 95
@@ -715,9 +721,9 @@ def assert_same_point(one: PathPoint, other: PathPoint) -> None:
 def test_largest_compliance(name: str) -> None:
     """Of random chains, at parameters in and out of the range."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    family = EQUATIONS_CLASS_BY_PARAMETER[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     for parameter in (-0.2, 0.0, 0.4, 1.0):
-        matrices = family.system(family.value(parameter)).compliance.matrices
+        matrices = family.system(family.value(parameter)).compliance_model.matrices
         expected = np.abs(matrices).sum(axis=2).max()
         assert family.compiled_equations.max_dynamic_row_sum(parameter) == pytest.approx(
             expected, rel=1e-12
@@ -738,7 +744,9 @@ def test_folds_of_a_stiff_curve() -> None:
     )
     for _ in growing:
         pass
-    family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](
+        fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3
+    )
     folds = growing.curve.bifurcations
     assert len(folds) == 16
     for fold in folds:
@@ -756,7 +764,7 @@ def test_path_of_many_unknowns() -> None:
     """144 unknowns, so that solutions take products with J: points and tangents are on the path,
     and each is where equations in Python, whose J is factored at every iteration, have one."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
     start = fc.solve_harmonic_balance(
         structure, 1.4, law, harmonics=24, residual_tolerance=1e-12
     ).gap_coefficients
@@ -784,7 +792,7 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
         damping=0.05 * np.eye(2), clearance=1.0,
     )  # fmt: skip
     law = fc.UnilateralPenalty(1.0)
-    family = BALANCE_EQUATIONS["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
     start = fc.solve_harmonic_balance(
         twins, 0.8, law, harmonics=25, residual_tolerance=1e-12
     ).gap_coefficients
@@ -811,7 +819,7 @@ def test_derivative_by_each_parameter(name: str) -> None:
     """dF/dp against central differences, along the whole range."""
     structure, (start, end) = two_masses(), RANGES[name]
     law = fc.UnilateralPenalty(np.array([3.0]))
-    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.9, law, 4), start, end)
+    family = EQUATIONS_CLASS_BY_PARAMETER[name](fc.Problem(structure, 0.9, law, 4), start, end)
     gap = np.random.default_rng(2).normal(size=(9, 1))
     for parameter in (0.0, 0.4, 1.0):
         exact = family.linearise(gap, parameter).by_parameter
@@ -827,7 +835,7 @@ def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     law = fc.UnilateralPenalty(0.5)
     alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
     assert alone.converged
-    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
     found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
     np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
@@ -847,7 +855,9 @@ def coupled_family(
     contact = fc.UnilateralConstraint() if law == "rigid" else fc.UnilateralPenalty(stiffness)
     whole = chain(damping, pairs=pairs, seed=seed % 1000)
     structure = fc.reduce_structure(whole, modes=modes, method="massless")
-    return BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name])
+    return EQUATIONS_CLASS_BY_PARAMETER[name](
+        fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name]
+    )
 
 
 def assert_same_equations(found: Linearisation, expected: Linearisation, right: np.ndarray) -> None:
@@ -919,7 +929,7 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
-    family = BALANCE_EQUATIONS["omega"](problem, 0.6, 0.45)
+    family = EQUATIONS_CLASS_BY_PARAMETER["omega"](problem, 0.6, 0.45)
     begun = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
     start = begun.slow_gap_coefficients
     ends = []

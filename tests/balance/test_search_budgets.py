@@ -9,8 +9,8 @@ import pytest
 from helpers import chain
 
 import fenics_crack as fc
-from fenics_crack.balance.assessment import distance
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.balance.assessment import relative_gap_distance
+from fenics_crack.numerics.fourier import evaluate_series
 
 RIGID = fc.UnilateralConstraint()
 
@@ -29,7 +29,7 @@ def test_the_orbit_of_a_search_is_error_and_verdict(plate: fc.Structure) -> None
     assert "orbit_prediction" not in vars(found.assessment)
     orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
     assert orbit is not None and stability.verdict != "undecided"
-    assert found.report.truncation == pytest.approx(distance(found, orbit), rel=1e-3)
+    assert found.report.truncation == pytest.approx(relative_gap_distance(found, orbit), rel=1e-3)
     assert abs(stability.multipliers[0]) == pytest.approx(abs(orbit.multipliers[0]), rel=1e-6)
 
 
@@ -74,7 +74,7 @@ def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyP
     rows = orbit.coefficients(200).displacement
     time = np.linspace(0.0, orbit.period, 50)
     moved = orbit.displacement_at(time)
-    away = np.abs(evaluate(rows, orbit.omega, time) - moved).max()
+    away = np.abs(evaluate_series(rows, orbit.omega, time) - moved).max()
     assert away <= 1e-3 * np.abs(moved).max()
 
 

@@ -30,11 +30,11 @@ from fenics_crack.curves.branch import branch_start
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
-    MultiplierControl,
+    MultiplierStepControl,
     count_changes,
     leading_multipliers_and_counts,
 )
-from fenics_crack.curves.orbits import Orbits
+from fenics_crack.curves.orbits import OrbitEquations
 from fenics_crack.curves.stability import monodromy_of_linear_flow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import exact_flow_or_error
@@ -78,7 +78,7 @@ def followed(
     problem: fc.Problem, parameter: str, start: float, end: float, step: float = 0.05
 ) -> Continuation:
     """The curve from its start on."""
-    first = orbit_at(Orbits(problem, parameter, start, end).problem_at(start))
+    first = orbit_at(OrbitEquations(problem, parameter, start, end).problem_at(start))
     path = Continuation(
         problem,
         parameter,
@@ -121,10 +121,10 @@ def stop() -> Continuation:
 def test_derivatives(parameter: str, damping: str) -> None:
     """dF/dx and dF/dp against central differences, through openings and closings."""
     problem = fc.Problem(chain(damping), 1.3, fc.UnilateralPenalty(5.0))
-    family = Orbits(problem, parameter, *RANGES[parameter])
+    family = OrbitEquations(problem, parameter, *RANGES[parameter])
     unknown, place, step = np.random.default_rng(1).normal(size=family.shape), 0.37, 1e-5
     at = family.linearise(unknown, place)
-    assert at.events > 2
+    assert at.n_events > 2
     assert at.residual == pytest.approx(family.advance_unknown(unknown, place) - unknown, abs=1e-11)
 
     def difference(dx: np.ndarray, dp: float) -> np.ndarray:
@@ -147,7 +147,7 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     problem = fc.Problem(chain(), 1.3, fc.UnilateralPenalty(5.0))
     path = followed(problem, parameter, *RANGES[parameter], 0.1)
     assert path.complete and path.progress() == 1.0
-    family = Orbits(problem, parameter, *RANGES[parameter])
+    family = OrbitEquations(problem, parameter, *RANGES[parameter])
     last, there, state = path.points[-1], family.problem_at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
     orbit = find_orbit(
@@ -162,7 +162,7 @@ def test_over_the_speed_of_a_rotor() -> None:
     whole = fc.build_structure(cracked(600.0, -250.0), MPI.COMM_SELF)
     spinning = fc.run_up_structure(whole, 560.0, 640.0, 4).at_speed(600.0)
     problem = fc.Problem(spinning, 12 * 600.0, fc.UnilateralConstraint())
-    family = Orbits(problem, "speed", 560.0, 640.0)
+    family = OrbitEquations(problem, "speed", 560.0, 640.0)
     orbit = orbit_at(family.problem_at(600.0))
     assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
@@ -205,11 +205,11 @@ def test_without_contact() -> None:
 
 def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     """M of each point is that of the equations there."""
-    family = Orbits(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
+    family = OrbitEquations(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
     start = point_on_path(family, stop.points[0].unknown, 0.0)
     seen: list[np.ndarray] = []
 
-    class Watched(MultiplierControl):
+    class Watched(MultiplierStepControl):
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
             seen.append(points.step_control_values[-1])
             return np.zeros(len(points) - 1 - first, dtype=bool)
@@ -226,14 +226,14 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
 def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
     """A path consists of the points up to each step that is too long, and of no others; the next
     steps are at most half as long, and twice that where none was too long."""
-    family = Orbits(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
+    family = OrbitEquations(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
     start = point_on_path(family, stop.points[0].unknown, 0.0)
     longest_step = 0.02
     kept_points = [np.zeros(1)]
     kept_at_once: list[int] = []
     step_ratios: list[float] = []
 
-    class ShortBehind(MultiplierControl):
+    class ShortBehind(MultiplierStepControl):
         bound = longest_step
 
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
@@ -267,10 +267,10 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
     )  # fmt: skip
     problem = fc.Problem(twins, 0.8, fc.UnilateralPenalty(1.0))
     begin = followed(problem, "omega", 0.8, 0.81).points[0].unknown
-    family = Orbits(problem, "omega", 0.8, 1.5)
+    family = OrbitEquations(problem, "omega", 0.8, 1.5)
     crossings: list[list[float]] = []
 
-    class OnceBesideCrossing(MultiplierControl):
+    class OnceBesideCrossing(MultiplierStepControl):
         is_done = False
 
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
@@ -396,7 +396,7 @@ def test_branch_of_twice_the_period(stop: Continuation) -> None:
 def test_no_branch_of_twice_the_period_from_a_fold(stop: Continuation) -> None:
     """Where no multiplier is -1 there is none."""
     problem = fc.Problem(two_masses(), 0.6, LAW, 10, subharmonic=2)
-    doubled = Orbits(problem, "omega", 0.6, 0.9)
+    doubled = OrbitEquations(problem, "omega", 0.6, 0.9)
     curve = stop.curve
     fold = curve.bifurcation("period_doubling", 0.6, 0.6, curve.points[0])
     with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
@@ -477,7 +477,7 @@ def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ..
     points: Any = SimpleNamespace(
         step_control_values=observed, records=records, chord_lengths=np.array(lengths)
     )
-    assert tuple(MultiplierControl(1.0).mark_rejected_steps(points)) == expected
+    assert tuple(MultiplierStepControl(1.0).mark_rejected_steps(points)) == expected
 
 
 def test_several_changes_are_parted_below_the_floor() -> None:
@@ -487,7 +487,7 @@ def test_several_changes_are_parted_below_the_floor() -> None:
     points: Any = SimpleNamespace(
         step_control_values=observed, records=records, chord_lengths=lengths
     )
-    assert MultiplierControl(1.0).mark_rejected_steps(points).tolist() == [True]
+    assert MultiplierStepControl(1.0).mark_rejected_steps(points).tolist() == [True]
 
 
 # --- the linear flow of smooth laws ---------------------------------------------------------------
@@ -507,7 +507,7 @@ def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
         if residual is not None:  # d lambda / ds of lambda = h(s - R lambda)
             slope = slope @ np.linalg.inv(unit + residual @ slope)
         push = modes.squares[:, None] * moved[:n] + damping @ moved[n:]
-        push += modes.pairs @ (slope @ (modes.pairs.T @ moved[:n]))
+        push += modes.gaps_by_mode @ (slope @ (modes.gaps_by_mode.T @ moved[:n]))
         return np.concatenate([moved[n:], -push]).ravel()
 
     run = solve_ivp(

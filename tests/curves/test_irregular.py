@@ -40,7 +40,7 @@ def test_disturbance_grows_as_two_motions_part() -> None:
     states.append(states[0] * (1.0 + 1e-10 * np.random.default_rng(2).normal(size=flow.size)))
     apart = []
     for _ in range(11):
-        apart.append(np.linalg.norm(flow.weights(OMEGA) * (states[1] - states[0])))
+        apart.append(np.linalg.norm(flow.energy_weights(OMEGA) * (states[1] - states[0])))
         states = [flow.advance(state, OMEGA, solution.period).state for state in states]
     rate = np.log(apart[10] / apart[1]) / 9
     assert rate == pytest.approx(np.log(motion.growth), rel=0.4)

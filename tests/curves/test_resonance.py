@@ -10,7 +10,7 @@ from rotating import CRACKED, cracked
 
 import fenics_crack as fc
 from fenics_crack import InputError, Problem, follow_resonance, resonance_at
-from fenics_crack.curves.resonance import ResonanceSystem, first_resonance
+from fenics_crack.curves.resonance import ResonanceSystem, first_phase_resonance
 
 
 def mass(
@@ -55,7 +55,7 @@ def test_bilinear_mass(stiffness: float, ratio: float) -> None:
 def test_newton_step_against_differences() -> None:
     """A step by the linearised equations changes the residual by their right-hand side."""
     problem = Problem(mass(0.05, clearance=0.3), 1.0, fc.UnilateralPenalty(1.0), 6)
-    point = first_resonance(problem, 1.0)
+    point = first_phase_resonance(problem, 1.0)
     system = ResonanceSystem(point.problem, point.drive, point.contact_point)
     rng, width = np.random.default_rng(4), 1e-6
     unknown = point.unknown * (1.0 + 0.05 * rng.normal(size=system.shape))  # not a solution

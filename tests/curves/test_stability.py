@@ -142,7 +142,7 @@ def test_solution_far_away_from_its_orbit() -> None:
     names = ("displacement_coefficients", "gap_coefficients", "force_coefficients")
     wrong = replace(solution, **{name: 1.28 * getattr(solution, name) for name in names})
     assert wrong.assessment is not solution.assessment
-    assert wrong.assessment.errors() == pytest.approx((0.28, 0.28), rel=1e-4)
+    assert wrong.assessment.gap_and_load_errors() == pytest.approx((0.28, 0.28), rel=1e-4)
     found = floquet(structure, wrong)
     assert floquet(structure, solution).verdict == "stable" and found.verdict == "undecided"
     assert "which is stable, is 28 % away where 22 % was predicted" in found.reason

@@ -173,7 +173,7 @@ def write_nastran(folder: Path) -> dict[str, str]:
             bulk.append(f"GRID    {label:8}{'':8}{x:8.3f}{y:8.3f}{1e3 * z:6.3f}-3")
         else:
             bulk += [f"GRID*   {label:16}{'':16}{x:16.9f}{y:16.9f}", f"*       {z:16.9f}"]
-    for number, cell in enumerate(model.labels[model.cells[12]], 1):
+    for number, cell in enumerate(model.labels[model.cells_by_vtk_type[12]], 1):
         first, last = ("".join(f"{n:8}" for n in part) for part in (cell[:6], cell[6:]))
         bulk += [f"CHEXA   {number:8}{1:8}{first}+", f"+       {last}"]
     (folder / "plate.bdf").write_text("\n".join([*bulk, "ENDDATA"]) + "\n")
@@ -189,7 +189,7 @@ def write_ansys(folder: Path) -> dict[str, str]:
         shown = point[: 1 + max(np.flatnonzero(point), default=-1)]  # zeros at the end are left out
         lines.append(f"{label:9}{0:9}{0:9}" + "".join(f"{x:21.13E}" for x in shown))
     lines += ["N,R5.3,LOC,       -1,", f"EBLOCK,19,SOLID,{4:9},{4:9}", "(19i9)"]
-    for number, cell in enumerate(model.labels[model.cells[12]].tolist(), 1):
+    for number, cell in enumerate(model.labels[model.cells_by_vtk_type[12]].tolist(), 1):
         row = [1, 1, 1, 1, 0, 0, 0, 0, 8, 0, number, *cell]
         lines.append("".join(f"{x:9}" for x in row))
     (folder / "plate.cdb").write_text("\n".join([*lines, f"{-1:9}", "FINISH"]) + "\n")
@@ -500,7 +500,7 @@ def test_nodes_of_nastran_in_the_order_of_vtk(card: str, tmp_path: Path) -> None
     rows = [fields[:9], *([""] + fields[k : k + 8] for k in range(9, len(fields), 8))]
     (tmp_path / "one.bdf").write_text("\n".join([*lines, *map(",".join, rows)]) + "\n")
     model = read_model(tmp_path / "one.bdf")
-    ((cell,),) = model.cells.values()
+    ((cell,),) = model.cells_by_vtk_type.values()
     found = model.points[cell]
     n = len(corners)
     np.testing.assert_allclose(found[:n], corners)
@@ -549,8 +549,8 @@ def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
     ]
     (tmp_path / "all.inp").write_text("\n".join([*text, "*Include, input=cells.inc"]) + "\n")
     model = read_model(tmp_path / "all.inp")
-    assert list(model.cells) == [25]
-    np.testing.assert_array_equal(model.cells[25], [range(20)])
+    assert list(model.cells_by_vtk_type) == [25]
+    np.testing.assert_array_equal(model.cells_by_vtk_type[25], [range(20)])
     np.testing.assert_array_equal(model.points[-1], [1.0, 2.0, 0.0])
 
 
@@ -583,7 +583,7 @@ def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
         f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
     )
     found, wanted = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
-    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    np.testing.assert_array_equal(found.cells_by_vtk_type[12], wanted.cells_by_vtk_type[12])
 
 
 def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
@@ -591,13 +591,13 @@ def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
     write_ansys(tmp_path)
     path = tmp_path / "plate.cdb"
     wanted = read_model(path)
-    label = wanted.labels[wanted.cells[12][0, :4]].tolist()
+    label = wanted.labels[wanted.cells_by_vtk_type[12][0, :4]].tolist()
     surface = "".join(f"{x:9}" for x in [1, 2, 1, 1, 0, 0, 0, 0, 4, 0, 99, *label])
     text = path.read_text().replace("/PREP7", "/PREP7\nET,1,185\nET, 2, SURF154")
     path.write_text(text.replace(f"{-1:9}\nFINISH", f"{surface}\n{-1:9}\nFINISH"))
     found = read_model(path)
-    assert list(found.cells) == [12]
-    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    assert list(found.cells_by_vtk_type) == [12]
+    np.testing.assert_array_equal(found.cells_by_vtk_type[12], wanted.cells_by_vtk_type[12])
     path.write_text(path.read_text().replace("ET,1,185", "ET,1,SHELL181"))
     with pytest.raises(ValueError, match="none of its elements, of types 154, 181, is a solid"):
         read_model(path)

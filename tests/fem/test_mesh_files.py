@@ -141,7 +141,7 @@ def test_lips_of_the_plugin(
     structure = build_structure(scene)
     rough = 1e-3 if name == "arc" else 1e-9
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=rough)
-    [lip] = build_mesh(scene, MPI.COMM_SELF).crack_geometries
+    [lip] = build_mesh(scene, MPI.COMM_SELF).crack_paths_or_surfaces
     assert lip.has_mouth == _on_edge(*CURVES[name][0])
     elements = len(lip.points) - 1
     assert structure.n_pairs == elements * order - (not lip.has_mouth)

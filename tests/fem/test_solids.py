@@ -29,7 +29,12 @@ from fenics_crack import InputError, Scene
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import function_space
-from fenics_crack.fem.cracks import FACETS, Cells, find_crack_surfaces, split_cracks
+from fenics_crack.fem.cracks import (
+    FACET_CORNERS_BY_CORNER_COUNT,
+    Cells,
+    find_crack_surfaces,
+    split_cracks,
+)
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import find_coincident_nodes
 from fenics_crack.fem.msh_file import cells_of_kind
@@ -164,7 +169,7 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
-    cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
+    cells = Cells(CUBES, FACET_CORNERS_BY_CORNER_COUNT[8], np.eye(8, dtype=bool))
     nodes, twins, lips = split_cracks(cells, np.array([[4, 5, 7, 6]]), places)
     (crack,) = find_crack_surfaces(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
@@ -187,7 +192,7 @@ def test_a_surface_on_the_outside_is_refused() -> None:
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
-    cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
+    cells = Cells(CUBES, FACET_CORNERS_BY_CORNER_COUNT[8], np.eye(8, dtype=bool))
     with pytest.raises(InputError, match="1 of the 1 facets of cracks not between cells"):
         split_cracks(cells, np.array([[0, 1, 3, 2]]), places)
 
@@ -282,7 +287,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
     )
     assert len(twins) > 5 and found.has_mouth == (shape != "inside")
-    corners = nodes[:, FACETS[4]].reshape(-1, 3)
+    corners = nodes[:, FACET_CORNERS_BY_CORNER_COUNT[4]].reshape(-1, 3)
     _, first, uses = np.unique(
         np.sort(corners, axis=1), axis=0, return_index=True, return_counts=True
     )

@@ -489,7 +489,7 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
     del eigensolutions[:]
     for varied, factor in ((structure, 1.0), (half, 0.5), (none, 0.0), (other, 1.0)):
         found = all_modes(varied)
-        assert found.shapes is first.shapes and found.pairs is first.pairs
+        assert found.shapes is first.shapes and found.gaps_by_mode is first.gaps_by_mode
         expected = factor * found.shapes.T @ matrix @ found.shapes
         inside = np.diag(found.damping) if found.damping.ndim == 1 else found.damping
         np.testing.assert_allclose(inside, expected, atol=1e-10)
@@ -663,7 +663,7 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
     load = structure.force[1] @ modes.shapes
     shape = modes.respond(receptance[0], load + 0j)
-    linear = shape @ modes.pairs + structure.force[1] @ modes.massless_pair_responses
+    linear = shape @ modes.gaps_by_mode + structure.force[1] @ modes.massless_pair_responses
     return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
 
 

@@ -17,11 +17,17 @@ from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.attractors import find_attractor
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, exact_flow_or_none
+from fenics_crack.motion.flow import (
+    Budget,
+    ContactFlow,
+    IntegratedMotion,
+    Track,
+    exact_flow_or_none,
+)
 from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
-from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.fourier import evaluate, fourier_basis, fourier_coefficients
+from fenics_crack.motion.shooting import FlowOrbitEquations
+from fenics_crack.numerics.fourier import evaluate_series, fourier_basis, fourier_coefficients
 
 RIGID = fc.UnilateralConstraint()
 
@@ -52,7 +58,7 @@ def thrown(flow: ContactFlow, seed: int = 0) -> np.ndarray:
     )
 
 
-def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
+def energy(flow: ContactFlow, motion: IntegratedMotion) -> np.ndarray:
     """Of modes, springs and static compliance at the samples."""
     samples = motion.samples
     shape, rate = np.split(samples.states, 2, axis=1)
@@ -90,7 +96,7 @@ def test_against_the_reference(
     assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + grown)
     assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + grown)
     assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + grown)
-    assert motion.events == len(passage.pieces) - 1
+    assert motion.n_events == len(passage.pieces) - 1
     assert motion.samples.gap[motion.samples.is_closed].min(initial=0.0) >= 0.0
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
 
@@ -103,7 +109,7 @@ def test_a_stop_far_stiffer_than_the_modes() -> None:
     flow = known(structure, fc.UnilateralPenalty(stop))
     inside, outside = np.pi / np.sqrt(1.0 + stop), np.pi
     motion = flow.advance(np.array([0.0, -1.0]), 1.0, 5.0 * outside + 4.5 * inside)
-    assert motion.events == 9 and motion.n_taylor_pieces < 40
+    assert motion.n_events == 9 and motion.n_taylor_pieces < 40
     assert motion.state == pytest.approx([1.0 / np.sqrt(1.0 + stop), 0.0], abs=1e-12)
 
 
@@ -119,7 +125,7 @@ def test_energy(light: bool) -> None:
     period = 2.0 * np.pi / np.sqrt(flow.modal_model.squares[0])
     instants = np.linspace(0.0, 20.0 * period, 500)
     motion = flow.advance(thrown(flow), 1.0, 20.0 * period, instants=instants)
-    assert motion.events > 500
+    assert motion.n_events > 500
     held = energy(flow, motion)
     assert np.abs(held / held[0] - 1.0).max() < 1e-11
 
@@ -173,7 +179,7 @@ def test_grazing(missed: float) -> None:
     flow = known(structure, fc.UnilateralPenalty(3.0))
     instants = np.linspace(0.0, 2.0 * np.pi, 9)
     motion = flow.advance(np.array([-1.0, 0.0]), 1.0, 2.0 * np.pi, instants=instants)
-    assert motion.events == 2 if missed > 1e-12 else motion.events % 2 == 0
+    assert motion.n_events == 2 if missed > 1e-12 else motion.n_events % 2 == 0
     depth = max(missed, 0.0)
     speed = np.sqrt(depth * (2.0 - depth))  # there; the motion then runs back in time
     late = np.arctan2(2.0 * speed, 1.0 - depth) - 2.0 * np.arcsin(speed)
@@ -199,7 +205,7 @@ def test_equal_structures_side_by_side() -> None:
         rest = flow.state(np.tile(np.linspace(-1, 1, 10), copies), np.zeros(structure.n_dofs))
         motions.append((flow, flow.advance(rest, 0.7, 18.0, instants=np.array([18.0]))))
     (_, first), (_, second) = motions
-    assert second.events <= 2 * first.events and len(second.track.lengths) <= 3 * first.events
+    assert second.n_events <= 2 * first.n_events and len(second.track.lengths) <= 3 * first.n_events
     moved, twice = first.samples.displacement[0], second.samples.displacement[0]
     assert relative(twice, np.tile(moved, 2)) < 1e-11
 
@@ -223,7 +229,7 @@ def test_almost_equal_structures() -> None:
         rest = np.resize(np.linspace(-1, 1, 10), structure.n_dofs)
         motion = flow.advance(flow.state(rest, 0.0 * rest), 0.7, 18.0)
         to_dofs = np.kron(np.eye(2), flow.modal_model.shapes)
-        motions.append((motion.events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
+        motions.append((motion.n_events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
     (events, tangent), *parts = motions
     assert events == sum(part[0] for part in parts) > 20
     for number, (_, expected) in enumerate(parts):
@@ -254,7 +260,7 @@ def test_motions_do_not_depend_on_earlier_ones(
             flow.advance(thrown(flow, seed), 0.3 + 0.1 * seed, 40.0)
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
         step = predict_orbit(flow, 0.5, wave_states(flow, displacement, 0.5))
-        assert motion.events > 40 and step is not None
+        assert motion.n_events > 40 and step is not None
         return motion.state, motion.track.lengths, motion.track.tangent, step.states
 
     expected = found(busy=False)
@@ -273,7 +279,7 @@ def test_answers_of_sets(pairs: int) -> None:
     instants = np.linspace(0.0, 30.0, 200)
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
-        samples.states[:, : flow.size // 2] @ flow.modal_model.pairs
+        samples.states[:, : flow.size // 2] @ flow.modal_model.gaps_by_mode
         + fourier_basis(omega * instants) @ flow.load_gap
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
@@ -291,7 +297,7 @@ def test_rest_stays() -> None:
     """No load, and pairs that touch: nothing moves, nothing happens."""
     flow = known(oscillator(force=0.0), fc.UnilateralPenalty(1.0))
     motion = flow.advance(np.zeros(2), 1.0, 100.0)
-    assert not motion.state.any() and motion.events == 0
+    assert not motion.state.any() and motion.n_events == 0
     pressed = chain(seed=1).varied(load=0.0, clearance=-1.0)
     flow = known(fc.reduce_structure(pressed, modes=5, method="massless"), RIGID)
     force = flow.advance(np.zeros(flow.size), 1.0, 0.1, instants=np.zeros(1)).samples.force
@@ -303,15 +309,15 @@ def test_budget() -> None:
     flow = known(chain(), fc.UnilateralPenalty(50.0))
     for call, words in (
         (
-            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(intervals=20)),
+            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(allowed_intervals=20)),
             "open and close without end",
         ),
         (
-            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(pieces=20)),
+            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(allowed_pieces=20)),
             "too fast for that long",
         ),
         (
-            lambda: flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(intervals=20)),
+            lambda: flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(allowed_intervals=20)),
             "too fast for that long",
         ),
         (lambda: flow.advance(np.full(flow.size, np.nan), 0.8, 1e3), "not finite"),
@@ -361,7 +367,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
     lengths = turns * turn / flow.rate_bound
-    expected, pairs = np.eye(flow.size), flow.modal_model.pairs
+    expected, pairs = np.eye(flow.size), flow.modal_model.gaps_by_mode
     for closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, closed]
         pushed = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], rows.T)
@@ -391,7 +397,7 @@ def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
 def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
     """Of the gaps over the period, relative to what moves of B^T u."""
     time = np.arange(512) * solution.period / 512
-    slow = evaluate(solution.slow_gap_coefficients, solution.base_omega, time)
+    slow = evaluate_series(solution.slow_gap_coefficients, solution.base_omega, time)
     size = size_of_motion(slow + solution.structure.clearance)
     return float(np.linalg.norm(solution.gap(time) - orbit.gap_at(time)) / size)
 
@@ -471,7 +477,7 @@ def test_by_omega() -> None:
     flow, omega, step = exact_flow_or_none(light_chain(1), RIGID), 0.5, 1e-5
     orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
     here, after, before = (one for one in orbits if one is not None)
-    system = FlowOrbits(flow, omega, here.state)
+    system = FlowOrbitEquations(flow, omega, here.state)
     at = system.linearise(system.start_unknown, 1.0)
     slope = -at.solve(at.by_parameter) / (system.scale * omega)
     assert relative(slope, (after.state - before.state) / (2.0 * step)) < 1e-5
@@ -480,7 +486,7 @@ def test_by_omega() -> None:
 def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
-    orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 40)
+    orbits = FlowOrbitEquations(flow, 0.614, np.zeros(flow.size), 40)
     found = find_attractor(orbits, orbits.start_unknown)
     assert found.description == "settles to an orbit of 160 periods of the load"
     assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
@@ -500,7 +506,7 @@ def test_coefficients(light: bool) -> None:
     assert relative(found.displacement, fourier_coefficients(orbit.displacement_at(time), 6)) < 1e-6
     many = orbit.coefficients(400)
     assert relative(found.displacement, many.displacement[:13]) < 1e-12
-    assert relative(orbit.gap_at(time[::64]), evaluate(many.gap, 0.6, time[::64])) < 1e-3
+    assert relative(orbit.gap_at(time[::64]), evaluate_series(many.gap, 0.6, time[::64])) < 1e-3
 
 
 def test_open_crack() -> None:

@@ -11,7 +11,7 @@ from helpers import ROOT
 from motion.test_friction import RIGID
 
 import fenics_crack as fc
-from fenics_crack.balance.assessment import distance
+from fenics_crack.balance.assessment import relative_gap_distance
 
 pytestmark = pytest.mark.nightly
 
@@ -57,6 +57,6 @@ def test_random_plates(part: int) -> None:
             ratios.append((time.process_time() - begun - free) / free)
         if not wave.report.unknown:
             parts = wave.report.truncation, wave.report.sampling, wave.report.residual
-            stated.append(distance(wave, found.orbit) / sum(parts))
+            stated.append(relative_gap_distance(wave, found.orbit) / sum(parts))
     assert max(stated) <= 2.0 and len(stated) >= 5
     assert np.median(ratios) <= 12.0

@@ -7,7 +7,7 @@ import pytest
 
 import fenics_crack as fc
 from fenics_crack.balance.friction_integrals import FrictionIntegrals
-from fenics_crack.model.contact import CoulombFriction, FrictionSets
+from fenics_crack.model.contact import CoulombFriction, FrictionContactSolver
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.numerics.fourier import sample_period
@@ -85,7 +85,7 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
     period = 2.0 * np.pi / omega
     start = flow.advance(np.zeros(flow.size), omega, 3.0 * period).state
     motion = flow.advance(start, omega, period)
-    assert motion.events > 2
+    assert motion.n_events > 2
     draw = np.random.default_rng(1)
     stuck = motion.track.sets[0] == 1
     for _ in range(3):
@@ -187,7 +187,7 @@ def test_marches_of_one_step_or_many() -> None:
     """The forces of instants by one march, and by marches that follow each other, are the same."""
     draw = np.random.default_rng(8)
     root = draw.normal(size=(6, 6))
-    sets = FrictionSets(root @ root.T / 6.0 + np.eye(6), 0.5)
+    sets = FrictionContactSolver(root @ root.T / 6.0 + np.eye(6), 0.5)
     gaps, held = draw.normal(size=(200, 6)), np.zeros(3)
     whole = sets.solve(gaps, held)[:3]
     for instant, gap in enumerate(gaps):
@@ -208,7 +208,7 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
     forces, states, places, _ = own.march(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
-    again = own.set_solver.solve(gap, places[-1])[0]
+    again = own.friction_contact_solver.solve(gap, places[-1])[0]
     assert again == pytest.approx(forces, abs=1e-10)
-    short = own.set_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
+    short = own.friction_contact_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
     assert np.abs(short - forces).max() > 0.01

@@ -31,6 +31,6 @@ def test_pairs_that_stick_all_the_time(share: float) -> None:
         assert orbit is not None and orbit.stuck.tolist() == list(range(16))
         modal = orbit.sampled.states[:, : flow.n_modes] @ structure.basis[whole.watched_dof]
         tips.append(float(np.ptp(modal)))
-        places.append(orbit.sampled.places[0])
+        places.append(orbit.sampled.sticking_places[0])
     assert tips == pytest.approx([tips[0]] * 3, rel=1e-9)
     assert np.abs(places[0] - places[2]).max() > 1e-3 * np.abs(places[0]).max()

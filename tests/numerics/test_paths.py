@@ -13,10 +13,10 @@ import pytest
 from helpers import chain, relative
 
 import fenics_crack as fc
-from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
+from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import find_orbit
-from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import DenseLinearisation
 from fenics_crack.numerics.newton import (
     PathPoint,
@@ -245,7 +245,7 @@ def test_equations_of_a_path(light: bool) -> None:
         structure, contact = fc.reduce_structure(structure, modes=6, method="massless"), RIGID
     flow = exact_flow_or_none(structure, contact)
     settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
-    system, step = FlowOrbits(flow, 0.6, settled), 1e-6
+    system, step = FlowOrbitEquations(flow, 0.6, settled), 1e-6
     x = 1.05 * system.start_unknown
     at = system.linearise(x, 1.02)
     moved = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
@@ -301,7 +301,7 @@ def test_rounding_does_not_grow_with_the_stiffness() -> None:
     sharp = []
     for law in (fc.UnilateralPenalty(0.1), fc.UnilateralPenalty(1e20), fc.UnilateralConstraint()):
         problem = fc.Problem(structure.varied(damping=1e-4), first, law, 5)  # in resonance
-        family = BALANCE_EQUATIONS["omega"](problem, 0.99 * first, 1.01 * first)
+        family = EQUATIONS_CLASS_BY_PARAMETER["omega"](problem, 0.99 * first, 1.01 * first)
         sharp.append(family.rounding(0.5))
     assert sharp[1:] == pytest.approx(sharp[2] * np.ones(2)) and sharp[0] < sharp[2] < 1e-7
 

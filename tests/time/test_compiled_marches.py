@@ -88,13 +88,13 @@ def test_central_differences(dofs: int, pairs: int, damping: str, rigid: bool, s
 def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
     """States and forces, by matrices of the whole flow."""
     modes = flow.modal_model
-    count, pairs = modes.pairs.shape
+    count, pairs = modes.gaps_by_mode.shape
     damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
     whole = np.zeros((2 * count + pairs,) * 2)
     whole[:count, count : 2 * count] = np.eye(count)
     whole[count : 2 * count, :count] = -np.diag(modes.squares)
     whole[count : 2 * count, count : 2 * count] = -damping
-    whole[count : 2 * count, 2 * count :] = modes.pairs
+    whole[count : 2 * count, 2 * count :] = modes.gaps_by_mode
     found = scipy.linalg.expm(flow.step_size * whole)
     moved, pushed = found[: 2 * count, : 2 * count], 0.5 * found[: 2 * count, 2 * count :]
     rows, static = flow.gap_rows, flow.residual_flexibility + np.diag(flow.softness)
@@ -171,7 +171,7 @@ def test_no_step_is_too_long(
     for count in {1, structure.n_pairs}:
         closed = np.arange(structure.n_pairs) < count
         flow = ExponentialFlow(structure, 2000.0, law, 4)
-        squares, pairs = flow.modal_model.squares, flow.modal_model.pairs
+        squares, pairs = flow.modal_model.squares, flow.modal_model.gaps_by_mode
         soft = flow.residual_flexibility + np.diag(flow.softness)
         rest = -(pairs @ closed) / squares  # under unit forces of the closed pairs
         pressed = rest @ pairs - soft @ closed + 1e9 * np.abs(rest @ pairs).max() * ~closed

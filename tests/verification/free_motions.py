@@ -26,7 +26,7 @@ def free_frequency(
     rest."""
     modes = all_modes(structure)
     motion, omega = np.zeros((harmonics + 1, len(modes.squares))), float(np.sqrt(modes.squares[0]))
-    motion[1, 0] = np.sqrt(2.0 * energy) / omega * np.copysign(1.0, -modes.pairs[0].sum())
+    motion[1, 0] = np.sqrt(2.0 * energy) / omega * np.copysign(1.0, -modes.gaps_by_mode[0].sum())
     share, reached, rise = SOFT, SOFT, 2.0
     while True:
         found = _newton(modes, law.scaled(share), structure.clearance, energy, motion, omega)
@@ -56,26 +56,28 @@ def _newton(
     orders, rows = np.arange(kept)[:, None], np.maximum(2 * np.arange(kept) - 1, 0)
     scale = 1.0 / (modes.squares + (orders * omega) ** 2)
     for _ in range(STEPS):
-        gap = np.zeros((2 * kept - 1, modes.pairs.shape[1]))
-        gap[rows] = motion @ modes.pairs
+        gap = np.zeros((2 * kept - 1, modes.gaps_by_mode.shape[1]))
+        gap[rows] = motion @ modes.gaps_by_mode
         gap[0] -= clearance
         at = integrals.linearise(gap)
         tangent = at.tangent[:, rows[:, None], rows]
         first, stiff = motion.sum(axis=0), modes.squares - (orders * omega) ** 2
-        reached, whole = first @ modes.pairs - clearance, np.linalg.norm(motion)
+        reached, whole = first @ modes.gaps_by_mode - clearance, np.linalg.norm(motion)
         push = law.force(reached)
         at_rest = 0.5 * (modes.squares @ first**2 + push @ np.maximum(reached, 0.0))
-        left = scale * (stiff * motion + at.force[rows] @ modes.pairs.T) / whole
+        left = scale * (stiff * motion + at.force[rows] @ modes.gaps_by_mode.T) / whole
         right = np.append(left.ravel(), at_rest / energy - 1.0)
         if np.linalg.norm(right) < 1e-12:
             strain = motion[1:] ** 2 @ modes.squares
             return (motion, omega) if strain[0] > 0.25 * strain.sum() else None
         matrix = np.zeros((len(right), len(right)))
-        coupled = np.einsum("ip,pkl,jp->kilj", modes.pairs, tangent, modes.pairs)
+        coupled = np.einsum("ip,pkl,jp->kilj", modes.gaps_by_mode, tangent, modes.gaps_by_mode)
         matrix[:-1, :-1] = coupled.reshape(size, size) + np.diag(stiff.ravel())
         matrix[:-1, :-1] *= scale.ravel()[:, None]
         matrix[:-1, -1] = (-2.0 * omega**2 * scale * orders**2 * motion).ravel() / whole
-        matrix[-1, :-1] = np.tile(modes.squares * first + modes.pairs @ push, kept) * whole / energy
+        matrix[-1, :-1] = (
+            np.tile(modes.squares * first + modes.gaps_by_mode @ push, kept) * whole / energy
+        )
         step = np.linalg.solve(matrix, right)
         motion = motion - whole * step[:-1].reshape(motion.shape)
         omega *= 1.0 - float(step[-1])
