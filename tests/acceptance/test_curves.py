@@ -53,10 +53,10 @@ def test_resonance_beside_a_steady_load(mean: float, asked: dict[str, Any]) -> N
     """Ten to a thousand times the vibration, off a stop or onto it: steps are parts of what
     moves, and peak and damping are the mode's."""
     ratio, natural_omega = 1e-3, 1.0 if mean <= 0.0 else np.sqrt(2.0)
-    unit_matrix, damping = np.ones((1, 1)), 2.0 * ratio * natural_omega
+    unit, damping = np.ones((1, 1)), 2.0 * ratio * natural_omega
     structure = fc.Structure.from_matrices(
-        unit_matrix, unit_matrix, gap=unit_matrix, force_cos=[1.0], force_mean=[mean],
-        damping=damping * unit_matrix, clearance=0.0 if mean else 1e3,
+        unit, unit, gap=unit, force_cos=[1.0], force_mean=[mean],
+        damping=damping * unit, clearance=0.0 if mean else 1e3,
     )  # fmt: skip
     curve = fc.continue_frequency(
         structure, 0.5 * natural_omega, 1.6 * natural_omega, SOFT, **asked
@@ -289,14 +289,9 @@ def test_to_no_damping_and_from_there(start: float, end: float) -> None:
 @cache
 def over_load() -> tuple[fc.Structure, fc.ContactLaw, fc.ResponseCurve]:
     """One mass of 1000 rad/s and a stop of the same stiffness 1 cm away: up, back and up again."""
-    unit_matrix, law = np.ones((1, 1)), fc.UnilateralPenalty(1e6)
+    unit, law = np.ones((1, 1)), fc.UnilateralPenalty(1e6)
     structure = fc.Structure.from_matrices(
-        unit_matrix,
-        1e6 * unit_matrix,
-        gap=unit_matrix,
-        force_sin=[1e3],
-        damping=30.0 * unit_matrix,
-        clearance=0.01,
+        unit, 1e6 * unit, gap=unit, force_sin=[1e3], damping=30.0 * unit, clearance=0.01
     )
     curve = fc.continue_parameter(structure, 1100.0, law, "load", 0.3, 3.0, tolerance=1e-3)
     return structure, law, curve
@@ -360,21 +355,15 @@ def test_bifurcations_do_not_depend_on_the_step(seed: int) -> None:
 def test_both_ways_find_the_same_folds() -> None:
     """A mass pressed on one stop and far from another: large and small vibrations stand side by
     side, beside a preload ten times as large, and neither way steps over them."""
-    unit_matrix, law = np.ones((1, 1)), fc.UnilateralPenalty([12.7593, 10.1039])
+    unit, law = np.ones((1, 1)), fc.UnilateralPenalty([12.7593, 10.1039])
     structure = fc.Structure.from_matrices(
-        1.1583 * unit_matrix, 1.7879 * unit_matrix, gap=np.array([[-1.0, 1.0]]), force_cos=[-1.0],
-        force_sin=[-0.0531], clearance=[-0.6191, 1.3975], damping=0.2253 * unit_matrix,
+        1.1583 * unit, 1.7879 * unit, gap=np.array([[-1.0, 1.0]]), force_cos=[-1.0],
+        force_sin=[-0.0531], clearance=[-0.6191, 1.3975], damping=0.2253 * unit,
     )  # fmt: skip
     ends, folds = (0.745, 2.485), []
     for start, end in (ends, ends[::-1]):
         curve = fc.continue_frequency(structure, start, end, law, tolerance=1e-2)
-        folds.append(
-            sorted(
-                unit_matrix.value
-                for unit_matrix in curve.bifurcations
-                if unit_matrix.kind == "fold"
-            )
-        )
+        folds.append(sorted(point.value for point in curve.bifurcations if point.kind == "fold"))
     assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
 
 

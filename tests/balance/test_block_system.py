@@ -178,31 +178,21 @@ def test_no_convergence_is_one_line(tmp_path: Path) -> None:
 
 def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     """By name."""
-    full_structure, law = chain(n=10), fc.UnilateralPenalty(1.0)
+    chain_of_10, law = chain(n=10), fc.UnilateralPenalty(1.0)
     rubs = fc.Structure.from_matrices(
         np.eye(2), 2.0 * np.eye(2), gap=[1.0, 0.0], tangential=[0.0, 1.0], force_cos=[1.0, 1.0]
     )
     reduced_structure = fc.reduce_structure(rubs, modes=1, method="massless")
     cases: list[tuple[fc.Structure, Any, dict[str, Any], str]] = [
         (
-            full_structure,
+            chain_of_10,
             fc.UnilateralConstraint(1.0),
             {},
             "form = 'block': .* of crack faces with mass",
         ),
         (reduced_structure, fc.CoulombFriction(law, 0.3), {}, "form = 'block': .* with friction"),
-        (
-            full_structure,
-            law,
-            {"tolerance": 0.1},
-            "tolerance = 0.1: not allowed with form = 'block'",
-        ),
-        (
-            full_structure,
-            law,
-            {"form": "full"},
-            "form = 'full': must be one of 'condensed', 'block'",
-        ),
+        (chain_of_10, law, {"tolerance": 0.1}, "tolerance = 0.1: not allowed with form = 'block'"),
+        (chain_of_10, law, {"form": "full"}, "form = 'full': must be one of 'condensed', 'block'"),
     ]
     for structure, contact, options, words in cases:
         with pytest.raises(fc.InputError, match=words):
@@ -269,15 +259,13 @@ def test_form_changes_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         and block_run["most by"] == condensed_run["most by"]
     )
     for key in ("value", "error [%]"):
-        for name, condensed_entry, block_entry in zip(
+        for name, entry, block_value in zip(
             condensed_run["names"], condensed_run[key], block_run[key], strict=True
         ):
             if name not in ("iterations", "residual_error", "status", "conclusion"):
                 tolerances = {"rel": 1e-6, "abs": 1e-12}
                 expected_entry = (
-                    pytest.approx(condensed_entry, **tolerances)
-                    if isinstance(condensed_entry, float)
-                    else condensed_entry
+                    pytest.approx(entry, **tolerances) if isinstance(entry, float) else entry
                 )
-                assert block_entry == expected_entry, (name, key)
+                assert block_value == expected_entry, (name, key)
     assert condensed_run["value"][condensed_run["names"].index("verdict")] in ("stable", "unstable")

@@ -76,11 +76,8 @@ def test_jacobian_against_finite_differences(
         assert np.abs(matrix[:, column] - slope).max() < 1e-5 * np.abs(matrix).max()
         gap = (upper_point.gap - lower_point.gap) / (2.0 * step)
         assert np.abs(point.gap_change(change / step) - gap).max() < 1e-5
-    upper_point, lower_point = (
-        system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0)
-    )
-    slope = (upper_point - lower_point) / (2.0 * step)
-    by_parameter = point.by_parameter
+    ends = [system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0)]
+    slope, by_parameter = (ends[0] - ends[1]) / (2.0 * step), point.by_parameter
     if softness:
         assert relative(by_parameter, slope) < 1e-5
     else:
@@ -105,10 +102,10 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
     """J v, J^-1 r, and what follows from these."""
     unknown, vector = random_gaps(6, 3), random_gaps(6, 3, 5)
     points, hard = [], system_of(short_chain, RIGID, 6)
-    for iterative in (False, True):
+    for matrix_free in (False, True):
         system = type(hard)(hard.compliance, hard.integrals, 0.5)
         assert not system.matrix_free
-        system.matrix_free = iterative
+        system.matrix_free = matrix_free
         points.append(system.linearise(unknown, 0.4))
     dense, iterative = points
     assert relative(dense.apply(vector), (dense.jacobian @ vector.ravel()).reshape(13, 3)) < 1e-12

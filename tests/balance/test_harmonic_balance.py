@@ -215,23 +215,14 @@ def test_failure_is_an_error_with_its_history() -> None:
         ("samples", {"samples": 20}),
         ("samples", {"samples": 64, "contact": fc.UnilateralConstraint()}),
         ("samples", {"samples": 64, "tolerance": 1e-3}),
-        *(
-            ("residual_tolerance", {"residual_tolerance": call_arguments})
-            for call_arguments in (0.0, -1.0, "small")
-        ),
-        *(
-            ("tolerance", {"tolerance": call_arguments})
-            for call_arguments in (0.0, -1e-3, NAN, INF, "small")
-        ),
+        *(("residual_tolerance", {"residual_tolerance": x}) for x in (0.0, -1.0, "small")),
+        *(("tolerance", {"tolerance": x}) for x in (0.0, -1e-3, NAN, INF, "small")),
         ("tolerance", {"tolerance": 1e-3, "harmonics": 5}),
         ("contact stiffness", {"contact": fc.UnilateralPenalty(np.ones(2))}),
         ("contact", {"contact": None}),
         ("contact", {"contact": 5.0}),
         ("contact", {"contact": fc.UnilateralPenalty}),
-        *(
-            ("initial", {"initial": call_arguments})
-            for call_arguments in ("solution", np.zeros((11, 1)), 1.0)
-        ),
+        *(("initial", {"initial": x}) for x in ("solution", np.zeros((11, 1)), 1.0)),
     ],
     ids=str,
 )
@@ -323,11 +314,11 @@ class Steep(Cubic):
 @pytest.mark.parametrize("throw", [True, False])
 def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
     """Advice on harmonics and damping helps nobody then; it stays that of a law that is right."""
-    unit_matrix = np.eye(1)
+    unit = np.eye(1)
     solutions = {}
     for force in (0.3, 3.0):
         load = fc.Structure.from_matrices(
-            unit_matrix, unit_matrix, gap=unit_matrix, force_cos=[force], damping=0.05 * unit_matrix
+            unit, unit, gap=unit, force_cos=[force], damping=0.05 * unit
         )
         with pytest.raises(fc.InputError, match=r"tangent\(gap\) is the slope of its force"):
             fc.solve_harmonic_balance(load, 1.5, Steep(100.0), harmonics=9, throw=throw)

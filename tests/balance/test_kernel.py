@@ -978,8 +978,8 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     start = start_solution.slow_gap_coefficients
     ends = []
     for system in (family, Plain(family)):
-        start_solution = point_on_path(system, start, 0.0)
-        path = Path(system, start_solution, PathOptions(0.05, max_step=0.3), [Target(1.0)])
+        start_point = point_on_path(system, start, 0.0)
+        path = Path(system, start_point, PathOptions(0.05, max_step=0.3), [Target(1.0)])
         for point in path.points():
             linearisation = family.linearise(point.unknown, point.parameter)
             assert np.linalg.norm(linearisation.residual) < 2e-8 * np.linalg.norm(point.unknown)

@@ -19,13 +19,13 @@ def bouncing(name: str) -> tuple[fc.Structure, fc.UnilateralPenalty]:
     pairs, k R_0 = 140, whose motion does not settle to any period."""
     if name == "one mass":
         mass, stiffness, damping = 1.6447776143, 2.4865193799, 0.0145369478
-        unit_matrix = np.ones((1, 1))
+        unit = np.ones((1, 1))
         structure = fc.Structure.from_matrices(
-            mass * unit_matrix,
-            stiffness * unit_matrix,
+            mass * unit,
+            stiffness * unit,
             gap=np.ones(1),
             force_cos=np.ones(1),
-            damping=damping * unit_matrix,
+            damping=damping * unit,
         )
         return structure, fc.UnilateralPenalty(4453.8415474818)
     stiffness = np.array([

@@ -329,8 +329,8 @@ def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object])
 
 def test_damping_that_is_not_there_cannot_vary() -> None:
     """A factor of the damping is refused where there is no damping."""
-    unit_matrix = np.ones((1, 1))
-    bare = fc.Structure.from_matrices(unit_matrix, unit_matrix, gap=unit_matrix, force_cos=[1.0])
+    unit = np.ones((1, 1))
+    bare = fc.Structure.from_matrices(unit, unit, gap=unit, force_cos=[1.0])
     with pytest.raises(fc.InputError, match="no damping"):
         fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
 
@@ -397,14 +397,9 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
     law = fc.UnilateralPenalty(1.0)
     with pytest.raises(fc.InputError, match="one sign"):
         fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)
-    unit_matrix = np.ones((1, 1))
+    unit = np.ones((1, 1))
     structure = fc.Structure.from_matrices(
-        unit_matrix,
-        unit_matrix,
-        gap=unit_matrix,
-        force_cos=[1.0],
-        damping=0.1 * unit_matrix,
-        clearance=0.1,
+        unit, unit, gap=unit, force_cos=[1.0], damping=0.1 * unit, clearance=0.1
     )
     curve = fc.continue_parameter(structure, 1.2, law, "load", 1.0, -1.0)
     assert curve.complete and len(curve) < 500

@@ -353,9 +353,9 @@ def test_one_by_one_is_the_same(stop: Continuation) -> None:
     )
     points = list(path)
     assert len(points) == len(stop.points) and path.status == stop.status
-    assert [entry.value for entry in points] == [entry.value for entry in stop.points]
-    bifurcations = [entry for point in points for entry in point.bifurcations]
-    assert bifurcations == [(entry.kind, entry.value) for entry in special(stop)]
+    assert [point.value for point in points] == [point.value for point in stop.points]
+    bifurcations = [bifurcation for point in points for bifurcation in point.bifurcations]
+    assert bifurcations == [(point.kind, point.value) for point in special(stop)]
 
 
 def test_goes_on_where_it_was_stopped(stop: Continuation) -> None:
@@ -605,10 +605,8 @@ def test_mathieu(order: int, even: bool) -> None:
     (-1)^r, twice, in a period pi."""
     q = 5.0
     characteristic = scipy.special.mathieu_a if even else scipy.special.mathieu_b
-    unit_matrix = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(
-        unit_matrix, characteristic(order, q) * unit_matrix, gap=unit_matrix
-    )
+    unit = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(unit, characteristic(order, q) * unit, gap=unit)
     gap = np.array([[0.0], [-2.0 * q], [0.0]])
     matrix = monodromy_of_linear_flow(structure, Square(), gap, 2.0)
     assert np.trace(matrix) == pytest.approx(2.0 * (-1.0) ** order, abs=2e-5)

@@ -61,13 +61,11 @@ def test_indicators_are_those_of_solutions(curve: fc.ResponseCurve) -> None:
         assert solution.report.truncation < 1e-3 and solution.converged
         solution_indicators = solution.indicators()
         for name in ("amplitude", "mean", "harmonic_1", "harmonic_2", "opening", "crack_force"):
-            solution_value = getattr(solution_indicators, name)
-            assert getattr(curve_indicators, name)[index] == pytest.approx(
-                solution_value, rel=5e-3
-            ), name
+            exact = pytest.approx(getattr(solution_indicators, name), rel=5e-3)
+            assert getattr(curve_indicators, name)[index] == exact, name
     gaps = curve.gap_coefficients[4]
-    solution_indicators = curve.solution(4).gap_coefficients
-    assert gaps[: len(solution_indicators)] == pytest.approx(solution_indicators, abs=1e-9)
+    solution_gaps = curve.solution(4).gap_coefficients
+    assert gaps[: len(solution_gaps)] == pytest.approx(solution_gaps, abs=1e-9)
 
 
 def test_verdicts_are_those_of_the_orbits(curve: fc.ResponseCurve) -> None:

@@ -61,14 +61,9 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
 def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool) -> None:
     """Of one mass before a stop that is so many times its largest amplitude away: steps are parts
     of the vibration, not of the clearance. Also where the way is followed by Python's loop."""
-    unit_matrix, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
+    unit, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
     structure = fc.Structure.from_matrices(
-        unit_matrix,
-        unit_matrix,
-        gap=unit_matrix,
-        force_cos=[1.0],
-        clearance=ratio * exact,
-        damping=2.0 * damping * unit_matrix,
+        unit, unit, gap=unit, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * unit
     )
     law: Any = fc.SmoothedPenalty(1.0, 100.0) if other else fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 0.5, 1.6, law, harmonics=5, stability=not other)
@@ -123,9 +118,9 @@ def test_half_a_peak_has_no_width() -> None:
 def test_no_width_tells_the_damping_of_a_higher_harmonic() -> None:
     """Next to half of the natural frequency of a breathing crack the width is wrong by a factor of
     40: no damping is told, nor drawn, which the load's own resonance has."""
-    unit_matrix, xi = np.ones((1, 1)), 0.002
+    unit, xi = np.ones((1, 1)), 0.002
     structure = fc.Structure.from_matrices(
-        unit_matrix, unit_matrix, gap=unit_matrix, force_cos=[1.0], damping=2.0 * xi * unit_matrix
+        unit, unit, gap=unit, force_cos=[1.0], damping=2.0 * xi * unit
     )
     law = fc.UnilateralPenalty(1.0)
     bilinear_omega = 2.0 / (1.0 + np.sqrt(0.5))  # bilinear
@@ -150,11 +145,11 @@ def test_the_watched_dof_is_the_default() -> None:
     scene = fc.Scene.load(STEEL).replace(COARSE | {"sweep.over": {"crack.length": [0.02]}})
     loads = -1
     for changes in ({}, POINT):
-        watched_scene = scene.replace(changes)
+        changed_scene = scene.replace(changes)
         solution, curve, history = (
-            fc.solve(watched_scene),
-            fc.curve(watched_scene),
-            fc.integrate(watched_scene),
+            fc.solve(changed_scene),
+            fc.curve(changed_scene),
+            fc.integrate(changed_scene),
         )
         dof, peak = solution.watched_dof, curve.peak()
         assert peak.at_end and not peak.without and np.isnan(peak.omega_error)  # it is given

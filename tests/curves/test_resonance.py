@@ -239,13 +239,9 @@ def test_scene_over_its_load(tmp_path: Path) -> None:
     assert np.array_equal(loaded_curve.omega, curve.omega)
     assert loaded_curve.amplitude() == pytest.approx(curve.amplitude(), rel=1e-9)
     place = len(curve) // 2
-    curve_solution = curve.solution(place)
+    point = curve.solution(place)
     solution = fc.solve_harmonic_balance(
-        curve_solution.structure,
-        curve_solution.omega,
-        curve_solution.contact,
-        harmonics=curve_solution.harmonics,
-        initial=curve_solution,
+        point.structure, point.omega, point.contact, harmonics=point.harmonics, initial=point
     )
     assert solution.amplitude() == pytest.approx(curve.amplitude()[place], rel=1e-5)
 

@@ -153,9 +153,9 @@ def test_solution_far_away_from_its_orbit() -> None:
 def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
     """Of a law of one's own: a third of it called a motion with a multiplier of 1.79 stable. Kinks
     are no fault, nor is a pair that never closes or rests at one."""
-    unit_matrix = np.eye(1)
+    unit = np.eye(1)
     structure = fc.Structure.from_matrices(
-        unit_matrix, unit_matrix, gap=unit_matrix, force_cos=[0.3], damping=0.05 * unit_matrix
+        unit, unit, gap=unit, force_cos=[0.3], damping=0.05 * unit
     )
 
     class Third(Cubic):

@@ -72,10 +72,8 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
     is_wrong, n_judged = np.zeros(len(path_positions), dtype=bool), 0
     for number, position in enumerate(path_positions):
         place = int(np.searchsorted(way, position)) - 1
-        if {
-            place,
-            place + 1,
-        } & fold_indices:  # two orbits, of which Newton's method may find the other
+        # At a fold there are two orbits, and Newton's method may find the other.
+        if {place, place + 1} & fold_indices:
             continue
         share = (position - way[place]) / (way[place + 1] - way[place])
         value = float(omega[place] + share * (omega[place + 1] - omega[place]))
@@ -87,7 +85,7 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
             continue
         n_judged += 1
         is_wrong[number] = (abs(orbit.multipliers[0]) < 1.0) != stated_stable(curve, place, value)
-    stretches = "".join("x" if bifurcation else " " for bifurcation in is_wrong).split()
+    stretches = "".join("x" if is_false else " " for is_false in is_wrong).split()
     widest = spacing * max(map(len, stretches), default=0)
     longest = float(np.abs(np.diff(omega)).max())
     return {

@@ -199,20 +199,17 @@ def test_length_of_a_crack_inside_from_a_frequency() -> None:
 @pytest.mark.parametrize("layout", ["grid", "graded"])
 def test_mirrored_plates(layout: str, cracks: list[dict[str, Any]]) -> None:
     """Natural frequencies are the same, and so are static gaps, crack by crack."""
-    first_plate = build_structure(plate(cracks, layout))
+    original = build_structure(plate(cracks, layout))
     mirrored_plate = build_structure(plate(mirrored(cracks), layout))
-    assert (first_plate.n_dofs, first_plate.n_pairs) == (
-        mirrored_plate.n_dofs,
-        mirrored_plate.n_pairs,
-    )
-    omegas = [fc.solve_modes(structure, 4).omega for structure in (first_plate, mirrored_plate)]
+    assert (original.n_dofs, original.n_pairs) == (mirrored_plate.n_dofs, mirrored_plate.n_pairs)
+    omegas = [fc.solve_modes(structure, 4).omega for structure in (original, mirrored_plate)]
     np.testing.assert_allclose(*omegas, rtol=1e-8)
     mode_shapes = []
-    for structure in (first_plate, mirrored_plate):
+    for structure in (original, mirrored_plate):
         gap = structure.apply_bt(static(structure, structure.force[2])[None])[0]
         x = (
             structure.pair_points[:, 0]
-            if structure is first_plate
+            if structure is original
             else WIDTH - structure.pair_points[:, 0]
         )
         order = np.lexsort((x.round(9), structure.pairs.cracks))

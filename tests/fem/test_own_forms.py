@@ -264,10 +264,8 @@ def test_a_free_plate_without_a_crack() -> None:
 
 
 def test_functions_need_a_mesh() -> None:
-    unit_matrix = np.ones((1, 1))
-    mass = fc.Structure.from_matrices(
-        unit_matrix, unit_matrix, gap=unit_matrix, force_cos=[1.0], damping=0.1 * unit_matrix
-    )
+    unit = np.ones((1, 1))
+    mass = fc.Structure.from_matrices(unit, unit, gap=unit, force_cos=[1.0], damping=0.1 * unit)
     solution = fc.solve_linear(mass, 0.5)
     with pytest.raises(fc.InputError, match=r"structure = .*made from a mesh of DOLFINx"):
         solution.function(0.0)
@@ -289,12 +287,10 @@ def test_refused() -> None:
     clamp_dofs = dolfinx.fem.locate_dofs_topological(other_space, 1, plate.facets("clamp"))
     all_dofs = np.arange(space.dofmap.index_map.size_local, dtype=np.int32)
     dirichlet, rest = dolfinx.fem.dirichletbc, np.zeros(2)
-    facets_ahead = dolfinx.mesh.locate_entities(
+    facets = dolfinx.mesh.locate_entities(
         mesh, 1, lambda p: np.isclose(p[1], 0.05) & (p[0] > 0.0499)
     )  # fmt: skip
-    marks = dolfinx.mesh.meshtags(
-        mesh, 1, np.sort(facets_ahead), np.full(len(facets_ahead), 9, np.int32)
-    )
+    marks = dolfinx.mesh.meshtags(mesh, 1, np.sort(facets), np.full(len(facets), 9, np.int32))
     points = dolfinx.mesh.meshtags(mesh, 0, np.arange(9, dtype=np.int32), np.ones(9, np.int32))
     elsewhere = given(PLATE, MPI.COMM_SELF)[1]["crack"]
     valid_forms = {"stiffness": stiffness, "mass": mass}
@@ -337,7 +333,7 @@ def test_refused() -> None:
         (
             "crack",
             {"crack": (marks, 9, 8)},
-            f"{len(facets_ahead)} facets of tag 9, {len(facets_ahead)} of them",
+            f"{len(facets)} facets of tag 9, {len(facets)} of them",
         ),
         ("crack", {"crack": (tags, lower, plate.groups["top"][0])}, "from the lower|meshed"),
         ("thickness", {"thickness": 0.0}, "> 0"),

@@ -222,7 +222,7 @@ def draw_surface(shape: str, order: int) -> list[int]:
             for coordinate in (0, 1)
         )
         if is_outer and tag in np.concatenate(
-            [gmsh.model.getAdjacencies(2, entity)[1] for entity in crack]
+            [gmsh.model.getAdjacencies(2, face_tag)[1] for face_tag in crack]
         ):
             mouth.append(tag)
     groups = [

@@ -123,9 +123,9 @@ def test_frozen_scaled_and_in_words() -> None:
 def test_oscillator(rule: fc.RayleighDamping, omega: float) -> None:
     """m x'' + (a m + b k) x' + k x = f cos(w t) in closed form."""
     mass, stiffness, force = 3.0, 12.0, 0.7
-    unit_matrix = np.ones((1, 1))
+    unit = np.ones((1, 1))
     oscillator = fc.Structure.from_matrices(
-        mass * unit_matrix, stiffness * unit_matrix, gap=None, force_cos=[force], damping=rule
+        mass * unit, stiffness * unit, gap=None, force_cos=[force], damping=rule
     )
     dashpot = rule.mass * mass + rule.stiffness * stiffness
     exact_amplitude = force / (stiffness - mass * omega**2 + 1j * omega * dashpot)
@@ -139,18 +139,18 @@ def test_equals_the_matrix() -> None:
     """A chain with contact, by harmonic balance, all of its modes and its stability."""
     structure = chain("rayleigh")
     matrix_structure = with_matrix(structure)
-    first_answer, matrix_answer = (
+    solution, matrix_solution = (
         fc.solve_harmonic_balance(s, 0.9, LAW, harmonics=15) for s in (structure, matrix_structure)
     )
     assert (
-        relative(first_answer.displacement_coefficients, matrix_answer.displacement_coefficients)
+        relative(solution.displacement_coefficients, matrix_solution.displacement_coefficients)
         < 1e-10
     )
-    assert first_answer.report.total == pytest.approx(matrix_answer.report.total, rel=1e-6)
-    first_answer, matrix_answer = (
-        fc.floquet(s, first_answer).multipliers[0] for s in (structure, matrix_structure)
+    assert solution.report.total == pytest.approx(matrix_solution.report.total, rel=1e-6)
+    multiplier, matrix_multiplier = (
+        fc.floquet(s, solution).multipliers[0] for s in (structure, matrix_structure)
     )
-    assert abs(first_answer) == pytest.approx(abs(matrix_answer), rel=1e-9)
+    assert abs(multiplier) == pytest.approx(abs(matrix_multiplier), rel=1e-9)
 
 
 def test_reduced() -> None:

@@ -357,16 +357,10 @@ def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: 
         model, motion = reduced(structure, modes), []
         for version in (model, model.reference):
             coordinates = np.sin(np.arange(3.0 * version.n_dofs)).reshape(3, -1)
-            displacements = version.expand(coordinates)
+            field = version.expand(coordinates)
             dofs = [0, 7, structure.n_dofs - 1]
-            assert relative(version.values_at(coordinates, dofs), displacements[:, dofs]) < 1e-8
-            motion += [
-                version.omega,
-                version.residual,
-                version.force,
-                version.clearance,
-                displacements,
-            ]
+            assert relative(version.values_at(coordinates, dofs), field[:, dofs]) < 1e-8
+            motion += [version.omega, version.residual, version.force, version.clearance, field]
             motion += [np.asarray(version.damping_factor * version.rate)]
         return motion
 
@@ -381,7 +375,7 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
     """Where the load is a sum of the parts of another; else statics are solved for."""
     force = np.array(chain("modal", 40).force)
     harmonics = {1: (3.0 * force[2], None), 2: (force[1] - force[0], 0.5 * force[2])}
-    other_harmonics = {3: (None, np.linspace(0.0, 1.0, 40))}
+    load = {3: (None, np.linspace(0.0, 1.0, 40))}
     base_chain, factorisations = chain("modal", 40), list[int]()
     reduced(base_chain, 8)
     fresh_model = reduced(chain("rayleigh", 40).with_harmonics(harmonics), 6)
@@ -401,11 +395,10 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
     assert (
         relative(changed_model.values_at(motion, dofs), fresh_model.values_at(motion, dofs)) < 1e-9
     )
-    expected_model = reduced(chain("modal", 40).with_harmonics(other_harmonics), 6)
+    expected_model = reduced(chain("modal", 40).with_harmonics(load), 6)
     factorisations.clear()
     assert (
-        relative(reduced(base_chain.with_harmonics(other_harmonics), 6).force, expected_model.force)
-        < 1e-9
+        relative(reduced(base_chain.with_harmonics(load), 6).force, expected_model.force) < 1e-9
         and factorisations
     )
 

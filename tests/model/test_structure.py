@@ -469,17 +469,8 @@ def test_no_attribute_can_be_set(paper_scene: Scene) -> None:
     """No attribute of any name can be set; the message says what to do instead."""
     for structure in plates(paper_scene):
         names = [name for name in dir(structure) if not name.startswith("_")]
-        expected_names = {
-            "force",
-            "clearance",
-            "damping",
-            "pair_areas",
-            "mass",
-            "n_dofs",
-            "whole",
-            "nodes",
-        }
-        assert expected_names <= set(names)
+        public = {"force", "clearance", "damping", "pair_areas", "mass", "n_dofs", "whole", "nodes"}
+        assert public <= set(names)
         for name in [*names, "another"]:
             with pytest.raises(AttributeError, match=rf"^{name}: .* varied\(\)"):
                 setattr(structure, name, 0.0)
@@ -524,7 +515,7 @@ DAMPINGS = {
 def test_varied(damping: Any) -> None:
     """Factors multiply, clearances add up; the structure itself stays, and shares its matrices."""
     structure = Structure.from_matrices(**(good() | {"damping": damping}))
-    force, clearance, given_damping = (
+    force, clearance, source = (
         structure.force.copy(),
         structure.clearance.copy(),
         structure.damping,
@@ -551,11 +542,8 @@ def test_varied(damping: Any) -> None:
             np.testing.assert_allclose(dense(copy.damping), factor * damping, rtol=1e-14)
     np.testing.assert_array_equal(structure.force, force)
     np.testing.assert_array_equal(structure.clearance, clearance)
-    assert structure.damping is given_damping and structure.original is structure
-    assert (
-        varied_once.original.damping is given_damping
-        and varied_once.original.force is structure.force
-    )
+    assert structure.damping is source and structure.original is structure
+    assert varied_once.original.damping is source and varied_once.original.force is structure.force
 
 
 def test_parts_of_the_load_mixed() -> None:

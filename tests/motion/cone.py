@@ -37,7 +37,7 @@ def march_cone(
     q, force = start, np.zeros(3 * pairs)
     compliance = (modal_rows * slope[:, 0]) @ modal_rows.T + give
     blocks = compliance.reshape(3, pairs, 3, pairs)
-    pair_compliances = [blocks[:, i, :, i] for i in range(pairs)]
+    blocks_of_pairs = [blocks[:, i, :, i] for i in range(pairs)]
     place, motions = np.zeros((2, pairs)), []
 
     def wave(time: float, parts: np.ndarray) -> np.ndarray:
@@ -56,23 +56,23 @@ def march_cone(
             for i in range(pairs):
                 pair_rows = [i, pairs + i, 2 * pairs + i]
                 old_force, drag = force[pair_rows], compliance[pair_rows] @ force
-                free_gap = gap[pair_rows] - drag + pair_compliances[i] @ old_force
+                free_gap = gap[pair_rows] - drag + blocks_of_pairs[i] @ old_force
                 # Stick, else slip: a fixed point of the cone with the largest diagonal.
                 goal = free_gap - np.array([0.0, *place[:, i]])
-                new_force = np.linalg.solve(pair_compliances[i], goal)
+                new_force = np.linalg.solve(blocks_of_pairs[i], goal)
                 if new_force[0] <= 0.0:
                     new_force = np.zeros(3)
                 elif np.hypot(*new_force[1:]) > mu * new_force[0]:
                     new_force = old_force.copy()
-                    size = np.linalg.norm(pair_compliances[i][1:, 1:], 2)
+                    size = np.linalg.norm(blocks_of_pairs[i][1:, 1:], 2)
                     for _ in range(4):
                         new_force[0] = max(
-                            (free_gap[0] - pair_compliances[i][0, 1:] @ new_force[1:])
-                            / pair_compliances[i][0, 0],
+                            (free_gap[0] - blocks_of_pairs[i][0, 1:] @ new_force[1:])
+                            / blocks_of_pairs[i][0, 0],
                             0.0,
                         )
                         push = (
-                            new_force[1:] + (goal[1:] - pair_compliances[i][1:] @ new_force) / size
+                            new_force[1:] + (goal[1:] - blocks_of_pairs[i][1:] @ new_force) / size
                         )
                         stretch = np.hypot(*push)
                         new_force[1:] = push * min(

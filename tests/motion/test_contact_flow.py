@@ -194,9 +194,9 @@ def test_equal_structures_side_by_side() -> None:
     """Every event is a double one, and nothing else changes."""
     pattern = chain(seed=6)
     mass, stiffness, gap = _matrices(pattern)
-    double_displacement = [np.kron(np.eye(2), part) for part in (mass, stiffness, gap)]
+    matrices = [np.kron(np.eye(2), part) for part in (mass, stiffness, gap)]
     double_structure = fc.Structure.from_matrices(
-        *double_displacement[:2], gap=double_displacement[2],
+        *matrices[:2], gap=matrices[2],
         force_cos=np.tile(pattern.force[1], 2), clearance=np.tile(pattern.clearance, 2),
     )  # fmt: skip
     single_structure = fc.Structure.from_matrices(
@@ -213,11 +213,8 @@ def test_equal_structures_side_by_side() -> None:
         double_motion.events <= 2 * single_motion.events
         and len(double_motion.track.lengths) <= 3 * single_motion.events
     )
-    single_displacement, double_displacement = (
-        single_motion.samples.displacement[0],
-        double_motion.samples.displacement[0],
-    )
-    assert relative(double_displacement, np.tile(single_displacement, 2)) < 1e-11
+    single, double = (motion.samples.displacement[0] for _, motion in motions)
+    assert relative(double, np.tile(single, 2)) < 1e-11
 
 
 def test_almost_equal_structures() -> None:

@@ -42,12 +42,8 @@ def differences(number: int) -> tuple[float, float] | None:
 )
 def test_orbits_of_plates(count: int) -> None:
     """The same gap to 3e-11 and multipliers to 1e-9."""
-    case_differences = [
-        case_difference
-        for case_difference in map(differences, range(count))
-        if case_difference is not None
-    ]
-    assert len(case_differences) >= count - 2  # with 20 harmonics numbers 7 and 16 have none
-    gap, multipliers = np.max(case_differences, axis=0)
+    cases = [case for case in map(differences, range(count)) if case is not None]
+    assert len(cases) >= count - 2  # with 20 harmonics numbers 7 and 16 have none
+    gap, multipliers = np.max(cases, axis=0)
     assert gap < 3e-11
     assert multipliers < 1e-9

@@ -40,19 +40,12 @@ def test_linear_motion(damping: str) -> None:
 def test_overdamped_motion(ratio: float) -> None:
     """A mass that creeps at 2 ratio w, no contact: the matrix exponential; and a linear solution,
     which has no error and is stable."""
-    unit_matrix = np.ones((1, 1))
+    unit = np.ones((1, 1))
     structure = fc.Structure.from_matrices(
-        unit_matrix,
-        unit_matrix,
-        gap=unit_matrix,
-        force_cos=[1.0],
-        damping=2.0 * ratio * unit_matrix,
-        clearance=100.0,
+        unit, unit, gap=unit, force_cos=[1.0], damping=2.0 * ratio * unit, clearance=100.0
     )
     law = fc.UnilateralPenalty(1.0)
-    history = integrate_events(
-        structure, 1.0, law, periods=1, initial=(unit_matrix[0] * 3.0, unit_matrix[0])
-    )
+    history = integrate_events(structure, 1.0, law, periods=1, initial=(unit[0] * 3.0, unit[0]))
     flow = np.zeros((4, 4))
     flow[0, 1], flow[1, :3], flow[2, 3], flow[3, 2] = 1.0, (-1.0, -2.0 * ratio, 1.0), 1.0, -1.0
     exact = [(expm(time * flow) @ (3.0, 1.0, 1.0, 0.0))[0] for time in history.time]
@@ -138,23 +131,19 @@ def test_indicators_leave_out_the_beginning() -> None:
 def test_few_instants_tell_few_harmonics(steps: int) -> None:
     """Of orders beyond half of them nothing is known: they are those of others."""
     law = fc.UnilateralPenalty(1.0)
-    coarse_indicators, fine_indicators = (
+    coarse_run, fine_run = (
         integrate_events(oscillator(), 0.9, law, periods=60, steps_per_period=n).indicators()
         for n in (steps, 256)
     )
     if steps == 3:
         assert np.isnan(
-            [
-                coarse_indicators.ratio_2_1,
-                coarse_indicators.ratio_largest,
-                coarse_indicators.largest_order,
-            ]
+            [coarse_run.ratio_2_1, coarse_run.ratio_largest, coarse_run.largest_order]
         ).all()
         return
-    assert coarse_indicators.ratio_2_1 == pytest.approx(fine_indicators.ratio_2_1, rel=0.01)
+    assert coarse_run.ratio_2_1 == pytest.approx(fine_run.ratio_2_1, rel=0.01)
     assert (
-        coarse_indicators.ratio_largest == coarse_indicators.ratio_2_1
-        and coarse_indicators.largest_order == fine_indicators.largest_order == 2.0
+        coarse_run.ratio_largest == coarse_run.ratio_2_1
+        and coarse_run.largest_order == fine_run.largest_order == 2.0
     )
 
 

@@ -123,8 +123,8 @@ def test_distance_that_is_left(omega: float, settle: float) -> None:
     twice that."""
     structure, law = two_masses(1.0), fc.UnilateralPenalty(1.0)
     history, exact = (
-        fc.integrate_events(structure, omega, law, periods=4000, settle=distances, record_periods=4)
-        for distances in (settle, 1e-11)
+        fc.integrate_events(structure, omega, law, periods=4000, settle=level, record_periods=4)
+        for level in (settle, 1e-11)
     )
     distances = []
     for quantity in (lambda run: run.gap + structure.clearance, lambda run: run.displacement()):

@@ -57,13 +57,9 @@ class Beam:
             zero, rows = np.zeros(4), []
             rows += [np.concatenate([shapes(0.0, k), zero]) for k in (0, 1)]
             rows += [np.concatenate([zero, shapes(beta, k)]) / np.cosh(beta) for k in (2, 3)]
-            shape_values = [shapes(beta * position, k) for k in range(4)]
-            rows += [np.concatenate([shape_values[k], -shape_values[k]]) for k in (0, 2, 3)]
-            rows += [
-                np.concatenate(
-                    [-shape_values[1] - spring * beta * shape_values[2], shape_values[1]]
-                )
-            ]
+            shape = [shapes(beta * position, k) for k in range(4)]
+            rows += [np.concatenate([shape[k], -shape[k]]) for k in (0, 2, 3)]
+            rows += [np.concatenate([-shape[1] - spring * beta * shape[2], shape[1]])]
             return float(np.linalg.det(rows))
 
         grid = np.linspace(0.5, 9.0, 300)

@@ -515,12 +515,11 @@ def calculix_solids() -> list[Row]:
     and a measured beam with a cut (174.7 of 185.2 Hz: Shock and Vibration 2019, article 7302057).
     """
 
-    def quotients(name: str, ours: Any, theirs: Any, is_near: float) -> list[Row]:
+    def quotients(name: str, ours: Any, theirs: Any, tolerance: float) -> list[Row]:
         ratios = np.atleast_1d(np.asarray(ours) / theirs)
         suffixes = [f": mode {mode}" for mode in range(1, 7)] if len(ratios) == 6 else [""]
-        return [
-            Row(f"{name}{end}", x, 1.0, is_near) for end, x in zip(suffixes, ratios, strict=True)
-        ]
+        columns = zip(suffixes, ratios, strict=True)
+        return [Row(f"{name}{end}", ratio, 1.0, tolerance) for end, ratio in columns]
 
     hertz_by_body = solid_frequencies()
     rows = [row for name, pair in hertz_by_body.items() for row in quotients(name, *pair, 1e-5)]

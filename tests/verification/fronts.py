@@ -200,9 +200,7 @@ def draw_front(axes: Any) -> None:
     angles = np.linspace(0.0, np.pi, 200)
     axes.plot(np.degrees(angles), newman(angles) / 1e3, "k:", lw=1, label="Newman and Raju")
     for elements, mark in ((4, "o"), (6, "s")):
-        intensities = np.array(along_the_front(elements)) * [
-            newman_mean(station_angles) for station_angles in ANGLES
-        ]
+        intensities = np.array(along_the_front(elements)) * [newman_mean(angle) for angle in ANGLES]
         axes.plot(np.degrees(ANGLES), intensities / 1e3, mark, label=f"{elements} elements")
     station_angles, K_I, *_ = at_stations(6)
     axes.plot(np.degrees(station_angles), K_I / 1e3, "k+", label="6 elements, interaction integral")
@@ -237,9 +235,9 @@ def stress_intensity_along_a_front() -> list[Row]:
     edge = STRESS * np.sqrt(np.pi * 0.01) * tada("edge", 0.01 / WIDTH)
     for elements, tolerance in ((4, 0.04), (7, 0.03)):
         front = pulled("through", elements)
-        ratio = front.intensity(np.ones(len(front.nodes)))
+        intensity = front.intensity(np.ones(len(front.nodes)))
         name = f"through, {elements} elements to the mouth: K / (s sqrt(pi a)), over Tada's"
-        rows += [Row(name, ratio / edge, 1.0, tolerance)]
+        rows += [Row(name, intensity / edge, 1.0, tolerance)]
     for elements, tolerance in ((4, 0.07), (6, 0.06)):
         front = pulled("ellipse", elements)
         mean = front.intensity(np.ones(len(front.nodes))) / newman_mean(None)

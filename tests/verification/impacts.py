@@ -156,10 +156,8 @@ ENERGIES = (0.00650108331626, 0.00658129654238)
 
 def clearance_oscillator() -> fc.Structure:
     """m = 1, k = 10 and a clearance of 0.01."""
-    unit_matrix = np.ones((1, 1))
-    return fc.Structure.from_matrices(
-        unit_matrix, 10.0 * unit_matrix, gap=unit_matrix, clearance=0.01
-    )
+    unit = np.ones((1, 1))
+    return fc.Structure.from_matrices(unit, 10.0 * unit, gap=unit, clearance=0.01)
 
 
 def draw_free_motion(axes: Any) -> None:

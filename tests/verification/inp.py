@@ -47,7 +47,7 @@ def mesh_lines(
     cells = structure.nodes.cells[:, : CORNERS[element]]
     cells = cells if solid else _counterclockwise(points, cells)
     used_nodes = np.unique(cells)
-    clamped_dofs, equation_free_nodes = np.argwhere(dofs < 0), np.setdiff1d(used_nodes, followers)
+    clamped_dofs, leaders = np.argwhere(dofs < 0), np.setdiff1d(used_nodes, followers)
     lines = ["*NODE, NSET=FRONT", *_nodes(points, used_nodes, 0, 0.0)]
     if layer:
         cells = np.hstack([cells, cells + len(points)])
@@ -68,9 +68,7 @@ def mesh_lines(
     lines += ["*BOUNDARY"]
     for shift in (0, len(points)) if layer else (0,):
         lines += [
-            f"{node + 1 + shift}, {axis + 1}"
-            for node, axis in clamped_dofs
-            if node in equation_free_nodes
+            f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped_dofs if node in leaders
         ]
     return lines + (["FRONT, 3", "BACK, 3"] if layer else [])
 

@@ -102,19 +102,9 @@ def pressed_open(
     radius of curvature."""
 
     def make(occ: Any) -> tuple[list[Any], list[Any]]:
-        lower_corner = 0.0 if corner else -0.5 * side
+        start = 0.0 if corner else -0.5 * side
         box = [
-            (
-                3,
-                occ.addBox(
-                    lower_corner,
-                    -0.5 * side,
-                    lower_corner,
-                    0.5 * side - lower_corner,
-                    side,
-                    0.5 * side - lower_corner,
-                ),
-            )
+            (3, occ.addBox(start, -0.5 * side, start, 0.5 * side - start, side, 0.5 * side - start))
         ]
         face = [(2, occ.addDisk(0.0, 0.0, 0.0, long, deep))]
         occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)

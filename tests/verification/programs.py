@@ -35,14 +35,14 @@ def size(solution: fc.PeriodicSolution) -> float:
 @cache
 def gap_curve() -> tuple[fc.ResponseCurve, np.ndarray]:
     """The mass from 2 to 15 rad/s, H = 7 and 1024 samples, and its sizes."""
-    unit_matrix = np.ones((1, 1))
+    unit = np.ones((1, 1))
     mass = fc.Structure.from_matrices(
-        unit_matrix,
-        40.0 * unit_matrix,
-        gap=unit_matrix,
+        unit,
+        40.0 * unit,
+        gap=unit,
         force_cos=[100.0],
         clearance=10.0,
-        damping=0.1 * np.sqrt(40.0) * unit_matrix,
+        damping=0.1 * np.sqrt(40.0) * unit,
     )
     curve = fc.continue_frequency(mass, 2.0, 15.0, GAP, harmonics=7, samples=1024)
     return curve, np.array([size(curve.solution(i)) for i in range(len(curve.omega))])
@@ -83,14 +83,9 @@ def mass_with_a_gap() -> list[Row]:
         ("beyond the peak", LOWER, contact_indices[contact_indices > top]),
     ):
         for omega, value in points.items():
-            nearest_index = int(side[np.argmin(np.abs(curve.omega[side] - omega))])
+            start = int(side[np.argmin(np.abs(curve.omega[side] - omega))])
             solution = fc.solve_harmonic_balance(
-                structure,
-                omega,
-                GAP,
-                harmonics=7,
-                samples=1024,
-                initial=curve.solution(nearest_index),
+                structure, omega, GAP, harmonics=7, samples=1024, initial=curve.solution(start)
             )
             rows += [Row(f"contact, {name}, W = {omega:.6g}", size(solution), value, 5e-4)]
     folds = [point.omega for point in curve.bifurcations if point.kind == "fold"]
@@ -121,17 +116,13 @@ def rotor_orbit(speed: float, switched: bool) -> tuple[np.ndarray, np.ndarray]:
     def rate(t: float, flat: np.ndarray) -> np.ndarray:
         place, rate = flat.reshape(-1, 2).T
         turn = np.exp(1j * speed * t)
-        closing_component = (place / turn).real
+        gap = (place / turn).real
         if switched:  # as in ROSS: the square wave's first 18 terms
             waves = (-1.0) ** orders * np.cos((2 * orders + 1) * speed * t) / (2 * orders + 1)
-            effective_opening = closing_component * (0.5 + 2.0 / np.pi * waves.sum())
+            opening = gap * (0.5 + 2.0 / np.pi * waves.sum())
         else:
-            effective_opening = np.maximum(closing_component, 0.0)
-        force = (
-            1.0
-            + ECCENTRICITY * speed**2 * turn * np.exp(1j * ANGLE)
-            + SOFTER * effective_opening * turn
-        )
+            opening = np.maximum(gap, 0.0)
+        force = 1.0 + ECCENTRICITY * speed**2 * turn * np.exp(1j * ANGLE) + SOFTER * opening * turn
         force = force - place - INTERNAL * (rate - 1j * speed * place)
         return np.stack([rate, force], axis=1).ravel()
 
@@ -177,17 +168,11 @@ def rotor_motions(speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def draw_rotor(axes: Any) -> None:
     """Orbits, seen from outside."""
     for colour, speed in (("C0", 0.45), ("C1", 0.5)):
-        ours, law, switched_motion = rotor_motions(speed)
+        ours, law, square_wave = rotor_motions(speed)
         axes.plot(ours.real, ours.imag, colour, label=f"W = {speed:g}, harmonic balance")
         axes.plot(law.real[::64], law.imag[::64], "k.", ms=4,
                   label="DOP853" if speed == 0.45 else None)  # fmt: skip
-        axes.plot(
-            switched_motion.real,
-            switched_motion.imag,
-            colour,
-            ls=":",
-            label="switched by the angle",
-        )
+        axes.plot(square_wave.real, square_wave.imag, colour, ls=":", label="switched by the angle")
     axes.set(xlabel="x, along the weight", ylabel="y", aspect="equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
 

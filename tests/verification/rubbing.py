@@ -140,7 +140,7 @@ def friction_on_a_solid() -> list[Row]:
     """
     rows = []
     for frequency, mu in RUBBED:
-        run, frictionless_amplitude, tip_motions = beside_the_cone(frequency, mu)
+        run, no_friction, tip_motions = beside_the_cone(frequency, mu)
         coarse_amplitude, fine_amplitude = (
             0.5 * float(np.ptp(tip_motion)) for tip_motion in tip_motions
         )
@@ -155,8 +155,8 @@ def friction_on_a_solid() -> list[Row]:
             Row(f"half peak-to-peak {name} [um]", amplitude * 1e6, limit * 1e6, 5e-4),
             Row(
                 f"change by friction {name}",
-                amplitude / frictionless_amplitude - 1.0,
-                limit / frictionless_amplitude - 1.0,
+                amplitude / no_friction - 1.0,
+                limit / no_friction - 1.0,
                 5e-4,
                 True,
             ),
