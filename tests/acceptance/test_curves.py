@@ -224,8 +224,7 @@ SOFT_PLATE = {
 def test_paper_plate(soft_plate: fc.Structure, span: tuple[float, float]) -> None:
     """Doublings that truncated equations lack, two bifurcations within 0.1 rad/s, and one fold for
     several of harmonic balance: by the multipliers of another flow."""
-    law = fc.UnilateralPenalty(1e9)
-    curve = fc.continue_frequency(soft_plate, *span, law, tolerance=1e-2)
+    curve = fc.continue_frequency(soft_plate, *span, fc.UnilateralPenalty(1e9), tolerance=1e-2)
     for kind, exact_values in SOFT_PLATE[span].items():
         bifurcations = [
             bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == kind

@@ -17,8 +17,7 @@ def test_solution(tmp_path: Path, run_command: RunCommand) -> None:
     and next to its exact orbit."""
     output = run_command("solve", NEW, "--output", tmp_path).out
     report = json.loads((tmp_path / "solution.json").read_text())
-    run = fc.load_run(tmp_path / "solution.h5")
-    solution = run.result
+    solution = fc.load_run(tmp_path / "solution.h5").result
     assert isinstance(solution, fc.PeriodicSolution) and solution.converged
     assert solution.report.total < 1e-2 and judged.true_error(solution) < 1e-2
     assert solution.stability is not None and solution.stability.verdict in output

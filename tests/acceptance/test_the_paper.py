@@ -41,8 +41,7 @@ def test_every_figure_and_equation_has_a_row() -> None:
 def test_row_names_what_checks_it(name: str) -> None:
     """A test that exists, and what it is about."""
     file, _, function = rows_of_the_paper()[name][3].strip("`").partition("::")
-    text = (ROOT / file).read_text()
-    assert f"def {function or 'main'}(" in text
+    assert f"def {function or 'main'}(" in (ROOT / file).read_text()
 
 
 def test_bonded_by_a_spring_and_rigidly() -> None:

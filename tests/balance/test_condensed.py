@@ -130,8 +130,7 @@ def test_compliance_beyond_the_harmonics(damping: str) -> None:
     """R_k for k > H: exact from all modes; from the 20 lowest to 5 % below a third of the 21st."""
     structure = chain(damping, n=40)
     base = 0.3 / 16.0 * fc.solve_modes(structure, 21).omega[-1]
-    law = fc.UnilateralPenalty(1.0)
-    exact = Problem(structure, base, law, 16).compliance().matrices[6:]
+    exact = Problem(structure, base, fc.UnilateralPenalty(1.0), 16).compliance().matrices[6:]
     with both(structure, base, 5) as (modal_compliance, factored_compliance):
         assert relative(modal_compliance.compliance_above(16), exact) < 1e-10
         errors = np.linalg.norm(factored_compliance.compliance_above(16) - exact, axis=(1, 2))

@@ -49,8 +49,7 @@ def test_penalty_approaches_the_constraint_like_one_over_k(
         penetrations.append(solution.report.penetration)
     assert errors[0] < 0.12 and errors[-1] < 0.01
     for values in (errors, penetrations):
-        slope = log_slope(stiffness, values)
-        assert slope == pytest.approx(-1.0, abs=0.06)
+        assert log_slope(stiffness, values) == pytest.approx(-1.0, abs=0.06)
 
 
 def test_penetration_falls_with_the_harmonics(constrained: dict[int, fc.PeriodicSolution]) -> None:

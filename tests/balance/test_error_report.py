@@ -211,8 +211,7 @@ def test_penetration_by_sampling_time(contact: Contact) -> None:
 def test_total_is_the_sum_of_the_errors() -> None:
     """Without the penetration, which is a property of the law."""
     assert fc.ErrorReport(1.0, 20.0, 300.0, 4000.0, 5e6).total == 4321.0
-    linear = fc.solve_linear(oscillator(), 1.0).report
-    assert linear == fc.ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert fc.solve_linear(oscillator(), 1.0).report == fc.ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 # --- to a tolerance -------------------------------------------------------------------------------

@@ -178,8 +178,7 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
     random = np.random.default_rng(seed)
     root = random.normal(size=(pairs, pairs + 2))
     matrix, gap = root @ root.T + 1e-3 * np.eye(pairs), random.normal(size=pairs)
-    closed_guess = random.random(pairs) < 0.5 if guessed else None
-    force = solve_complementarity(matrix, gap, closed_guess)
+    force = solve_complementarity(matrix, gap, random.random(pairs) < 0.5 if guessed else None)
     opening = matrix @ force - gap
     assert force.min() >= 0.0
     assert opening.min() >= -1e-9 * np.abs(gap).max()
@@ -343,8 +342,7 @@ def test_events_of_one_pair_are_its_zeros() -> None:
     for seed in range(5):
         gap = random_gaps(8, 1, seed)
         intervals = contact_intervals(gap, ActiveSetSolver(np.full((1, 1), 0.3)))
-        events = switching_instants(to_complex(gap))
-        expected_theta = np.sort(np.mod(events.theta, 2.0 * np.pi))
+        expected_theta = np.sort(np.mod(switching_instants(to_complex(gap)).theta, 2.0 * np.pi))
         assert np.allclose(intervals.theta[1:], expected_theta, rtol=0.0, atol=1e-11)
 
 
@@ -970,8 +968,7 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid path through its folds, its solutions found by products and its sign by factors, or
     not at all: its points are solutions, and it ends where Python's ends."""
     monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", limit)
-    full_structure = chain("modal", pairs=3)
-    structure = fc.reduce_structure(full_structure, modes=6, method="massless")
+    structure = fc.reduce_structure(chain("modal", pairs=3), modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
     family = BALANCE_EQUATIONS["omega"](problem, 0.6, 0.45)
     start_solution = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
@@ -1003,8 +1000,7 @@ def test_an_instant_without_forces_is_no_solution() -> None:
     """BalanceEquations that are not finite: no point, and no crash."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
     for bad_number in (np.nan, np.inf, 1e300):
-        guess = np.full(family.shape, bad_number)
-        assert solve_at(family, guess, 0.5, tolerance=1e-9) is None
+        assert solve_at(family, np.full(family.shape, bad_number), 0.5, tolerance=1e-9) is None
     compiled = family.compiled_equations
     assert compiled is not None and compiled.linearise(np.zeros(family.shape), 0.5).residual.any()
     linearisation = compiled.linearise(

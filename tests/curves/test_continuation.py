@@ -106,8 +106,7 @@ def test_fold_of_a_duffing_oscillator() -> None:
         return float((pairs**2).real)
 
     grid = np.linspace(0.6, 2.4, 4001)
-    signs = np.sign([discriminant(omega) for omega in grid])
-    exact = grid[np.flatnonzero(np.diff(signs))]
+    exact = grid[np.flatnonzero(np.diff(np.sign([discriminant(omega) for omega in grid])))]
     assert len(exact) == 2
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
 
@@ -219,8 +218,7 @@ def test_one_eigensolution_for_a_curve(name: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(scipy.linalg, "eigh", counted)
     structure, law, (start, end) = two_masses(), fc.UnilateralPenalty(2.0), RANGES[name]
     curve = fc.continue_parameter(structure, 0.9, law, name, start, end, stability=True)
-    solutions = [curve.solution(index) for index in range(len(curve))]
-    assert len(solutions) > 5 and sum(calls) == 1
+    assert len([curve.solution(index) for index in range(len(curve))]) > 5 and sum(calls) == 1
 
 
 def test_load_only_scales_without_clearance() -> None:
@@ -348,8 +346,7 @@ def test_branch_where_rounding_leaves_much(seed: int) -> None:
         force_mean=1.0 + 0.2 * rng.random(4),
         damping=0.1 * np.eye(4),
     )
-    law = fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 3.2, 2.5, law, tolerance=1e-2)
+    curve = continue_frequency(structure, 3.2, 2.5, fc.UnilateralPenalty(1.0), tolerance=1e-2)
     doubling_point = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     branch = fc.follow_branch(curve, doubling_point, throw=False, most_points=5)
     assert len(branch) == 6

@@ -56,8 +56,7 @@ def newton_step(curve: fc.ResponseCurve, index: int) -> float:
     """How far a point would move, relative to it, with the same modes that answer at once."""
     point = curve.solution(index)
     problem = replace(curve.problem.with_harmonics(point.harmonics), omega=point.omega)
-    system = problem.system(problem.compliance())
-    linearisation = system.linearise(point.slow_gap_coefficients)
+    linearisation = problem.system(problem.compliance()).linearise(point.slow_gap_coefficients)
     return float(
         np.abs(linearisation.solve(linearisation.residual)).max()
         / np.abs(linearisation.unknown).max()
@@ -175,8 +174,7 @@ def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
 
 def test_small_structure_with_fast_modes() -> None:
     """Modes above the harmonics answer at once: rigid contact without a reduction."""
-    structure = chain(n=8, pairs=1, seed=3)
-    curve = fc.continue_frequency(structure, 0.1, 0.16, RIGID, harmonics=4)
+    curve = fc.continue_frequency(chain(n=8, pairs=1, seed=3), 0.1, 0.16, RIGID, harmonics=4)
     assert curve.complete and curve.static_above == pytest.approx(2 * 4 * 0.16)
     assert_solutions(curve, 9)
 

@@ -540,8 +540,7 @@ def integrated(law: Any, solution: fc.PeriodicSolution) -> np.ndarray:
     run = solve_ivp(
         rate, (0.0, solution.period), np.eye(2 * n).ravel(), "DOP853", rtol=1e-9, atol=1e-11
     )
-    matrix: np.ndarray = run.y[:, -1].reshape(2 * n, 2 * n)
-    return matrix
+    return run.y[:, -1].reshape(2 * n, 2 * n)
 
 
 @pytest.mark.parametrize("damping", ["modal", "matrix", "overdamped"])
@@ -647,8 +646,7 @@ def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
     assert [bifurcation.kind for bifurcation in curve.bifurcations] == ["fold", "fold"]
     upper_fold, lower_fold = (bifurcation.value for bifurcation in curve.bifurcations)
     turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega)))) + 1
-    middle = np.arange(turns[0] + 1, turns[1])
-    assert set(curve.verdicts[middle]) == {"unstable"}
+    assert set(curve.verdicts[np.arange(turns[0] + 1, turns[1])]) == {"unstable"}
     verdicts_off_folds = np.delete(curve.verdicts, np.arange(turns[0] - 1, turns[1] + 2))
     assert set(verdicts_off_folds) == {"stable"} and lower_fold < upper_fold
     for bifurcation in curve.bifurcations:

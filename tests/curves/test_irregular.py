@@ -87,8 +87,7 @@ def test_curve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(curve.verdicts) == {"irregular"} and not curve.stable.any()
     assert np.all(np.abs(curve.multipliers) > 1.0)
     fc.save(curve, tmp_path / "curve.h5")
-    loaded_curve = fc.load(tmp_path / "curve.h5", plate(), LAW)
-    assert list(loaded_curve.verdicts) == list(curve.verdicts)
+    assert list(fc.load(tmp_path / "curve.h5", plate(), LAW).verdicts) == list(curve.verdicts)
     legend = fc.draw_curve(curve).axes[0].get_legend()
     assert legend is not None and "irregular" in [text.get_text() for text in legend.get_texts()]
     legend = fc.draw_multipliers(curve).axes[0].get_legend()

@@ -29,8 +29,7 @@ def followed(first: float, last: float) -> fc.ResponseCurve:
         np.diag([1.0, 1.0]), np.diag([1e4, 1e6]), gap=np.array([0.0, 1.0]), clearance=1.0,
         force_sin=[1.0, 0.0], damping=fc.ModalDamping(XI),
     )  # fmt: skip
-    law = fc.UnilateralPenalty(1e6)
-    return fc.continue_frequency(structure, first, last, law, harmonics=1)
+    return fc.continue_frequency(structure, first, last, fc.UnilateralPenalty(1e6), harmonics=1)
 
 
 @pytest.fixture(scope="module")
@@ -92,8 +91,7 @@ def test_a_peak_beside_nothing_has_a_height() -> None:
     height = curve.amplitude(0)  # none at 10 rad/s, where the second mass alone moves
     top = int(height.argmax())
     places = [0, top, top + 1]
-    part = replace(curve, **{name: getattr(curve, name)[places] for name in COLUMNS})
-    peak = part.peak(0)
+    peak = replace(curve, **{name: getattr(curve, name)[places] for name in COLUMNS}).peak(0)
     assert height[0] < 1e-12 * height[top] and peak.amplitude == height[top] > height[top + 1]
     assert 10.0 < peak.omega < curve.omega[top + 1] and np.isnan(peak.damping)
 

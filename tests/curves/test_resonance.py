@@ -191,8 +191,7 @@ def test_plate_pressed_by_a_mean_load() -> None:
     """The top of its curve of exact orbits, between bonded and breathing crack."""
     study = fc.prepare(cracked(0.0, -300.0))
     law, omega = study.contact, study.scene.excitation.omega
-    problem = Problem(study.structure, omega, law)
-    resonance = fc.resonance_at(problem, tolerance=0.01)
+    resonance = fc.resonance_at(Problem(study.structure, omega, law), tolerance=0.01)
     frequencies = fc.bilinear_frequencies(study.structure)
     assert (
         frequencies.omega_bilinear[0] < resonance.omega < (1.0 + 1e-9) * frequencies.omega_tied[0]
@@ -252,8 +251,7 @@ def test_solid_blade_on_a_rotor(force: float) -> None:
     """Its resonance is that of its curve over rpm, which the load moves by 20 rpm: the centrifugal
     load opens the crack, and the bilinear frequency meets the order at 5,847 rpm."""
     scene = titanium_blade(force)
-    full_structure = fc.build_structure(scene)
-    rotor = fc.run_up_structure(full_structure, 605.0, 615.0, 10)
+    rotor = fc.run_up_structure(fc.build_structure(scene), 605.0, 615.0, 10)
     problem = Problem(rotor, 4.0 * rotor.speed, fc.UnilateralConstraint())
     resonance = resonance_at(problem, parameter="speed", tolerance=0.01)
     peak = fc.curve(scene).peak()

@@ -103,8 +103,7 @@ DRAWN: dict[str, Callable[[Any], Any]] = {
 
 def part(parts: Path, **changes: Any) -> Scene:
     """The scene of the box in a STEP file."""
-    text = TEXT.replace("box.step", str(parts / "box.step"))
-    scene = Scene.from_text(text)
+    scene = Scene.from_text(TEXT.replace("box.step", str(parts / "box.step")))
     return scene.replace({key.replace("__", "."): value for key, value in changes.items()})
 
 
@@ -382,6 +381,5 @@ def test_cells_near_a_front_are_straight() -> None:
     is_curved = np.abs(positions_before[cells[:, 4:]] - centres).max(axis=(1, 2)) > 1e-9
     assert count == np.sum(is_near & is_curved) and 0 < count < np.sum(is_curved)
     assert np.allclose(positions[cells[is_near, 4:]], centres[is_near], atol=1e-12)
-    near_nodes = np.unique(cells[is_near, 4:])
-    far_nodes = np.setdiff1d(np.arange(len(positions_before)), near_nodes)
+    far_nodes = np.setdiff1d(np.arange(len(positions_before)), np.unique(cells[is_near, 4:]))
     assert np.array_equal(positions[far_nodes], positions_before[far_nodes])

@@ -64,8 +64,7 @@ def static(structure: Structure, force: np.ndarray) -> np.ndarray:
     """Displacement under a static force, with open lips."""
     starts, columns, values = structure.stiffness.getValuesCSR()
     matrix = sparse.csr_matrix((values, columns, starts), structure.stiffness.size)
-    displacement: np.ndarray = scipy.sparse.linalg.spsolve(matrix.tocsc(), force)
-    return displacement
+    return scipy.sparse.linalg.spsolve(matrix.tocsc(), force)
 
 
 # --- meshes and pairs -----------------------------------------------------------------------------
@@ -243,8 +242,7 @@ def test_contact_of_two_cracks_and_its_mirror_image(law: str) -> None:
         assert solution.converged
         gap = solution.gap(np.linspace(0.0, solution.period, 64))
         for number in (0, 1):
-            crack_gap = gap[:, study.structure.pairs.cracks == number]
-            assert crack_gap.min() < 0.0
+            assert gap[:, study.structure.pairs.cracks == number].min() < 0.0
             assert np.any(solution.contact_force(np.linspace(0.0, solution.period, 64)) > 0.0)
         x = study.structure.pair_points[:, 0]
         x = WIDTH - x if load < 0.0 else x

@@ -134,8 +134,7 @@ def test_lips_pair_one_to_one(layout: str, cells: str, order: int) -> None:
     for edge, length, height in sizes:
         structure = build_structure(plate(layout, cells, order, edge, length, height))
         np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
-        elements = round(20 * length) if layout == "grid" else 5
-        assert structure.n_pairs == elements * order
+        assert structure.n_pairs == (round(20 * length) if layout == "grid" else 5) * order
 
         lower_nodes, upper_nodes, normals = pair_nodes(structure)
         assert not set(lower_nodes) & set(upper_nodes)
@@ -165,8 +164,7 @@ def test_lips_pair_one_to_one(layout: str, cells: str, order: int) -> None:
 @pytest.mark.parametrize("height", [0.03, 0.5, 0.97])
 def test_graded_meshes_of_any_crack(cells: str, length: float, height: float) -> None:
     """Cracks of 1 % to 95 % of the width, close to either end too, are meshed without overlap."""
-    scene = plate("graded", cells, 1, "left", length, height)
-    structure = build_structure(scene)
+    structure = build_structure(plate("graded", cells, 1, "left", length, height))
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
     assert structure.n_pairs == 5
 
@@ -184,8 +182,7 @@ def test_elements_are_no_larger_than_the_size_asked_for() -> None:
 def test_grading_shortens_the_elements_at_the_tip() -> None:
     """The lip's element at the tip is `grading` times shorter than the one at the mouth."""
     structure = build_structure(plate("graded", "quadrilateral", 1))
-    ends = np.append(structure.pair_points[:, 0], 0.4 * WIDTH)
-    lengths = np.diff(ends)
+    lengths = np.diff(np.append(structure.pair_points[:, 0], 0.4 * WIDTH))
     np.testing.assert_allclose(lengths[0] / lengths[-1], 3.0, rtol=1e-6)
 
 
@@ -206,8 +203,7 @@ def test_uncracked_plate(cells: str, order: int) -> None:
 @pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
 def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
     """A translation closes nothing; lifting the part above the crack by 1 opens every pair by 1."""
-    scene = plate(layout, cells, order)
-    structure = build_structure(scene)
+    structure = build_structure(plate(layout, cells, order))
     everywhere = np.ones((len(structure.nodes.points), 1))
     for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
         shift = field(structure, everywhere * direction)
@@ -484,8 +480,7 @@ def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
     points = [(i * WIDTH / 10, 0.75 * HEIGHT) for i in range(11)]
     points += [(0.5 * WIDTH, j * HEIGHT / 4) for j in range(1, 5)]
     scene = plate("grid", "quadrilateral", 1).replace({"mesh.columns": 10})
-    force_totals = on_ranks(totals, scene, points)
-    np.testing.assert_allclose(force_totals, np.ones(len(points)), rtol=1e-9)
+    np.testing.assert_allclose(on_ranks(totals, scene, points), np.ones(len(points)), rtol=1e-9)
 
 
 def refusals(scene: Scene, comm: MPI.Comm) -> list[str]:

@@ -249,9 +249,10 @@ def test_a_mouth_that_is_closed() -> None:
 
 def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edges) -> Any:
     """The lips of a plate of triangles."""
-    groups = [(2, 1, "plate", TRIANGLE, cells.ravel())]
-    for tag, (name, group_edges) in enumerate({"clamp": clamp, **curves}.items(), 1):
-        groups.append((1, tag, name, 1, np.ravel(group_edges)))
+    groups = [(2, 1, "plate", TRIANGLE, cells.ravel())] + [
+        (1, tag, name, 1, np.ravel(group_edges))
+        for tag, (name, group_edges) in enumerate({"clamp": clamp, **curves}.items(), 1)
+    ]
     with gmsh_model():
         spatial = np.column_stack([places, np.zeros(len(places))])
         return load_mesh_into_gmsh((np.arange(len(places)), spatial, groups), 2)[1]
@@ -549,8 +550,7 @@ def test_a_strip_wound_onto_itself() -> None:
     radius = 1.0 + 0.3 * places[:, 1:] + 0.1 * turns
     angle = 2.0 * np.pi * turns
     places = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    words = "cells that overlap, or touch"
-    refused(words, cells, places, clamp=[(0, 41)])
+    refused("cells that overlap, or touch", cells, places, clamp=[(0, 41)])
 
 
 def test_a_fan_that_goes_round_twice() -> None:
@@ -558,8 +558,7 @@ def test_a_fan_that_goes_round_twice() -> None:
     angles = np.arange(16) * np.pi / 4.0
     ring = np.column_stack([np.cos(angles), np.sin(angles)]) * (1.0 + 0.01 * np.arange(16)[:, None])
     cells = [(0, 1 + k, 1 + (k + 1) % 16) for k in range(16)]
-    places = np.concatenate([[[0.0, 0.0]], ring])
-    refused("cells that overlap", cells, places, clamp=[(1, 2)])
+    refused("cells that overlap", cells, np.concatenate([[[0.0, 0.0]], ring]), clamp=[(1, 2)])
 
 
 def test_quadrilaterals_are_convex() -> None:

@@ -221,8 +221,7 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
 def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:
     """A crack given by its first natural frequency keeps its length whatever the speed."""
     mesh = {"layout": "graded", "size": 0.01, "lip_elements": 2}
-    scene = cracked(0.0, mesh=mesh)
-    first_omega = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0])
+    first_omega = float(fc.solve_modes(fc.build_structure(cracked(0.0, mesh=mesh)), 1).omega[0])
     crack = {"edge": "left", "height": 0.05, "first_omega": first_omega}
     length = fc.find_crack_length(cracked(500.0, crack=crack, mesh=mesh))
     assert length == pytest.approx(0.006, rel=2e-3)
@@ -236,6 +235,5 @@ def test_lumped_and_tied_blades_rotate_still() -> None:
         with pytest.raises(InputError, match="centrifugal"):
             variant.varied(load=2.0)
         rotor = fc.run_up_structure(variant, 500.0, 700.0, 3)
-        structure_at_speed = variant.rotation.at(650.0)
-        omegas = fc.solve_modes(structure_at_speed, 3).omega
+        omegas = fc.solve_modes(variant.rotation.at(650.0), 3).omega
         assert rotor.at_speed(650.0).omega == pytest.approx(omegas, rel=1e-7)

@@ -80,8 +80,7 @@ def frequencies(scene: Scene, count: int = 4) -> np.ndarray:
 
 def frequencies_of(structure: fc.Structure, count: int = 4) -> np.ndarray:
     """Of a structure, with open lips [Hz]."""
-    hertz: np.ndarray = fc.solve_modes(structure, count).omega / (2.0 * math.pi)
-    return hertz
+    return fc.solve_modes(structure, count).omega / (2.0 * math.pi)
 
 
 @pytest.fixture(scope="module")
@@ -273,8 +272,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         for tag in gmsh.model.getEntitiesForPhysicalGroup(2, crack):
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
-        kind = gmsh.model.mesh.getElements(3)[0][0]
-        solid_cells = cells_of_kind(kind, cells)
+        solid_cells = cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
         own_sharing = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
@@ -332,8 +330,7 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
             THROUGH, **{"material.poisson": 0.0, "mesh.size": size, "mesh.lip_elements": lips}
         )
         modes = fc.solve_modes(fc.build_structure(scene), 4)
-        shapes = NodalMesh(modes.structure).nodal_vectors(modes.shapes.T)
-        sizes = np.linalg.norm(shapes, axis=1)
+        sizes = np.linalg.norm(NodalMesh(modes.structure).nodal_vectors(modes.shapes.T), axis=1)
         in_plane = np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]
         errors.append(modes.omega[in_plane] / (2.0 * math.pi) / exact - 1.0)
     assert 0.0 < errors[1] < 0.6 * errors[0]
@@ -342,8 +339,7 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
 
 def test_tied_lips_are_a_solid_without_a_crack() -> None:
     """But for what slides: between the frequency with open lips and that of the whole."""
-    structure = fc.build_structure(solid(ELLIPSE))
-    bilinear = fc.bilinear_frequencies(structure)
+    bilinear = fc.bilinear_frequencies(fc.build_structure(solid(ELLIPSE)))
     uncracked_omega = 2.0 * math.pi * frequencies(solid(contact=None), 1)[0]
     assert bilinear.omega_open[0] < bilinear.omega_bilinear[0] < bilinear.omega_tied[0]
     assert bilinear.omega_tied[0] == pytest.approx(uncracked_omega, rel=2e-3)
@@ -378,8 +374,7 @@ def test_forces_of_a_solid_are_swept(tmp_path: Path) -> None:
             force = {"excitation.force_mean": mean, "excitation.force_cos": cosine}
             solution = fc.solve(scene.replace(force)).result
             gap = solution.gap_coefficients
-            error = np.abs(sweep.gap((row, column)) - gap).max()
-            assert error < 1e-6 * np.abs(gap).max()
+            assert np.abs(sweep.gap((row, column)) - gap).max() < 1e-6 * np.abs(gap).max()
             often = solution.period * np.arange(2**15) / 2**15  # 1e-8 from the extremes
             load_motion = solution.coordinates(often) @ solution.structure.force[1]
             response = 0.5 * np.ptp(load_motion) / np.linalg.norm(cosine)
@@ -425,8 +420,7 @@ def test_each_crack_has_a_contact_map() -> None:
     second = {"center": 0.01, "height": 0.06, "length": 0.008, "depth": 0.003}
     scene = solid(ELLIPSE, **{f"cracks.1.{key}": value for key, value in second.items()})
     structure = fc.reduce_structure(fc.build_structure(scene), modes=4, method="massless")
-    solution = fc.solve_linear(structure, 1000.0)
-    panels = fc.draw_contact_map(solution).axes
+    panels = fc.draw_contact_map(fc.solve_linear(structure, 1000.0)).axes
     maps = [panel for panel in panels if panel.get_title()]
     assert [panel.get_title() for panel in maps] == ["crack 1"] * 2 + ["crack 2"] * 2
     for panel, crack in zip(maps, (ELLIPSE, ELLIPSE, second, second), strict=True):
@@ -537,8 +531,7 @@ def test_the_point_of_a_load_is_written_and_read(tmp_path: Path) -> None:
         for dimension, tag, name in (
             (3, 1, "solid"), (2, middles[min(middles)], "clamp"), (0, corners[1, 2, 1], "load")
         ):  # fmt: skip
-            group = model.addPhysicalGroup(dimension, [tag])
-            model.setPhysicalName(dimension, group, name)
+            model.setPhysicalName(dimension, model.addPhysicalGroup(dimension, [tag]), name)
         model.mesh.generate(3)
         gmsh.write(str(first_path))
     removed_keys = {"crack": None, "contact": None, "excitation.point": None}
@@ -656,8 +649,7 @@ def test_files_without_what_is_needed(tmp_path: Path) -> None:
     write_box(path, 1, crack=False)
     with pytest.raises(InputError, match=r"surfaces named 'crack'.*contact"):
         fc.build_structure(of_file(path))
-    text = path.read_text().replace('"clamp"', '"held"')
-    path.write_text(text)
+    path.write_text(path.read_text().replace('"clamp"', '"held"'))
     with pytest.raises(InputError, match="no clamp; surfaces named 'held'"):
         fc.build_structure(of_file(path))
 
@@ -699,8 +691,7 @@ def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
         return [tag for _, tag in occ.fragment([(3, first_body)], [(3, second_body)])[0]]
 
     path, removed_keys = tmp_path / "bodies.msh", {"crack": None, "contact": None}
-    corner = {"excitation.point": [0.0, HEIGHT, 0.0]}
-    scene = of_file(path).replace(removed_keys | corner)
+    scene = of_file(path).replace(removed_keys | {"excitation.point": [0.0, HEIGHT, 0.0]})
     write_bodies(path, joined)
     fc.build_structure(scene)
     write_bodies(path, bodies)

@@ -61,8 +61,7 @@ def enumerated(compliance: np.ndarray, gap: np.ndarray) -> np.ndarray:
 def by_nnls(compliance: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The minimum of lambda^T D lambda / 2 - lambda^T s for lambda >= 0, by Lawson and Hanson."""
     root = np.linalg.cholesky(compliance)
-    force: np.ndarray = scipy.optimize.nnls(root.T, np.linalg.solve(root, gap))[0]
-    return force
+    return scipy.optimize.nnls(root.T, np.linalg.solve(root, gap))[0]
 
 
 # --- the constraint and the penalty law -----------------------------------------------------------

@@ -201,8 +201,7 @@ def test_basis_does_not_depend_on_the_size_of_the_load(paper_scene: fc.Scene) ->
     omegas = []
     for force in (1e-4, 1e2):
         scene = paper_scene.replace({"mesh.columns": 4, "excitation.force_sin": (force, 0.0)})
-        plate = fc.build_structure(scene)
-        omegas.append(fc.reduce_structure(plate, modes=6).omega)
+        omegas.append(fc.reduce_structure(fc.build_structure(scene), modes=6).omega)
     assert np.allclose(*omegas, rtol=1e-6)
 
 
@@ -280,8 +279,7 @@ def test_of_a_large_structure_few_modes_are_computed(
 def test_one_ratio_of_all_coordinates(fine_plate: fc.Structure) -> None:
     """The same as with the damping given to the reduced structure, and as a number of modes."""
     reduced_structure = fc.reduce_structure(fine_plate)
-    damping = fc.ModalDamping(0.02)
-    later = fc.reduce_structure(fine_plate.damped(None), modes=50).damped(damping)
+    later = fc.reduce_structure(fine_plate.damped(None), modes=50).damped(fc.ModalDamping(0.02))
     damping_of_all = fc.ModalDamping(0.02, fine_plate.n_dofs)
     exact = compliances(reduced_structure, 1000.0, 5)[0]
     assert relative(compliances(later, 1000.0, 5)[0], exact) < 1e-12
@@ -362,11 +360,10 @@ def test_all_modes_damped_whatever_the_mesh() -> None:
         }
     )  # fmt: skip
     assert scene.contact is not None and scene.damping.modes == "all"
-    solutions = []
-    for study in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
-        solutions.append(
-            fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=9)
-        )
+    solutions = [
+        fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=9)
+        for study in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"})))
+    ]
     reduced_gap, full_gap = (solution.gap_coefficients for solution in solutions)
     difference = np.linalg.norm(reduced_gap - full_gap) / np.linalg.norm(full_gap)
     assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 402

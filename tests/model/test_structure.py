@@ -96,8 +96,7 @@ def test_every_form_of_the_matrices_gives_the_same(convert: Any, tmp_path: Path)
     structure = Structure.from_matrices(**arguments)
     assert (structure.n_dofs, structure.n_pairs, structure.n_local) == (N, PAIRS, N)
     for name in ("mass", "stiffness", "damping"):
-        matrix = dense(getattr(structure, name))
-        np.testing.assert_allclose(matrix, originals[name], rtol=1e-15)
+        np.testing.assert_allclose(dense(getattr(structure, name)), originals[name], rtol=1e-15)
     np.testing.assert_allclose(structure.gap.toarray(), originals["gap"], rtol=1e-15)
     np.testing.assert_array_equal(
         structure.force, [originals["force_mean"], originals["force_cos"], originals["force_sin"]]

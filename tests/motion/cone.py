@@ -87,7 +87,6 @@ def march_cone(
         q = free_state - slope.T * (force @ modal_rows)
         previous_load = next_load - force @ modal_rows
         if step > steps * (periods - 1):
-            residual_rows = structure.force[:, count:]
-            static_force = wave(step * dt, residual_rows) - force @ static_rows
+            static_force = wave(step * dt, structure.force[:, count:]) - force @ static_rows
             motions.append(np.concatenate([q[0], structure.flexibility @ static_force]))
     return np.array(motions)

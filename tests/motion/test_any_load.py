@@ -87,8 +87,7 @@ def followed(structure: fc.Structure, omega: float, state: np.ndarray, end: floa
 
 def test_exact_orbit_against_integration() -> None:
     structure, omega = loaded(), 0.8
-    solution = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3)
-    orbit = solution.orbit
+    orbit = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3).orbit
     assert orbit is not None and orbit.events >= 4
     shapes = orbit.flow.modal_model.shapes.T
     start = np.concatenate([part @ shapes for part in np.split(orbit.state, 2)])

@@ -179,8 +179,7 @@ def test_parts_make_the_whole() -> None:
 def test_grazing(missed: float) -> None:
     """x = -cos t meets a stop at 1 - missed for a moment: in contact with k = 3 it turns with twice
     the frequency about the point where the forces cancel."""
-    structure = oscillator(None, force=0.0, clearance=1.0 - missed)
-    flow = known(structure, fc.UnilateralPenalty(3.0))
+    flow = known(oscillator(None, force=0.0, clearance=1.0 - missed), fc.UnilateralPenalty(3.0))
     instants = np.linspace(0.0, 2.0 * np.pi, 9)
     motion = flow.advance(np.array([-1.0, 0.0]), 1.0, 2.0 * np.pi, instants=instants)
     assert motion.events == 2 if missed > 1e-12 else motion.events % 2 == 0
@@ -443,8 +442,7 @@ def test_motion_in_arcs(light: bool) -> None:
     """Its parts begin where a prediction leads; from an orbit's own states it is the orbit."""
     structure: fc.Structure = light_chain(1) if light else chain(pairs=3, seed=1)
     contact: object = RIGID if light else fc.UnilateralPenalty(20.0)
-    solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10)
-    step, orbit = next_to(solution)
+    step, orbit = next_to(fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10))
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
     motion = predict_motion(flow, 0.5, step, 1)
     assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
@@ -531,8 +529,7 @@ def test_coefficients(light: bool) -> None:
 def test_open_crack() -> None:
     """Without contact the orbit is the linear response, whatever the start."""
     structure = oscillator(clearance=100.0)
-    flow = known(structure, fc.UnilateralPenalty(1.0))
-    orbit = find_orbit(flow, 2.0, np.array([3.0, -1.0]))
+    orbit = find_orbit(known(structure, fc.UnilateralPenalty(1.0)), 2.0, np.array([3.0, -1.0]))
     assert orbit is not None and orbit.events == 0
     linear = fc.solve_linear(structure, 2.0)
     linear_rows = np.vstack([linear.displacement_coefficients, np.zeros((0, 1))])

@@ -107,8 +107,7 @@ def test_a_sine_has_the_amplitude_of_its_harmonic() -> None:
         np.testing.assert_allclose(indicators.amplitude, np.hypot(cosine, sine), rtol=rtol)
         np.testing.assert_allclose(answer.amplitude(), indicators.amplitude, rtol=1e-15)
         assert np.all(np.abs(mean) < 1e-9 * indicators.amplitude)
-    first_orbit = orbits.orbit(0)
-    assert first_orbit.amplitude() == pytest.approx(orbits.amplitude()[0], rel=1e-12)
+    assert orbits.orbit(0).amplitude() == pytest.approx(orbits.amplitude()[0], rel=1e-12)
 
 
 def test_a_sweep_has_the_amplitude_of_the_sine(tmp_path: Path) -> None:

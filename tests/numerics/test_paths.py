@@ -74,8 +74,7 @@ def follow(
 ) -> tuple[np.ndarray, np.ndarray, list[PathPoint]]:
     """x and p along the path up to p = end; every point lies on the curve."""
     points = []
-    start = np.array([x, 2.0])
-    path = Path(plane, point_on_path(plane, start, p), PathOptions(0.05, longest))
+    path = Path(plane, point_on_path(plane, np.array([x, 2.0]), p), PathOptions(0.05, longest))
     for point in islice(path.points(), 500):
         points.append(point)
         if point.parameter > end:

@@ -171,8 +171,7 @@ def test_scene_that_goes_on(tmp_path: Path) -> None:
     count, size = len(rest.time), np.ptp(whole_run.tangential_force)
     difference = rest.tangential_force - whole_run.tangential_force[-count:]
     assert np.abs(difference).max() < 1e-6 * size and len(first_run.final_state) == 3
-    solution_run = fc.solve(scene, MPI.COMM_SELF)
-    solution_run.save(tmp_path / "solution.h5")
+    fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
     changes = {"integration.periods": 1, "integration.initial": str(tmp_path / "solution.h5")}
     assert fc.integrate(scene.replace(changes), MPI.COMM_SELF).result.friction == 0.3
     frictionless_scene = scene.replace(changes | {"contact.friction": 0.0})

@@ -191,8 +191,7 @@ def test_exponential_without_pairs(wide_plate: fc.Structure) -> None:
     assert 20 < history.periods < 60 and history.gap.shape[1] == 0
     motion = history.by_period(history.displacement([corner]))[-1]
     linear = fc.solve_linear(full_structure, 2000.0)
-    exact_motion = linear.displacement(history.time[-512:], [corner])
-    assert relative(motion, exact_motion) < 1e-3
+    assert relative(motion, linear.displacement(history.time[-512:], [corner])) < 1e-3
 
 
 @pytest.mark.parametrize(("mean", "clearance"), [(-1000.0, 0.0), (1000.0, 0.0), (0.0, 1e6)])

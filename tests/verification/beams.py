@@ -72,8 +72,7 @@ class Beam:
 
     def beam_ratios(self, share: float) -> np.ndarray:
         """Frequencies over those of the uncracked beam."""
-        ratios: np.ndarray = (self.beam_roots(share) / self.beam_roots(0.0)) ** 2
-        return ratios
+        return (self.beam_roots(share) / self.beam_roots(0.0)) ** 2
 
     def scene(self, share: float, **changes: Any) -> fc.Scene:
         """The beam upright, as a plate; share 0 is without a crack."""
@@ -102,13 +101,11 @@ class Beam:
         lengthwise = structure.nodes.dofs[:, 1]
         axial = np.sum(modes.shapes[lengthwise[lengthwise >= 0]] ** 2, axis=0)
         bending = axial < 0.5 * np.sum(modes.shapes**2, axis=0)
-        omegas: np.ndarray = modes.omega[bending][:3]
-        return omegas
+        return modes.omega[bending][:3]
 
     def plate_ratios(self, share: float) -> np.ndarray:
         """Frequencies over those of the uncracked plate."""
-        ratios: np.ndarray = self.frequencies(share) / self.frequencies(0.0)
-        return ratios
+        return self.frequencies(share) / self.frequencies(0.0)
 
 
 THIN = Beam(

@@ -119,8 +119,7 @@ def draw_made(axes: Any) -> None:
     sizes = 1.0 / np.array(MESHES)
     for order, errors in made_errors().items():
         for kind, word in enumerate(("displacement", "gradient")):
-            slope = log_slope(sizes[-2:], errors[-2:, kind])
-            name = f"order {order}, {word}: {slope:.2f}"
+            name = f"order {order}, {word}: {log_slope(sizes[-2:], errors[-2:, kind]):.2f}"
             axes.loglog(
                 sizes, errors[:, kind], f"C{order}{'o-' if kind == 0 else 's--'}", label=name
             )
@@ -221,8 +220,7 @@ def draw_crack_order(axes: Any) -> None:
     for order, cells in UNIFORM.items():
         dofs_and_omegas = [cracked_modes(grid(count, order)) for count in cells]
         errors = [omega[0] / limit - 1.0 for _, omega in dofs_and_omegas]
-        slope = log_slope(1.0 / np.array(cells), errors)
-        name = f"equal cells, order {order}: h^{slope:.2f}"
+        name = f"equal cells, order {order}: h^{log_slope(1.0 / np.array(cells), errors):.2f}"
         axes.loglog([dofs for dofs, _ in dofs_and_omegas], errors, "o-", label=name)
     dofs_and_omegas = [cracked_modes(mesh) for mesh in GRADED]
     errors = [omega[0] / limit - 1.0 for _, omega in dofs_and_omegas]

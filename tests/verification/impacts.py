@@ -293,8 +293,7 @@ def orbit_between_stops() -> tuple[np.ndarray, np.ndarray]:
         integration = solve_ivp(
             rate, (0.0, period), state, "DOP853", instants, rtol=1e-10, atol=1e-12, max_step=0.2
         )
-        values: np.ndarray = integration.y
-        return values
+        return integration.y
 
     state = np.zeros(4)
     for _ in range(3):

@@ -31,8 +31,7 @@ def cracked_plate(
     tables["loads"] = [{"edge": "top", "traction_mean": [0.0, 1.0]}]
     if cracks:
         tables |= {"crack": cracks[0], "cracks": cracks[1:], "contact": {"stiffness": 1.0}}
-    scene = fc.Scene.from_mapping(tables)
-    return scene.replace(changes)
+    return fc.Scene.from_mapping(tables).replace(changes)
 
 
 # --- published frequencies ------------------------------------------------------------------------

@@ -66,8 +66,7 @@ def draw_cantilever(axes: Any) -> None:
     """Response curve by exact orbits, and the published points."""
     structure, law, tip = nlstep_beam()
     curve = fc.continue_frequency(structure, 180.0, 340.0, law, tolerance=2e-2, throw=False)
-    size = curve.indicators(tip).harmonic_1
-    axes.plot(curve.omega, size, label="fenics_crack")
+    axes.plot(curve.omega, curve.indicators(tip).harmonic_1, label="fenics_crack")
     axes.plot([*SIZES], [*SIZES.values()], "kx", label="reference")
     label(axes, xlabel="w [rad/s]", ylabel="abs(U1) of the tip [mm]")
 
