@@ -39,8 +39,7 @@ def state(curve: fc.ResponseCurve) -> np.ndarray:
 
 def test_linear_curve_is_that_of_a_resonance() -> None:
     """|X| = 1 / |1 - W^2 + i c W|, from one end to the other."""
-    structure = judged.oscillator(clearance=100.0)
-    curve = fc.continue_frequency(structure, 0.5, 1.5, SOFT, harmonics=3)
+    curve = fc.continue_frequency(judged.oscillator(clearance=100.0), 0.5, 1.5, SOFT, harmonics=3)
     assert curve.complete and not curve.bifurcations
     assert curve.omega[[0, -1]] == pytest.approx([0.5, 1.5], rel=1e-14)
     exact = 1.0 / np.abs(1.0 - curve.omega**2 + 0.1j * curve.omega)
@@ -277,9 +276,8 @@ def test_doublings_over_other_parameters(
 @pytest.mark.parametrize(("start", "end"), [(1.0, 0.0), (0.0, 1.0)])
 def test_to_no_damping_and_from_there(start: float, end: float) -> None:
     """Where the motion without damping has its multipliers on the unit circle it is open."""
-    law = fc.UnilateralPenalty(3.0)
     curve = fc.continue_parameter(
-        judged.oscillator(), 1.2, law, "damping", start, end, tolerance=1e-2
+        judged.oscillator(), 1.2, fc.UnilateralPenalty(3.0), "damping", start, end, tolerance=1e-2
     )
     assert curve.complete
     assert np.array_equal(curve.verdicts == "undecided", curve.values == 0.0)

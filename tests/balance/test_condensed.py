@@ -226,8 +226,7 @@ def test_sensitivity_of_the_gap(kind: str) -> None:
 def test_bilinear_oscillator(omega: float, form: str) -> None:
     """Event-driven reference values at half and full frequency, H = 20, to 1e-5."""
     mean, harmonics, max_gap, min_gap = BILINEAR_ORBITS[omega]
-    law = fc.UnilateralPenalty(1.0)
-    solution = solve_form(Problem(oscillator(), omega, law, 20), form=form)
+    solution = solve_form(Problem(oscillator(), omega, fc.UnilateralPenalty(1.0), 20), form=form)
     rows = solution.gap_coefficients[:, 0]
     assert rows[0] == pytest.approx(mean, rel=1e-5)
     assert amplitudes(rows)[:3] == pytest.approx(harmonics, rel=1e-5)

@@ -708,9 +708,8 @@ def test_corrections(bordered: bool, min_damping: float | None) -> None:
 
 def test_undamped_resonance() -> None:
     """One error, as from Python."""
-    structure = oscillator(None, 0.1)
     family = BALANCE_EQUATIONS["omega"](
-        fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
+        fc.Problem(oscillator(None, 0.1), 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
     )
     with pytest.raises(fc.ConvergenceError, match="singular"):
         solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9)

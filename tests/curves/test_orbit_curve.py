@@ -143,8 +143,7 @@ def test_branches_of_equal_masses() -> None:
         np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), gap=np.eye(2), force_sin=np.ones(2),
         clearance=0.3, damping=fc.ModalDamping(0.02),
     )  # fmt: skip
-    law = fc.UnilateralPenalty(2.0)
-    curve = fc.continue_frequency(structure, 0.9, 2.0, law, tolerance=1e-2)
+    curve = fc.continue_frequency(structure, 0.9, 2.0, fc.UnilateralPenalty(2.0), tolerance=1e-2)
     points = [
         bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "branch_point"
     ]

@@ -72,8 +72,7 @@ def test_stated_errors_of_a_run_up(run_up: Run[fc.ResponseCurve]) -> None:
     ]
     assert errors.values["amplitude"] == pytest.approx(curve.amplitude().max(), rel=1e-3)
     name = "omega_bilinear_1"
-    structure = curve.solution(peak.index).structure
-    rate = 1.0 - structure.stiffening(peak.omega)
+    rate = 1.0 - curve.solution(peak.index).structure.stiffening(peak.omega)
     assert rate < 0.99 and errors.stated("speed")[0] * rate == pytest.approx(errors.stated(name)[0])
     mesh = run_up.scene.mesh
     changes = {"mesh.lip_elements": 2 * mesh.given("lip_elements"), "mesh.size": mesh.size / 2.0}

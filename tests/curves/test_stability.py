@@ -256,8 +256,7 @@ def test_displacement_error_is_that_of_the_load(light_lips: fc.Structure) -> Non
 
 def test_failure_names_the_closest_residual() -> None:
     """Where residuals get no further."""
-    law = fc.UnilateralPenalty(1.0)
-    solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
+    solution = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), harmonics=5)
     with pytest.raises(fc.ConvergenceError, match=r"closest (0\.0e\+00|\d\.\de-1[2-9])"):
         fc.shoot(oscillator(), solution, tolerance=-1.0)
 

@@ -171,9 +171,8 @@ def solved() -> tuple[list[Any], fc.PeriodicSolution]:
     top = plate.measure_on("top")
     loads = ufl.TestFunction(space)[1] * top, 2.0 * x * top, None
     options |= {"loads": loads, "damping": 20.0 * mass + 1e-6 * stiffness, "clearance": 1e-9}
-    structure = fc.structure_from_forms(*forms, **options)
     return forms, fc.solve_harmonic_balance(
-        structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=9
+        fc.structure_from_forms(*forms, **options), 2000.0, fc.UnilateralPenalty(1e9), harmonics=9
     )
 
 

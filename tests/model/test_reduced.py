@@ -243,8 +243,7 @@ def test_damped_copies_of_varied_ones(load: Any) -> None:
     structure = chain("modal", 20)
     structure = structure.varied(load=np.diag([1.0, 1.0, 0.0]))  # without a sine part
     damping, base = fc.ModalDamping(0.03), 0.41 * fc.solve_modes(structure, 1).omega[0]
-    model = reduced(structure, 6)
-    damped_model = model.varied(load=load).damped(damping)
+    damped_model = reduced(structure, 6).varied(load=load).damped(damping)
     direct_model = reduced(structure.varied(load=load).damped(damping), 6)
     assert np.allclose(
         seen(damped_model, base, 2)[1], seen(direct_model, base, 2)[1], rtol=1e-9, atol=1e-12
