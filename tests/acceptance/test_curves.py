@@ -118,15 +118,22 @@ def test_multiplier_at_a_bifurcation(kind: str) -> None:
 
 def test_multiplier_seen_in_the_motion() -> None:
     """At a period doubling the critical direction changes its sign each period, undamped."""
-    flip = next(flip for flip in stopped().bifurcations if flip.kind == "period_doubling")
-    exact, flow = judged.orbit_of(flip.solution), judged.flow_of(judged.two_masses(), STOP)
-    period = 2.0 * np.pi / flip.omega
+    doubling_point = next(
+        doubling_point
+        for doubling_point in stopped().bifurcations
+        if doubling_point.kind == "period_doubling"
+    )
+    exact, flow = (
+        judged.orbit_of(doubling_point.solution),
+        judged.flow_of(judged.two_masses(), STOP),
+    )
+    period = 2.0 * np.pi / doubling_point.omega
     values, vectors = np.linalg.eig(exact.monodromy)
     disturbance = vectors[:, np.argmin(np.abs(values + 1.0))].real
     disturbance *= 1e-6 * np.linalg.norm(exact.state) / np.linalg.norm(disturbance)
     state = exact.state + disturbance
     for index in range(1, 5):
-        state = flow.advance(state, flip.omega, 0.0, period).state
+        state = flow.advance(state, doubling_point.omega, 0.0, period).state
         remainder = state - exact.state - (-1.0) ** index * disturbance
         assert np.linalg.norm(remainder) < 1e-4 * np.linalg.norm(disturbance)
 
@@ -261,16 +268,20 @@ def test_doublings_over_other_parameters(
         curve = fc.continue_parameter(
             structure, omega, contact, parameter, start, end, tolerance=1e-2
         )
-        flips = [flip for flip in curve.bifurcations if flip.kind == "period_doubling"]
-        assert curve.complete and sorted(flip.value for flip in flips) == pytest.approx(
-            expected, abs=1e-5
-        )
-        for flip in flips:
-            assert_on_the_circle(flip)
+        doubling_points = [
+            doubling_point
+            for doubling_point in curve.bifurcations
+            if doubling_point.kind == "period_doubling"
+        ]
+        assert curve.complete and sorted(
+            doubling_point.value for doubling_point in doubling_points
+        ) == pytest.approx(expected, abs=1e-5)
+        for doubling_point in doubling_points:
+            assert_on_the_circle(doubling_point)
         changes = np.flatnonzero(curve.stable[1:] != curve.stable[:-1])
         intervals = np.sort([curve.values[changes], curve.values[changes + 1]], axis=0)
-        for place, flip in zip(intervals.T, flips, strict=False):
-            assert place[0] <= flip.value <= place[1]
+        for place, doubling_point in zip(intervals.T, doubling_points, strict=False):
+            assert place[0] <= doubling_point.value <= place[1]
 
 
 @pytest.mark.parametrize(("start", "end"), [(1.0, 0.0), (0.0, 1.0)])

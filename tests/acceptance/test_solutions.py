@@ -161,7 +161,7 @@ def test_a_large_steady_load_does_not_make_errors_small(speed: float, clearance:
         fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=count)
         for count in (3, 100)
     )
-    amplitude, exact_amplitude = (balance.indicators().amplitude for balance in (solution, exact))
+    amplitude, exact_amplitude = (answer.indicators().amplitude for answer in (solution, exact))
     assert 1e-3 < abs(amplitude / exact_amplitude - 1.0) < 2.0 * solution.report.displacement < 0.05
 
 

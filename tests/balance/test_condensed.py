@@ -274,8 +274,8 @@ def test_undamped_resonance_that_the_load_does_not_drive() -> None:
     solution = fc.solve_harmonic_balance(structure, 1.0 / 3.0, law, harmonics=40)
     orbit = fc.shoot(structure, solution)
     block = fc.solve_harmonic_balance(structure, 1.0 / 3.0, law, harmonics=40, form="block")
-    for balance in (solution, block):
-        gap = balance.gap(np.arange(512) * balance.period / 512)
+    for answer in (solution, block):
+        gap = answer.gap(np.arange(512) * answer.period / 512)
         assert np.linalg.norm(gap - orbit.gap) < 1e-4 * np.linalg.norm(orbit.gap)
 
 

@@ -1069,13 +1069,13 @@ def test_each_start_is_needed(
         structure = stopped_chain(3, 2e-2)
         return fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, throw=False)
 
-    full_search = solution()
-    assert full_search.converged and f"{name}: converged" in full_search.status
+    with_all_starts = solution()
+    assert with_all_starts.converged and f"{name}: converged" in with_all_starts.status
     prevent(monkeypatch, start)
-    reduced_search = solution()
-    assert not reduced_search.converged or reduced_search.iterations > 2 * full_search.iterations, (
-        reduced_search.status
-    )
+    without_start = solution()
+    assert (
+        not without_start.converged or without_start.iterations > 2 * with_all_starts.iterations
+    ), without_start.status
 
 
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -395,17 +395,17 @@ def test_branch_of_twice_the_period(stop: Continuation) -> None:
     """From one doubling of the oscillator to the other, through orbits of period two."""
     problem = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0))
     single = followed(problem, "omega", 1.5, 3.0)
-    first_flip, second_flip = special(single)
-    assert {first_flip.kind, second_flip.kind} == {"period_doubling"}
-    assert first_flip.value < 2.0 * OMEGA_0 < second_flip.value
+    first_point, second_point = special(single)
+    assert {first_point.kind, second_point.kind} == {"period_doubling"}
+    assert first_point.value < 2.0 * OMEGA_0 < second_point.value
     twofold = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), 10, subharmonic=2)
     path = Continuation(
-        twofold, "omega", 1.5, 3.0, exact=True, initial=first_flip, branch_of=single.curve,
+        twofold, "omega", 1.5, 3.0, exact=True, initial=first_point, branch_of=single.curve,
         most_points=500, turning_back=0.0,
     )  # fmt: skip
     path.run()
     assert path.complete and path.status == "joined the branch that it left"
-    assert path.points[-1].value == pytest.approx(second_flip.value, rel=1e-6)
+    assert path.points[-1].value == pytest.approx(second_point.value, rel=1e-6)
     curve: Any = path.curve
     orbit = curve.orbit(len(curve) // 2)
     period = 2.0 * np.pi / orbit.omega
@@ -696,11 +696,11 @@ def test_neimark_sacker_point_of_a_smooth_law() -> None:
     )  # fmt: skip
     law = fc.SmoothedPenalty(20.0, 30.0)
     curve = fc.continue_frequency(structure, 0.58, 0.62, law, harmonics=20, stability=True)
-    torus_points = [
+    neimark_sacker_points = [
         bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "neimark_sacker"
     ]
-    assert torus_points
-    for bifurcation in torus_points:
+    assert neimark_sacker_points
+    for bifurcation in neimark_sacker_points:
         values = np.linalg.eigvals(integrated(law, bifurcation.solution))
         pair = values[np.abs(values.imag) > 1e-3]
         assert np.abs(np.abs(pair) - 1.0).min() < 1e-4

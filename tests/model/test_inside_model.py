@@ -172,8 +172,8 @@ def test_softer_pairs_let_the_gap_in() -> None:
     distances = []
     for stiffness in (1e2, 1e4, 1e6):
         force = ActiveSetSolver(residual + np.eye(5) / stiffness).solve(gap)[0]
-        penetration = gap - force @ residual
-        assert np.abs(np.maximum(penetration, 0.0) - force / stiffness).max() < 1e-13
+        gap_left = gap - force @ residual
+        assert np.abs(np.maximum(gap_left, 0.0) - force / stiffness).max() < 1e-13
         distances.append(relative(force, rigid))
     assert distances[2] < 2e-2 * distances[1] < 4e-4 * distances[0]
 

@@ -404,9 +404,9 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
 def test_from_arrays_alone() -> None:
     """A receptance gives a reduced structure without matrices; what it has not is refused."""
     full_structure = chain("modal", 30)
-    full_model, parts_source = reduced(full_structure, 6), receptance(full_structure, 16)
+    full_model, full_receptance = reduced(full_structure, 6), receptance(full_structure, 16)
     parts = {
-        name: getattr(parts_source, name)
+        name: getattr(full_receptance, name)
         for name in ("squares", "modal", "compliance", "rows", "inertia")
     }
     bare_chain = chain("modal", 30)

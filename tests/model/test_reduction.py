@@ -296,8 +296,8 @@ def test_a_ratio_for_each_of_too_many_modes(
     with pytest.raises(fc.InputError, match=r"^damping ratio = '1652 .* 600 dofs"):
         fc.reduce_structure(damped_plate, modes=modes)
     assert counts == []
-    lightly_specified_plate = fine_plate.damped(fc.ModalDamping(np.linspace(0.01, 0.02, 8), 8))
-    assert fc.reduce_structure(lightly_specified_plate, modes=modes).n_dofs < 16
+    plate_of_8_ratios = fine_plate.damped(fc.ModalDamping(np.linspace(0.01, 0.02, 8), 8))
+    assert fc.reduce_structure(plate_of_8_ratios, modes=modes).n_dofs < 16
 
 
 def test_what_reduces_by_itself(fine_plate: fc.Structure, counts: list[int]) -> None:

@@ -468,8 +468,17 @@ def test_no_attribute_can_be_set(paper_scene: Scene) -> None:
     """No attribute of any name can be set; the message says what to do instead."""
     for structure in plates(paper_scene):
         names = [name for name in dir(structure) if not name.startswith("_")]
-        public = {"force", "clearance", "damping", "pair_areas", "mass", "n_dofs", "whole", "nodes"}
-        assert public <= set(names)
+        field_names = {
+            "force",
+            "clearance",
+            "damping",
+            "pair_areas",
+            "mass",
+            "n_dofs",
+            "whole",
+            "nodes",
+        }
+        assert field_names <= set(names)
         for name in [*names, "another"]:
             with pytest.raises(AttributeError, match=rf"^{name}: .* varied\(\)"):
                 setattr(structure, name, 0.0)
@@ -514,7 +523,7 @@ DAMPINGS = {
 def test_varied(damping: Any) -> None:
     """Factors multiply, clearances add up; the structure itself stays, and shares its matrices."""
     structure = Structure.from_matrices(**(good() | {"damping": damping}))
-    force, clearance, source = (
+    force, clearance, damping_before = (
         structure.force.copy(),
         structure.clearance.copy(),
         structure.damping,
@@ -541,8 +550,11 @@ def test_varied(damping: Any) -> None:
             np.testing.assert_allclose(dense(copy.damping), factor * damping, rtol=1e-14)
     np.testing.assert_array_equal(structure.force, force)
     np.testing.assert_array_equal(structure.clearance, clearance)
-    assert structure.damping is source and structure.original is structure
-    assert varied_once.original.damping is source and varied_once.original.force is structure.force
+    assert structure.damping is damping_before and structure.original is structure
+    assert (
+        varied_once.original.damping is damping_before
+        and varied_once.original.force is structure.force
+    )
 
 
 def test_parts_of_the_load_mixed() -> None:

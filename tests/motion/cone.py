@@ -74,9 +74,9 @@ def march_cone(
                         push = (
                             new_force[1:] + (goal[1:] - blocks_of_pairs[i][1:] @ new_force) / size
                         )
-                        stretch = np.hypot(*push)
+                        push_size = np.hypot(*push)
                         new_force[1:] = push * min(
-                            1.0, mu * new_force[0] / stretch if stretch > 0.0 else 1.0
+                            1.0, mu * new_force[0] / push_size if push_size > 0.0 else 1.0
                         )
                 force[pair_rows] = new_force
                 change = max(change, float(np.abs(new_force - old_force).max()))

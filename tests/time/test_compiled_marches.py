@@ -29,8 +29,8 @@ def random_structure(rng: np.random.Generator, dofs: int, pairs: int, damping: s
     root, basis = rng.normal(size=(dofs, dofs)), rng.normal(size=(dofs, dofs))
     mass = root @ root.T / dofs + np.eye(dofs)
     shapes = scipy.linalg.eigh(basis @ basis.T, mass)[1]
-    inverse_shapes = mass @ shapes
-    stiffness = (inverse_shapes * rng.uniform(0.25, 9.0, dofs)) @ inverse_shapes.T
+    mass_shapes = mass @ shapes
+    stiffness = (mass_shapes * rng.uniform(0.25, 9.0, dofs)) @ mass_shapes.T
     root = rng.normal(size=(dofs, dofs))
     rule: Any = {
         "none": None,
@@ -185,10 +185,12 @@ def test_no_step_is_too_long(
         squares, pairs = flow.modal_model.squares, flow.modal_model.pairs
         compliance = flow.residual_flexibility + np.diag(flow.softness)
         rest = -(pairs @ is_closed) / squares  # under unit forces of the closed pairs
-        rest_gap = (
+        rest_clearance = (
             rest @ pairs - compliance @ is_closed + 1e9 * np.abs(rest @ pairs).max() * ~is_closed
         )
-        pressed_structure = structure.varied(load=0.0, clearance=rest_gap - structure.clearance)
+        pressed_structure = structure.varied(
+            load=0.0, clearance=rest_clearance - structure.clearance
+        )
         contact_stiffness = (
             pairs[:, is_closed]
             @ np.linalg.inv(compliance[np.ix_(is_closed, is_closed)])

@@ -63,12 +63,15 @@ def _newton(
         gap[0] -= clearance
         contact = integrals.linearise(gap)
         tangent = contact.tangent[:, rows[:, None], rows]
-        start_position, modal_stiffness = motion.sum(axis=0), modes.squares - (orders * omega) ** 2
+        start_position, dynamic_stiffness = (
+            motion.sum(axis=0),
+            modes.squares - (orders * omega) ** 2,
+        )
         start_gap, motion_size = start_position @ modes.pairs - clearance, np.linalg.norm(motion)
         push = law.force(start_gap)
         at_rest = 0.5 * (modes.squares @ start_position**2 + push @ np.maximum(start_gap, 0.0))
         left = (
-            scale * (modal_stiffness * motion + contact.force[rows] @ modes.pairs.T) / motion_size
+            scale * (dynamic_stiffness * motion + contact.force[rows] @ modes.pairs.T) / motion_size
         )
         right = np.append(left.ravel(), at_rest / energy - 1.0)
         if np.linalg.norm(right) < 1e-12:
@@ -76,7 +79,7 @@ def _newton(
             return (motion, omega) if strain[0] > 0.25 * strain.sum() else None
         matrix = np.zeros((len(right), len(right)))
         contact_block = np.einsum("ip,pkl,jp->kilj", modes.pairs, tangent, modes.pairs)
-        matrix[:-1, :-1] = contact_block.reshape(size, size) + np.diag(modal_stiffness.ravel())
+        matrix[:-1, :-1] = contact_block.reshape(size, size) + np.diag(dynamic_stiffness.ravel())
         matrix[:-1, :-1] *= scale.ravel()[:, None]
         matrix[:-1, -1] = (-2.0 * omega**2 * scale * orders**2 * motion).ravel() / motion_size
         matrix[-1, :-1] = (

@@ -217,13 +217,13 @@ def two_masses_and_a_stop() -> list[Row]:
             )
             ends.append(float(amplitudes(orbit.coefficients_at([1])[:, 0])[0]))
         sizes[harmonics] = sorted(ends)
-    flip = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    doubling_point = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     return [
         Row("orbits at W = 0.70 on the curve", len(crossing), 3, 0.0, absolute=True),
         Row("abs(X1) of mass 2, no contact, H = 21", sizes[21][0], 0.22134025, 1e-6),
         Row("abs(X1) of mass 2, contact, H = 21", sizes[21][1], 0.77839461, 1e-3, absolute=True),
         Row("the same, H = 200", sizes[200][1], 0.77839461, 1e-7),
-        Row("period doubling", flip.omega, 0.7387830, 1e-7),
+        Row("period doubling", doubling_point.omega, 0.7387830, 1e-7),
     ]
 
 

@@ -116,12 +116,12 @@ def rotor_orbit(speed: float, switched: bool) -> tuple[np.ndarray, np.ndarray]:
     def rate(t: float, flat: np.ndarray) -> np.ndarray:
         place, rate = flat.reshape(-1, 2).T
         turn = np.exp(1j * speed * t)
-        gap = (place / turn).real
+        component_across = (place / turn).real
         if switched:  # as in ROSS: the square wave's first 18 terms
             waves = (-1.0) ** orders * np.cos((2 * orders + 1) * speed * t) / (2 * orders + 1)
-            opening = gap * (0.5 + 2.0 / np.pi * waves.sum())
+            opening = component_across * (0.5 + 2.0 / np.pi * waves.sum())
         else:
-            opening = np.maximum(gap, 0.0)
+            opening = np.maximum(component_across, 0.0)
         force = 1.0 + ECCENTRICITY * speed**2 * turn * np.exp(1j * ANGLE) + SOFTER * opening * turn
         force = force - place - INTERNAL * (rate - 1j * speed * place)
         return np.stack([rate, force], axis=1).ravel()
