@@ -62,19 +62,19 @@ def flow_of(structure: fc.Structure, law: Any) -> ReferenceFlow:
     return ReferenceFlow(structure, law)
 
 
-def orbit_of(found: fc.PeriodicSolution) -> Orbit:
+def orbit_of(solution: fc.PeriodicSolution) -> Orbit:
     """The exact orbit next to a solution."""
-    flow = ReferenceFlow(found.structure, found.contact)
-    return flow.orbit(flow.states_of(found, START)[0], found.omega, found.period)
+    flow = ReferenceFlow(solution.structure, solution.contact)
+    return flow.orbit(flow.states_of(solution, START)[0], solution.omega, solution.period)
 
 
-def apart(found: fc.PeriodicSolution, orbit: Orbit) -> float:
+def apart(solution: fc.PeriodicSolution, orbit: Orbit) -> float:
     """Root mean square of the gaps' difference over the period, relative to what of B^T u moves."""
-    times = np.arange(len(orbit.gap)) * found.period / len(orbit.gap)
-    size = size_of_motion(orbit.gap + found.structure.clearance)
-    return float(np.linalg.norm(found.gap(times) - orbit.gap) / size)
+    times = np.arange(len(orbit.gap)) * solution.period / len(orbit.gap)
+    size = size_of_motion(orbit.gap + solution.structure.clearance)
+    return float(np.linalg.norm(solution.gap(times) - orbit.gap) / size)
 
 
-def true_error(found: fc.PeriodicSolution) -> float:
+def true_error(solution: fc.PeriodicSolution) -> float:
     """The distance of a solution from its orbit."""
-    return apart(found, orbit_of(found))
+    return apart(solution, orbit_of(solution))

@@ -15,8 +15,10 @@ SOFT = fc.UnilateralPenalty(1.0)
 def found() -> tuple[fc.ResponseCurve, fc.ResponseCurve]:
     """The oscillator's curve, and its branch."""
     curve = fc.continue_frequency(judged.oscillator(), 1.5, 3.0, SOFT, tolerance=1e-3)
-    first = next(one for one in curve.bifurcations if one.kind == "period_doubling")
-    return curve, fc.follow_branch(curve, first)
+    start_point = next(
+        bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "period_doubling"
+    )
+    return curve, fc.follow_branch(curve, start_point)
 
 
 def odd(branch: fc.ResponseCurve) -> np.ndarray:
@@ -29,7 +31,7 @@ def odd(branch: fc.ResponseCurve) -> np.ndarray:
 def test_begins_and_ends_where_the_curve_doubles() -> None:
     """At the exact doublings, where the added harmonics vanish."""
     curve, branch = found()
-    ends = [one.value for one in curve.bifurcations]
+    ends = [bifurcation.value for bifurcation in curve.bifurcations]
     assert branch.complete and branch.status == "joined the branch that it left"
     assert [branch.omega.min(), branch.omega.max()] == pytest.approx(ends, abs=1e-4)
     sizes = odd(branch)
@@ -41,9 +43,9 @@ def test_meets_the_doubled_motion_of_direct_integration() -> None:
     the branch's point there is that motion."""
     omega = 2.0 * judged.OMEGA_0
     _, branch = found()
-    near = branch.solution(int(np.argmin(np.abs(branch.omega - omega))))
+    branch_solution = branch.solution(int(np.argmin(np.abs(branch.omega - omega))))
     point = fc.solve_harmonic_balance(
-        judged.oscillator(), omega, SOFT, harmonics=60, subharmonic=2, initial=near
+        judged.oscillator(), omega, SOFT, harmonics=60, subharmonic=2, initial=branch_solution
     )
     history = fc.integrate_events(judged.oscillator(), omega, SOFT, periods=300, record_periods=4)
     gap = history.gap[:, 0].reshape(4, -1)
@@ -52,8 +54,7 @@ def test_meets_the_doubled_motion_of_direct_integration() -> None:
     assert np.abs(gap[1] - gap[0]).max() > 0.1 * size
     wave = point.gap(np.arange(512) * point.period / 512)[:, 0]
     march = gap[:2].ravel()
-    off = min(np.abs(np.roll(march, shift) - wave).max() for shift in (0, 256))
-    assert off < 1e-4 * size
+    assert min(np.abs(np.roll(march, shift) - wave).max() for shift in (0, 256)) < 1e-4 * size
     assert point.report.total < 1e-3
 
 
@@ -65,8 +66,8 @@ def test_points_are_next_to_their_orbits(share: float) -> None:
     place = int(share * (len(branch) - 1))
     point = branch.solution(place)
     orbit = judged.orbit_of(point)
-    true = judged.apart(point, orbit)
-    assert true / 3.0 < point.report.total < 3.0 * true
+    true_error = judged.apart(point, orbit)
+    assert true_error / 3.0 < point.report.total < 3.0 * true_error
     assert np.abs(orbit.multipliers[0]) < 1.0 and branch.verdicts[place] == "stable"
     assert fc.floquet(point.structure, point).verdict == "stable"
 
@@ -76,7 +77,7 @@ def test_no_branch_where_none_begins() -> None:
     curve = fc.continue_frequency(
         judged.two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=15
     )
-    fold = next(one for one in curve.bifurcations if one.kind == "fold")
+    fold = next(bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "fold")
     with pytest.raises(fc.InputError, match="bifurcation"):
         fc.follow_branch(curve, fold)
 
@@ -90,12 +91,14 @@ def test_equal_masses_part_at_a_branch_point() -> None:
     )  # fmt: skip
     curve = fc.continue_frequency(structure, 0.3, 3.0, fc.UnilateralPenalty(2.0), harmonics=10)
     assert np.ptp(curve.gap_coefficients, axis=2).max() < 1e-7
-    there = next(one for one in curve.bifurcations if one.kind == "branch_point")
-    branch = fc.follow_branch(curve, there)
+    branch_point = next(
+        bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "branch_point"
+    )
+    branch = fc.follow_branch(curve, branch_point)
     assert branch.complete and branch.status == "closed loop"
-    apart = np.ptp(branch.gap_coefficients, axis=2).max(axis=1)
-    point = branch.solution(int(np.argmax(apart)))
+    pair_difference = np.ptp(branch.gap_coefficients, axis=2).max(axis=1)
+    point = branch.solution(int(np.argmax(pair_difference)))
     assert judged.apart(point, judged.orbit_of(point)) < 3.0 * point.report.total < 0.03
     gap = fc.shoot(structure, point).gap_at(np.linspace(0.0, point.period, 100))
     assert np.ptp(gap, axis=1).max() > 0.02
-    assert abs(branch.omega - there.omega).min() < 1e-3
+    assert abs(branch.omega - branch_point.omega).min() < 1e-3

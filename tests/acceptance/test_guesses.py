@@ -67,19 +67,19 @@ def things() -> dict[str, Any]:
     calls = {"solution": fc.solve, "curve": fc.curve, "history": fc.integrate, "modes": fc.modes}
     results = {name: call(scene) for name, call in calls.items()}
     law = {"law": "smoothed", "stiffness_per_area": 1e11, "sharpness": 1e7}
-    smooth = {f"contact.{key}": value for key, value in law.items()}
-    unknown = fc.curve(scene.replace({"curve.stability": False, **smooth}))
+    law_changes = {f"contact.{key}": value for key, value in law.items()}
+    unknown = fc.curve(scene.replace({"curve.stability": False, **law_changes}))
     sweep = fc.run_sweep(scene)
     return {"fc": fc, "scene": scene, "sweep": sweep, "unknown stability": unknown, **results}
 
 
-def outcome(right: str, guess: str) -> str:
+def outcome(pattern: str, guess: str) -> str:
     """Whether a guess works, leads on, or says nothing that helps."""
     try:
         value = getattr(fc, guess)
     except AttributeError as error:
-        asked = re.search(r"did you mean .*\?", str(error))
-        return "leads on" if asked and re.search(right, asked[0]) else str(error)
+        question = re.search(r"did you mean .*\?", str(error))
+        return "leads on" if question and re.search(pattern, question[0]) else str(error)
     return str(value) if isinstance(value, ModuleType) else "works"
 
 
@@ -103,8 +103,8 @@ def test_hints_name_what_there_is(things: dict[str, Any]) -> None:
         try:
             getattr(fc, guess)
         except AttributeError as error:
-            asked = re.search(r"did you mean (.*)\?", str(error))
-            hints |= set(asked[1].split(" or ") if asked else [])
+            question = re.search(r"did you mean (.*)\?", str(error))
+            hints |= set(question[1].split(" or ") if question else [])
     assert len(hints) > 10
     for hint in hints:
         owner, name = re.findall(r"\w+", hint)[:2]
@@ -117,22 +117,22 @@ def test_what_has_omega_has_a_frequency(things: dict[str, Any]) -> None:
     curve, solution = things["curve"].result, things["solution"].result
     results = [solution, solution.indicators(), curve, curve.peak(), things["modes"].result]
     results += [curve.orbit(0), fc.bilinear_frequencies(things["solution"].structure)]
-    for one in results:
-        names = [name for name in dir(one) if name.startswith("omega") and "error" not in name]
+    for answer in results:
+        names = [name for name in dir(answer) if name.startswith("omega") and "error" not in name]
         assert names
         for name in names:
-            hertz = getattr(one, name.replace("omega", "frequency"))
-            assert np.allclose(2.0 * np.pi * np.asarray(hertz), getattr(one, name))
+            hertz = getattr(answer, name.replace("omega", "frequency"))
+            assert np.allclose(2.0 * np.pi * np.asarray(hertz), getattr(answer, name))
 
 
 @pytest.mark.nightly
 def test_any_attribute_can_be_asked_for(things: dict[str, Any]) -> None:
     """As tools that complete names do: hasattr is True or False, never another error."""
     for thing in (thing for name, thing in things.items() if name != "scene"):
-        inner = [thing] if thing is fc else [thing, getattr(thing, "result", None)]
-        for one in inner:
-            assert all(hasattr(one, name) in (True, False) for name in dir(one))
-            assert not hasattr(one, "no_such_name")
+        owners = [thing] if thing is fc else [thing, getattr(thing, "result", None)]
+        for owner in owners:
+            assert all(hasattr(owner, name) in (True, False) for name in dir(owner))
+            assert not hasattr(owner, "no_such_name")
     unknown = things["unknown stability"]
     assert not hasattr(unknown, "verdicts") and not hasattr(unknown, "stable")
     with pytest.raises(AttributeError, match="stability: unknown"):

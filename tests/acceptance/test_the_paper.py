@@ -28,21 +28,20 @@ def corner() -> int:
 
 def test_every_figure_and_equation_has_a_row() -> None:
     """Figures 1 to 8, equations 1 to 15; and each row has five cells."""
-    seen: dict[str, set[int]] = {"Figure": set(), "Equation": set()}
+    numbers_by_kind: dict[str, set[int]] = {"Figure": set(), "Equation": set()}
     for name, cells in rows_of_the_paper().items():
         assert len(cells) == 4, name
-        for kind, numbers in seen.items():
+        for kind, numbers in numbers_by_kind.items():
             if name.startswith(kind):
                 numbers |= {int(number) for number in re.findall(r"\d+", name)}
-    assert seen == {"Figure": set(range(1, 9)), "Equation": set(range(1, 16))}
+    assert numbers_by_kind == {"Figure": set(range(1, 9)), "Equation": set(range(1, 16))}
 
 
 @pytest.mark.parametrize("name", rows_of_the_paper())
 def test_row_names_what_checks_it(name: str) -> None:
     """A test that exists, and what it is about."""
     file, _, function = rows_of_the_paper()[name][3].strip("`").partition("::")
-    text = (ROOT / file).read_text()
-    assert f"def {function or 'main'}(" in text
+    assert f"def {function or 'main'}(" in (ROOT / file).read_text()
 
 
 def test_bonded_by_a_spring_and_rigidly() -> None:
@@ -57,7 +56,7 @@ def test_bonded_by_a_spring_and_rigidly() -> None:
 def test_figure_2() -> None:
     """The numbers are those of the verification book's page."""
     book = (ROOT / "docs" / "verification" / "calculix_paper_plate.md").read_text()
-    worst = [
+    max_errors = [
         max(
             float(line.split(" | ")[1])
             for line in book.splitlines()
@@ -65,7 +64,7 @@ def test_figure_2() -> None:
         )
         for name in ("1e9", "1e11")
     ]
-    assert_found("Figure 2", *(f"{100.0 * far:.2g} %" for far in worst))
+    assert_found("Figure 2", *(f"{100.0 * error:.2g} %" for error in max_errors))
 
 
 def test_five_harmonics() -> None:
@@ -111,15 +110,17 @@ def test_the_period() -> None:
     orders, lines = amplitudes(motion)
     main = lines[np.argmin(np.abs(orders - 1.0))]
     for order in (1.44, 1.56):
-        near = np.abs(orders - order) < 0.03
-        assert lines[near].max() > 0.005 * main
-        assert lines[near].max() > 5.0 * np.median(lines[(orders > 1.1) & (orders < 1.9)])
-    flat = motion.ravel()
-    crossings = np.count_nonzero((flat[:-1] < 0.0) & (flat[1:] >= 0.0)) / len(motion)
-    found = fc.floquet(plate(), fc.solve_harmonic_balance(plate(), OMEGA, law, tolerance=1e-3))
-    assert found.verdict == "unstable" and found.multipliers[0].imag == 0.0
-    largest, first, second = np.abs(found.multipliers[[0, 1, 3]])  # each pair takes two places
-    sizes = f"{largest:.2f}, {first:.4f} and {second:.4f}"
+        is_near = np.abs(orders - order) < 0.03
+        assert lines[is_near].max() > 0.005 * main
+        assert lines[is_near].max() > 5.0 * np.median(lines[(orders > 1.1) & (orders < 1.9)])
+    samples = motion.ravel()
+    crossings = np.count_nonzero((samples[:-1] < 0.0) & (samples[1:] >= 0.0)) / len(motion)
+    stability = fc.floquet(plate(), fc.solve_harmonic_balance(plate(), OMEGA, law, tolerance=1e-3))
+    assert stability.verdict == "unstable" and stability.multipliers[0].imag == 0.0
+    unstable_size, first_size, second_size = np.abs(
+        stability.multipliers[[0, 1, 3]]
+    )  # each pair takes two places
+    sizes = f"{unstable_size:.2f}, {first_size:.4f} and {second_size:.4f}"
     assert_found("period", "1, 1.44, 1.56 and 2 times", f"{crossings:.3f} times", sizes)
 
 
@@ -136,11 +137,14 @@ def test_small_difference() -> None:
         size = curve.amplitude()
         peak = int(size.argmax())
         sizes += [f"{1e6 * size[peak]:.1f} um", f"{curve.omega[peak] / (2.0 * np.pi):.1f} Hz"]
-    whole = fc.build_structure(blade.replace({"crack": None, "contact": None}))
-    first = fc.solve_modes(whole, 1).omega[0]
-    reduced = fc.reduce_structure(whole, modes=20)
-    sizes += [f"{1e6 * fc.solve_linear(reduced, first).amplitude():.1f} um"]
-    sizes += [f"{first / (2.0 * np.pi):.1f} Hz", f"{2.0 * 0.002 * first / (2.0 * np.pi):.1f} Hz"]
+    full_structure = fc.build_structure(blade.replace({"crack": None, "contact": None}))
+    first_omega = fc.solve_modes(full_structure, 1).omega[0]
+    reduced_structure = fc.reduce_structure(full_structure, modes=20)
+    sizes += [f"{1e6 * fc.solve_linear(reduced_structure, first_omega).amplitude():.1f} um"]
+    sizes += [
+        f"{first_omega / (2.0 * np.pi):.1f} Hz",
+        f"{2.0 * 0.002 * first_omega / (2.0 * np.pi):.1f} Hz",
+    ]
     assert_found("small difference", *sizes)
 
 
@@ -155,16 +159,16 @@ def test_three_resonances() -> None:
     curve = fc.continue_frequency(plate(), 1000.0, 9500.0, law, harmonics=5)
     assert curve.complete
     size, omega = curve.amplitude(corner()), curve.omega
-    peaks, exact, stated = [], [], []
-    for low, high, digits in BANDS:
-        inside = np.flatnonzero((omega > low) & (omega < high))
-        peak = int(inside[size[inside].argmax()])
+    peaks, exact, stated_figures = [], [], []
+    for lower_omega, upper_omega, digits in BANDS:
+        band_indices = np.flatnonzero((omega > lower_omega) & (omega < upper_omega))
+        peak = int(band_indices[size[band_indices].argmax()])
         peaks += [f"{1e6 * size[peak]:.{digits}f} um", f"{omega[peak]:.0f} rad/s"]
         answer = fc.solve_harmonic_balance(
             plate(), float(omega[peak]), law, tolerance=1e-2, throw=False
         )
-        stated += [f"{100.0 * answer.report.total:.1f} % stated"]
+        stated_figures += [f"{100.0 * answer.report.total:.1f} % stated"]
         assert fc.floquet(plate(), answer).verdict == "unstable"
         exact += [f"{1e6 * answer.amplitude(corner()):.{digits}f} um"]
-    assert float(stated[0].split()[0]) < 1.0 > float(stated[2].split()[0])
-    assert_found("three resonances", *peaks, *exact[:2], stated[1], exact[2])
+    assert float(stated_figures[0].split()[0]) < 1.0 > float(stated_figures[2].split()[0])
+    assert_found("three resonances", *peaks, *exact[:2], stated_figures[1], exact[2])

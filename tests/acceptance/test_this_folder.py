@@ -6,7 +6,7 @@ from pathlib import Path
 
 def test_only_public_names() -> None:
     """``fenics_crack as fc``, the program, and no attribute with an underscore."""
-    wrong = []
+    private_names = []
     for path in Path(__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = []
@@ -15,7 +15,7 @@ def test_only_public_names() -> None:
             elif isinstance(node, ast.ImportFrom):
                 names = [str(node.module)]
             elif isinstance(node, ast.Attribute) and node.attr.startswith("_"):
-                wrong.append(f"{path.name}: {node.attr}")
-            inner = {name for name in names if name.split(".")[0] == "fenics_crack"}
-            wrong += [f"{path.name}: {name}" for name in inner - {"fenics_crack"}]
-    assert not wrong
+                private_names.append(f"{path.name}: {node.attr}")
+            package_imports = {name for name in names if name.split(".")[0] == "fenics_crack"}
+            private_names += [f"{path.name}: {name}" for name in package_imports - {"fenics_crack"}]
+    assert not private_names

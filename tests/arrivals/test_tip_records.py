@@ -24,10 +24,8 @@ def test_orders_and_lines_of_generated_records(number: int) -> None:
 def test_errors_of_probes_and_the_line_alone() -> None:
     """Without errors of its probes' angles the order is known not to fit; the line is named, and
     found by itself."""
-    row = tip_records.ROWS[0]
-    record = tip_records.draw(row, np.random.default_rng(4))
-    deviation = tip_records.ANGLE_DEVIATION
-    fit = fc.fit_order(record.arrivals, angle_deviation=deviation)
+    record = tip_records.draw(tip_records.ROWS[0], np.random.default_rng(4))
+    fit = fc.fit_order(record.arrivals, angle_deviation=tip_records.ANGLE_DEVIATION)
     assert fit.order == record.order and not fit.does_not_fit
     assert f"beside {fit.asynchronous[0].omega:.6g} rad/s" in repr(fit)
     exact = fc.fit_order(record.arrivals, [record.order])

@@ -38,36 +38,44 @@ def differences(scene: fc.Scene, comm: MPI.Comm, samples: int = 1024) -> tuple[f
     """Of displacements and of gaps between both forms, relative, with the same samples."""
     structure = fc.build_structure(scene, comm)
     law, omega = fc.contact_law(scene.contact, structure), scene.excitation.omega
-    condensed, block = (
+    condensed_solution, block_solution = (
         fc.solve_harmonic_balance(
             structure, omega, law, harmonics=5, samples=samples, form=form,
             residual_tolerance=1e-12,
         )
         for form in ("condensed", "block")
     )  # fmt: skip
-    assert condensed.breathes and block.converged
-    rounding = 1.01 * condensed.report.residual  # of 43,956 unknowns both are left with 1.4e-10
-    assert block.report.residual < max(1e-10, rounding)
-    assert block.report.total == pytest.approx(condensed.report.total, rel=1e-4)
-    moved = condensed.displacement_coefficients, block.displacement_coefficients
-    squares = np.array([np.sum((moved[1] - moved[0]) ** 2), np.sum(moved[0] ** 2)])
-    change, whole = np.sqrt(structure.sum_over_ranks(squares))
-    gap = condensed.gap_coefficients
-    return change / whole, float(np.linalg.norm(block.gap_coefficients - gap) / np.linalg.norm(gap))
+    assert condensed_solution.breathes and block_solution.converged
+    rounding = (
+        1.01 * condensed_solution.report.residual
+    )  # of 43,956 unknowns both are left with 1.4e-10
+    assert block_solution.report.residual < max(1e-10, rounding)
+    assert block_solution.report.total == pytest.approx(condensed_solution.report.total, rel=1e-4)
+    displacements = (
+        condensed_solution.displacement_coefficients,
+        block_solution.displacement_coefficients,
+    )
+    squares = np.array(
+        [np.sum((displacements[1] - displacements[0]) ** 2), np.sum(displacements[0] ** 2)]
+    )
+    change, size = np.sqrt(structure.sum_over_ranks(squares))
+    gap = condensed_solution.gap_coefficients
+    return change / size, float(
+        np.linalg.norm(block_solution.gap_coefficients - gap) / np.linalg.norm(gap)
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_block_is_condensed_on_the_papers_plate(law: str) -> None:
     """To 1e-10, in all displacements and in the gap."""
-    scene = fc.Scene.load(PAPER, AGREEING | LAWS[law])
-    assert max(differences(scene, MPI.COMM_SELF)) < 1e-10
+    assert max(differences(fc.Scene.load(PAPER, AGREEING | LAWS[law]), MPI.COMM_SELF)) < 1e-10
 
 
 @pytest.mark.mpi
 def test_block_is_condensed_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """A plate whose pairs have nodes on both."""
-    finer = AGREEING | RAYLEIGH | {"mesh.columns": 4, "mesh.rows": 4}
-    assert max(on_ranks(differences, fc.Scene.load(PAPER, finer))) < 1e-10
+    changes = AGREEING | RAYLEIGH | {"mesh.columns": 4, "mesh.rows": 4}
+    assert max(on_ranks(differences, fc.Scene.load(PAPER, changes))) < 1e-10
 
 
 @pytest.mark.nightly
@@ -110,8 +118,8 @@ def solved(tmp_path: Path, *options: str, **changes: Any) -> subprocess.Complete
     keys = (
         AGREEING | {"harmonic_balance.form": "block", "harmonic_balance.error": "false"} | changes
     )
-    given = [f"--set={key}={value}" for key, value in keys.items()]
-    words = ["solve", str(PAPER), "--output", str(tmp_path), *given, *options]
+    settings = [f"--set={key}={value}" for key, value in keys.items()]
+    words = ["solve", str(PAPER), "--output", str(tmp_path), *settings, *options]
     return subprocess.run(
         [sys.executable, "-m", "fenics_crack", *words], capture_output=True, text=True, cwd=ROOT
     )
@@ -130,55 +138,60 @@ def test_options_of_petsc_reach_the_program(
         "-crack_hb_snes_test_jacobian -crack_hb_snes_monitor",
         "-crack_hb_ksp_type gmres -crack_hb_pc_type ilu -crack_hb_ksp_monitor",
     ):
-        found = solved(tmp_path, *words.split(), **keys)
-        assert found.returncode == 0, found.stderr
+        process = solved(tmp_path, *words.split(), **keys)
+        assert process.returncode == 0, process.stderr
         result = json.loads((tmp_path / "solution.json").read_text())
         amplitudes += [row["value"] for row in result if row["name"] == "amplitude"]
         if "jacobian" in words:
-            errors = re.findall(r"\|\|J - Jfd\|\|_F/\|\|J\|\|_F = (\S+),", found.stdout)
+            errors = re.findall(r"\|\|J - Jfd\|\|_F/\|\|J\|\|_F = (\S+),", process.stdout)
             assert len(errors) > 10 and max(map(float, errors)) < 1e-7
-            assert found.stdout.count("SNES Function norm") > len(errors)
+            assert process.stdout.count("SNES Function norm") > len(errors)
         else:
-            assert "KSP Residual norm" in found.stdout
+            assert "KSP Residual norm" in process.stdout
     assert amplitudes[0] == pytest.approx(amplitudes[1], rel=1e-8)
 
 
 def test_option_that_no_solver_has(tmp_path: Path) -> None:
     """One line, before anything is computed."""
-    found = solved(tmp_path, "-crack_hp_snes_monitor")
-    assert found.returncode == 2 and not found.stdout
-    (line,) = found.stderr.splitlines()
+    process = solved(tmp_path, "-crack_hp_snes_monitor")
+    assert process.returncode == 2 and not process.stdout
+    (line,) = process.stderr.splitlines()
     assert line.startswith("fenics-crack: PETSc option = '-crack_hp_snes_monitor': must be one")
 
 
 def test_options_are_those_of_solvers() -> None:
     """The program accepts the prefixes that the package sets, and no others."""
     texts = [path.read_text() for path in (ROOT / "fenics_crack").rglob("*.py")]
-    prefixes = {f"-{one}" for text in texts for one in re.findall(r'"(crack_\w+_)"', text)}
+    prefixes = {f"-{prefix}" for text in texts for prefix in re.findall(r'"(crack_\w+_)"', text)}
     assert prefixes == set(PETSC_PREFIXES)
 
 
 def test_no_convergence_is_one_line(tmp_path: Path) -> None:
     """It says up to which stiffness the steps led, why they ended, and what helps."""
-    found = solved(tmp_path, "-crack_hb_ksp_type", "preonly", "-crack_hb_pc_type", "none")
-    assert found.returncode == 3
+    process = solved(tmp_path, "-crack_hb_ksp_type", "preonly", "-crack_hb_pc_type", "none")
+    assert process.returncode == 3
     text = "up to 0 of the contact stiffness, then DIVERGED_"
-    (line,) = (line for line in found.stderr.splitlines() if text in line)
+    (line,) = (line for line in process.stderr.splitlines() if text in line)
     assert "try form = 'condensed'" in line
 
 
 def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     """By name."""
-    whole, law = chain(n=10), fc.UnilateralPenalty(1.0)
+    chain_of_10, law = chain(n=10), fc.UnilateralPenalty(1.0)
     rubs = fc.Structure.from_matrices(
         np.eye(2), 2.0 * np.eye(2), gap=[1.0, 0.0], tangential=[0.0, 1.0], force_cos=[1.0, 1.0]
     )
-    light = fc.reduce_structure(rubs, modes=1, method="massless")
+    reduced_structure = fc.reduce_structure(rubs, modes=1, method="massless")
     cases: list[tuple[fc.Structure, Any, dict[str, Any], str]] = [
-        (whole, fc.UnilateralConstraint(1.0), {}, "form = 'block': .* of crack faces with mass"),
-        (light, fc.CoulombFriction(law, 0.3), {}, "form = 'block': .* with friction"),
-        (whole, law, {"tolerance": 0.1}, "tolerance = 0.1: not allowed with form = 'block'"),
-        (whole, law, {"form": "full"}, "form = 'full': must be one of 'condensed', 'block'"),
+        (
+            chain_of_10,
+            fc.UnilateralConstraint(1.0),
+            {},
+            "form = 'block': .* of crack faces with mass",
+        ),
+        (reduced_structure, fc.CoulombFriction(law, 0.3), {}, "form = 'block': .* with friction"),
+        (chain_of_10, law, {"tolerance": 0.1}, "tolerance = 0.1: not allowed with form = 'block'"),
+        (chain_of_10, law, {"form": "full"}, "form = 'full': must be one of 'condensed', 'block'"),
     ]
     for structure, contact, options, words in cases:
         with pytest.raises(fc.InputError, match=words):
@@ -198,15 +211,25 @@ def test_reduced_structures(method: str) -> None:
     plate = fc.build_structure(fc.Scene.load(PAPER, AGREEING))
     for structure in (plate, fc.reduce_structure(plate, modes=5, method=method)):
         for law in laws[: 1 if structure is plate else None]:
-            condensed, block = (
+            condensed_solution, block_solution = (
                 fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=8, form=form)
                 for form in ("condensed", "block")
             )
-            assert condensed.breathes and block.static_above == condensed.static_above
+            assert (
+                condensed_solution.breathes
+                and block_solution.static_above == condensed_solution.static_above
+            )
             for name in ("displacement", "gap", "force"):
-                first, second = (getattr(one, f"{name}_coefficients") for one in (condensed, block))
-                assert np.linalg.norm(second - first) < 1e-10 * np.linalg.norm(first), name
-            assert block.report.total == pytest.approx(condensed.report.total, rel=1e-6)
+                condensed_rows, block_rows = (
+                    getattr(solution, f"{name}_coefficients")
+                    for solution in (condensed_solution, block_solution)
+                )
+                assert np.linalg.norm(block_rows - condensed_rows) < 1e-10 * np.linalg.norm(
+                    condensed_rows
+                ), name
+            assert block_solution.report.total == pytest.approx(
+                condensed_solution.report.total, rel=1e-6
+            )
 
 
 def test_form_changes_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,12 +252,19 @@ def test_form_changes_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         runs[form] |= {"names": names}
     structures = [fc.load_run(tmp_path / form / "solution.h5").structure for form in runs]
     assert repr(structures[0]) == repr(structures[1]) and structures[0].light_lips
-    condensed, block = runs["condensed"], runs["block"]
-    assert block["names"] == condensed["names"] and block["most by"] == condensed["most by"]
+    condensed_run, block_run = runs["condensed"], runs["block"]
+    assert (
+        block_run["names"] == condensed_run["names"]
+        and block_run["most by"] == condensed_run["most by"]
+    )
     for key in ("value", "error [%]"):
-        for name, first, second in zip(condensed["names"], condensed[key], block[key], strict=True):
+        for name, entry, block_value in zip(
+            condensed_run["names"], condensed_run[key], block_run[key], strict=True
+        ):
             if name not in ("iterations", "residual_error", "status", "conclusion"):
-                rough = {"rel": 1e-6, "abs": 1e-12}
-                same = pytest.approx(first, **rough) if isinstance(first, float) else first
-                assert second == same, (name, key)
-    assert condensed["value"][condensed["names"].index("verdict")] in ("stable", "unstable")
+                tolerances = {"rel": 1e-6, "abs": 1e-12}
+                expected_entry = (
+                    pytest.approx(entry, **tolerances) if isinstance(entry, float) else entry
+                )
+                assert block_value == expected_entry, (name, key)
+    assert condensed_run["value"][condensed_run["names"].index("verdict")] in ("stable", "unstable")

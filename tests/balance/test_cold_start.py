@@ -19,9 +19,9 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
     """
     structure = oscillator(0.02, 0.1)
     law = fc.UnilateralPenalty(stiffness)
-    first = (3 * round(np.log10(stiffness)) + [5, 10, 20].index(harmonics)) % 10
+    first_index = (3 * round(np.log10(stiffness)) + [5, 10, 20].index(harmonics)) % 10
     order = np.arange(harmonics + 1)
-    for omega in FREQUENCIES[first::10]:
+    for omega in FREQUENCIES[first_index::10]:
         solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
         assert solution.converged and solution.report.residual < 1e-9
         rows, force = solution.gap_coefficients[:, 0], solution.force_coefficients[:, 0]
@@ -48,11 +48,11 @@ def test_many_pairs_climb_from_few_harmonics() -> None:
     )
     for omega in (1.1, 1.2):
         for harmonics in (5, 10):
-            found = fc.solve_harmonic_balance(
+            solution = fc.solve_harmonic_balance(
                 structure, omega, fc.UnilateralPenalty(25.0), harmonics=harmonics
             )
-            assert found.status.startswith("from fewer harmonics: converged")
-            assert found.converged and found.iterations < 60
+            assert solution.status.startswith("from fewer harmonics: converged")
+            assert solution.converged and solution.iterations < 60
 
 
 @pytest.mark.drawn(1)
@@ -61,9 +61,9 @@ def test_contact_stiffer_than_rounding_resolves(
     stiffness: float, omega: float, breathing_plate: fc.Structure
 ) -> None:
     """k R up to 1e8: solved to what rounding allows, and the report says how far that is."""
-    reduced = fc.reduce_structure(breathing_plate)
+    reduced_structure = fc.reduce_structure(breathing_plate)
     law = fc.UnilateralPenalty(stiffness)
-    solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=10)
+    solution = fc.solve_harmonic_balance(reduced_structure, omega, law, harmonics=10)
     assert solution.converged and solution.iterations < 500
     assert solution.report.residual < 1e-21 * stiffness
     assert solution.report.penetration < 1e9 / stiffness
@@ -75,5 +75,5 @@ def test_stiffness_beyond_all_rounding_is_refused() -> None:
     with pytest.raises(fc.InputError, match=r"contact stiffness.*UnilateralConstraint"):
         fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1e16))
     rigid = fc.UnilateralConstraint(weight=1e6)
-    found = fc.solve_harmonic_balance(structure, 0.9, rigid, harmonics=5, throw=False)
-    assert not found.converged or found.report.residual < 1e-8
+    solution = fc.solve_harmonic_balance(structure, 0.9, rigid, harmonics=5, throw=False)
+    assert not solution.converged or solution.report.residual < 1e-8

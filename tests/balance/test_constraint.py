@@ -23,11 +23,11 @@ def constrained(soft_plate: fc.Structure) -> dict[int, fc.PeriodicSolution]:
     return {h: fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=h) for h in COUNTS}
 
 
-def distance(one: np.ndarray, other: np.ndarray) -> float:
+def distance(coefficients: np.ndarray, reference: np.ndarray) -> float:
     """Root mean square of a difference of waves relative to the second, by coefficients."""
-    harmonics = max(len(one), len(other)) // 2
-    one, other = resized(one, harmonics), resized(other, harmonics)
-    return float(np.sqrt(mean_square(one - other) / mean_square(other)))
+    harmonics = max(len(coefficients), len(reference)) // 2
+    coefficients, reference = resized(coefficients, harmonics), resized(reference, harmonics)
+    return float(np.sqrt(mean_square(coefficients - reference) / mean_square(reference)))
 
 
 def test_penalty_approaches_the_constraint_like_one_over_k(
@@ -49,20 +49,19 @@ def test_penalty_approaches_the_constraint_like_one_over_k(
         penetrations.append(solution.report.penetration)
     assert errors[0] < 0.12 and errors[-1] < 0.01
     for values in (errors, penetrations):
-        slope = log_slope(stiffness, values)
-        assert slope == pytest.approx(-1.0, abs=0.06)
+        assert log_slope(stiffness, values) == pytest.approx(-1.0, abs=0.06)
 
 
 def test_penetration_falls_with_the_harmonics(constrained: dict[int, fc.PeriodicSolution]) -> None:
     """What the truncated wave still penetrates, by sampling and by the report: order 1 or more."""
-    sampled, reported = [], []
+    sampled_shares, reported_shares = [], []
     for solution in constrained.values():
         gap = solution.gap(np.linspace(0.0, solution.period, 20001))
-        sampled.append(gap.max() / np.abs(gap).max())
-        reported.append(solution.report.penetration)
-    assert np.all(np.diff(reported) < 0.0)
-    assert sampled[0] < 0.03 and sampled[-1] < 0.005
-    assert log_slope(COUNTS, reported) < -1.0
+        sampled_shares.append(gap.max() / np.abs(gap).max())
+        reported_shares.append(solution.report.penetration)
+    assert np.all(np.diff(reported_shares) < 0.0)
+    assert sampled_shares[0] < 0.03 and sampled_shares[-1] < 0.005
+    assert log_slope(COUNTS, reported_shares) < -1.0
 
 
 def test_contact_force_pushes_only_and_is_complementary(
@@ -91,10 +90,10 @@ def test_mean_forces_are_in_balance(
     """K a0 + B lambda0 = f0 in all degrees of freedom."""
     stiffness, gap = soft_plate.stiffness[:, :], soft_plate.gap.toarray()
     for solution in constrained.values():
-        elastic = stiffness @ solution.displacement_coefficients[0]
+        elastic_force = stiffness @ solution.displacement_coefficients[0]
         contact = gap @ solution.force_coefficients[0]
         assert np.linalg.norm(contact) > 10.0
-        unbalance = elastic + contact - soft_plate.force[0]
+        unbalance = elastic_force + contact - soft_plate.force[0]
         assert np.linalg.norm(unbalance) < 1e-6 * np.linalg.norm(contact)
 
 
@@ -103,11 +102,11 @@ def test_impulse_is_that_of_a_stiff_penalty(
 ) -> None:
     """With k = 1e12 N/m and H = 40 the impulse of a period agrees to 0.2 %; with 1e9 to 3 %."""
     exact = constrained[40].force_coefficients[0, 0]
-    for k, near, far in ((1e9, 0.03, 0.01), (1e12, 2e-3, 0.0)):
+    for k, max_error, min_error in ((1e9, 0.03, 0.01), (1e12, 2e-3, 0.0)):
         solution = fc.solve_harmonic_balance(
             soft_plate, 2000.0, fc.UnilateralPenalty(k), harmonics=40
         )
-        assert far <= abs(solution.force_coefficients[0, 0] / exact - 1.0) < near
+        assert min_error <= abs(solution.force_coefficients[0, 0] / exact - 1.0) < max_error
 
 
 def test_weights_agree_with_more_harmonics(
@@ -116,11 +115,11 @@ def test_weights_agree_with_more_harmonics(
     """The default weight and ten times as much: 8 % apart with H = 5, 0.15 % with H = 80."""
     counts, differences = (5, 10, 20, 80), []
     for harmonics in counts:
-        other = constrained[harmonics]
-        assert isinstance(other.contact, fc.UnilateralConstraint) and other.contact.weight
-        law = fc.UnilateralConstraint(10.0 * other.contact.weight)
-        heavy = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=harmonics)
-        differences.append(distance(heavy.gap_coefficients, other.gap_coefficients))
+        solution = constrained[harmonics]
+        assert isinstance(solution.contact, fc.UnilateralConstraint) and solution.contact.weight
+        law = fc.UnilateralConstraint(10.0 * solution.contact.weight)
+        heavier_solution = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=harmonics)
+        differences.append(distance(heavier_solution.gap_coefficients, solution.gap_coefficients))
     assert np.all(np.diff(differences) < 0.0)
     assert differences[0] > 1e-2 and differences[-1] < 3e-3
 
@@ -145,27 +144,29 @@ def test_starts_from_a_solution_nearby(
     """Started from itself it needs no iteration; it also starts a solution with more harmonics."""
     law = fc.UnilateralConstraint(WEIGHT)
     start = constrained[10]
-    again = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=10, initial=start)
-    assert again.iterations == 0
-    assert distance(again.gap_coefficients, start.gap_coefficients) < 1e-9
-    finer = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=20, initial=start)
-    assert distance(finer.gap_coefficients, constrained[20].gap_coefficients) < 1e-8
+    restarted_solution = fc.solve_harmonic_balance(
+        soft_plate, 2000.0, law, harmonics=10, initial=start
+    )
+    assert restarted_solution.iterations == 0
+    assert distance(restarted_solution.gap_coefficients, start.gap_coefficients) < 1e-9
+    finer_solution = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=20, initial=start)
+    assert distance(finer_solution.gap_coefficients, constrained[20].gap_coefficients) < 1e-8
 
 
 def test_several_pairs(wide_plate: fc.Structure) -> None:
     """Four pairs: as a penalty of 1e12 N/m with the same H, to 1e-3; none penetrates."""
     differences = []
     for harmonics in (5, 10, 20):
-        free, stiff = (
+        rigid_solution, penalty_solution = (
             fc.solve_harmonic_balance(wide_plate, 2000.0, law, harmonics=harmonics)
             for law in (fc.UnilateralConstraint(), fc.UnilateralPenalty(1e12))
         )
-        t = np.linspace(0.0, free.period, 2000)
-        gap, other = free.gap(t), stiff.gap(t)
-        size = np.abs(other).max(axis=0)
-        differences.append(float((np.abs(gap - other).max(axis=0) / size).max()))
+        t = np.linspace(0.0, rigid_solution.period, 2000)
+        gap, penalty_gap = rigid_solution.gap(t), penalty_solution.gap(t)
+        size = np.abs(penalty_gap).max(axis=0)
+        differences.append(float((np.abs(gap - penalty_gap).max(axis=0) / size).max()))
         assert np.all(gap.max(axis=0) < 0.05 * size)
-        assert np.all(free.force_coefficients[0] > 5.0)
+        assert np.all(rigid_solution.force_coefficients[0] > 5.0)
     assert max(differences) < 1e-3
 
 
@@ -175,17 +176,17 @@ def test_stop_out_of_reach_and_stop_never_left() -> None:
     x = -100 at rest: lambda = cos(W t) + 100.
     """
     law = fc.UnilateralConstraint()
-    far = oscillator(clearance=100.0)
-    linear = fc.solve_linear(far, 0.5)
-    solution = fc.solve_harmonic_balance(far, 0.5, law)
+    open_structure = oscillator(clearance=100.0)
+    linear = fc.solve_linear(open_structure, 0.5)
+    solution = fc.solve_harmonic_balance(open_structure, 0.5, law)
     assert np.allclose(solution.gap_coefficients, linear.gap_coefficients, atol=1e-12)
     assert not np.any(solution.force_coefficients)
-    pressed = fc.solve_harmonic_balance(oscillator(clearance=-100.0), 0.5, law)
-    expected = np.zeros(11)
-    expected[:2] = 100.0, 1.0
-    assert np.allclose(pressed.force_coefficients[:, 0], expected, atol=1e-8)
-    assert np.abs(pressed.gap_coefficients).max() < 1e-8
-    assert np.allclose(pressed.displacement_coefficients[0], -100.0)
+    closed_solution = fc.solve_harmonic_balance(oscillator(clearance=-100.0), 0.5, law)
+    expected_force = np.zeros(11)
+    expected_force[:2] = 100.0, 1.0
+    assert np.allclose(closed_solution.force_coefficients[:, 0], expected_force, atol=1e-8)
+    assert np.abs(closed_solution.gap_coefficients).max() < 1e-8
+    assert np.allclose(closed_solution.displacement_coefficients[0], -100.0)
 
 
 # --- a mass that hits a rigid stop ----------------------------------------------------------------
@@ -198,18 +199,22 @@ def rebounding_orbit(omega: float, damping: float) -> tuple[np.ndarray, np.ndarr
     speed of the impact: a period later it must be the same again. A rigid stop that stores no
     energy, the limit of ever stiffer springs, returns the speed as it was.
     """
-    natural, period = np.sqrt(1.0 - 0.25 * damping**2), 2.0 * np.pi / omega
+    damped_omega, period = np.sqrt(1.0 - 0.25 * damping**2), 2.0 * np.pi / omega
     response = 1.0 / (1.0 - omega**2 + 1j * damping * omega)
 
     def flight(t: np.ndarray, phase: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        forced = response * np.exp(1j * (omega * t + phase))
+        forced_motion = response * np.exp(1j * (omega * t + phase))
         start = response * np.exp(1j * phase)
         a = -start.real
-        b = (-speed - (1j * omega * start).real + 0.5 * damping * a) / natural
-        decay, cosine, sine = np.exp(-0.5 * damping * t), np.cos(natural * t), np.sin(natural * t)
-        free = decay * (a * cosine + b * sine)
-        rate = decay * natural * (b * cosine - a * sine) - 0.5 * damping * free
-        return forced.real + free, (1j * omega * forced).real + rate
+        b = (-speed - (1j * omega * start).real + 0.5 * damping * a) / damped_omega
+        decay, cosine, sine = (
+            np.exp(-0.5 * damping * t),
+            np.cos(damped_omega * t),
+            np.sin(damped_omega * t),
+        )
+        free_motion = decay * (a * cosine + b * sine)
+        rate = decay * damped_omega * (b * cosine - a * sine) - 0.5 * damping * free_motion
+        return forced_motion.real + free_motion, (1j * omega * forced_motion).real + rate
 
     def mismatch(unknown: np.ndarray) -> np.ndarray:
         x, speed = flight(period, *unknown)

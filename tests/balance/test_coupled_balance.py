@@ -48,9 +48,9 @@ def coarse_breathing_plate() -> fc.Structure:
 def system_of(structure: fc.Structure, law: Any, harmonics: int) -> Any:
     """The equations at 0.8 rad/s."""
     problem = fc.Problem(structure, 0.8, law, harmonics)
-    found = problem.system(problem.compliance())
-    assert found.integrals.has_coupled_pairs
-    return found
+    system = problem.system(problem.compliance())
+    assert system.integrals.has_coupled_pairs
+    return system
 
 
 # --- equations ------------------------------------------------------------------------------------
@@ -69,18 +69,19 @@ def test_jacobian_against_finite_differences(
     matrix, step = point.jacobian, 1e-7
     for column in range(unknown.size):
         change = step * np.eye(unknown.size)[column].reshape(unknown.shape)
-        after, before = (system.linearise(unknown + s * change, 0.4) for s in (1.0, -1.0))
-        slope = (after.residual - before.residual).ravel() / (2.0 * step)
+        upper_point, lower_point = (
+            system.linearise(unknown + s * change, 0.4) for s in (1.0, -1.0)
+        )
+        slope = (upper_point.residual - lower_point.residual).ravel() / (2.0 * step)
         assert np.abs(matrix[:, column] - slope).max() < 1e-5 * np.abs(matrix).max()
-        gap = (after.gap - before.gap) / (2.0 * step)
+        gap = (upper_point.gap - lower_point.gap) / (2.0 * step)
         assert np.abs(point.gap_change(change / step) - gap).max() < 1e-5
-    after, before = (system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0))
-    slope = (after - before) / (2.0 * step)
-    found = point.by_parameter
+    ends = [system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0)]
+    slope, by_parameter = (ends[0] - ends[1]) / (2.0 * step), point.by_parameter
     if softness:
-        assert relative(found, slope) < 1e-5
+        assert relative(by_parameter, slope) < 1e-5
     else:
-        assert not np.any(found) and not np.any(slope)
+        assert not np.any(by_parameter) and not np.any(slope)
 
 
 def test_fewer_modes_than_pairs(coarse_breathing_plate: fc.Structure) -> None:
@@ -90,27 +91,27 @@ def test_fewer_modes_than_pairs(coarse_breathing_plate: fc.Structure) -> None:
     assert system.reachable_gap_basis is not None
     unknown = 1e-6 * random_gaps(4, system.shape[1])
     point = system.linearise(unknown)
-    right = random_gaps(4, system.shape[1])
-    expected = np.linalg.solve(point.jacobian, right.ravel())
+    residual = random_gaps(4, system.shape[1])
+    exact_solution = np.linalg.solve(point.jacobian, residual.ravel())
     assert len(point.matrix_to_factorise()) == 9 * 3 < unknown.size
-    assert relative(point.solve(right).ravel(), expected) < 1e-10
+    assert relative(point.solve(residual).ravel(), exact_solution) < 1e-10
     assert point.sign == np.linalg.slogdet(point.jacobian)[0]
 
 
 def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
     """J v, J^-1 r, and what follows from these."""
-    unknown, other = random_gaps(6, 3), random_gaps(6, 3, 5)
+    unknown, vector = random_gaps(6, 3), random_gaps(6, 3, 5)
     points, hard = [], system_of(short_chain, RIGID, 6)
-    for free in (False, True):
+    for matrix_free in (False, True):
         system = type(hard)(hard.compliance_model, hard.integrals, 0.5)
         assert not system.matrix_free
-        system.matrix_free = free
+        system.matrix_free = matrix_free
         points.append(system.linearise(unknown, 0.4))
-    dense, free = points
-    assert relative(dense.apply(other), (dense.jacobian @ other.ravel()).reshape(13, 3)) < 1e-12
+    dense, iterative = points
+    assert relative(dense.apply(vector), (dense.jacobian @ vector.ravel()).reshape(13, 3)) < 1e-12
     for name in ("apply", "solve", "gap_change", "gap_change_by_force"):
-        assert relative(getattr(free, name)(other), getattr(dense, name)(other)) < 1e-7
-    assert np.isnan(free.sign) and abs(dense.sign) == 1.0
+        assert relative(getattr(iterative, name)(vector), getattr(dense, name)(vector)) < 1e-7
+    assert np.isnan(iterative.sign) and abs(dense.sign) == 1.0
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -177,22 +178,22 @@ def test_order_in_the_harmonics(plate: fc.Structure) -> None:
     assert log_slope(counts, errors) < -3.5
     assert errors[1] < 2e-3 and errors[2] < 1e-4 and errors[3] < 5e-6
     for harmonics, error in zip(counts[1:], errors[1:], strict=True):
-        best = exact.gap_coefficients.copy()
-        best[2 * harmonics + 1 :] = 0.0
-        series = replace(exact, gap_coefficients=best, static_above=None)
+        truncated_gap = exact.gap_coefficients.copy()
+        truncated_gap[2 * harmonics + 1 :] = 0.0
+        series = replace(exact, gap_coefficients=truncated_gap, static_above=None)
         assert error < 0.7 * relative(series.gap(time), gap)
 
 
 def test_twice_the_period(short_chain: fc.Structure) -> None:
     """With twice the harmonics, the solution of the load's own period."""
-    once = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=8)
+    single_solution = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=8)
     twice = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=16, subharmonic=2)
     time = np.linspace(0.0, twice.period, 100)
-    assert relative(twice.gap(time), once.gap(time)) < 1e-7
-    again = fc.solve_harmonic_balance(
-        short_chain, 0.8, RIGID, harmonics=16, subharmonic=2, initial=once
+    assert relative(twice.gap(time), single_solution.gap(time)) < 1e-7
+    restarted_solution = fc.solve_harmonic_balance(
+        short_chain, 0.8, RIGID, harmonics=16, subharmonic=2, initial=single_solution
     )
-    assert again.status.startswith("full Newton steps: converged (0 iterations)")
+    assert restarted_solution.status.startswith("full Newton steps: converged (0 iterations)")
 
 
 def test_lips_with_mass_against_lips_without(paper_scene: fc.Scene) -> None:
@@ -200,12 +201,12 @@ def test_lips_with_mass_against_lips_without(paper_scene: fc.Scene) -> None:
     law, errors = fc.UnilateralPenalty(1e9), []
     for columns in (2, 4, 8):
         changes = {"mesh.columns": columns, "mesh.rows": 2 * columns, "contact.pairs": "mouth"}
-        whole = fc.build_structure(paper_scene.replace(changes | {"damping.ratio": 0.01}))
-        found, expected = (
-            fc.solve_harmonic_balance(made, 2000.0, law, harmonics=80)
-            for made in (massless(whole, whole.n_dofs // 3), whole)
+        full_structure = fc.build_structure(paper_scene.replace(changes | {"damping.ratio": 0.01}))
+        massless_solution, massive_solution = (
+            fc.solve_harmonic_balance(model, 2000.0, law, harmonics=80)
+            for model in (massless(full_structure, full_structure.n_dofs // 3), full_structure)
         )
-        errors.append(true_error(found, expected))
+        errors.append(true_error(massless_solution, massive_solution))
     assert errors[2] < 0.5 * errors[1] < 0.1 * errors[0] and errors[2] < 2e-3
 
 
@@ -216,9 +217,11 @@ def test_fewer_harmonics_lead_to_the_solution(plate: fc.Structure) -> None:
     """The orbit of the rigid plate, cold, H = 20, as from a solution with more."""
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20)
     assert solution.converged and "from fewer harmonics: converged" in solution.status
-    near = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=40)
-    again = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20, initial=near)
-    assert true_error(solution, again) < 1e-8
+    finer_solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=40)
+    restarted_solution = fc.solve_harmonic_balance(
+        plate, 2000.0, RIGID, harmonics=20, initial=finer_solution
+    )
+    assert true_error(solution, restarted_solution) < 1e-8
 
 
 def test_nothing_converges(plate: fc.Structure) -> None:
@@ -226,24 +229,26 @@ def test_nothing_converges(plate: fc.Structure) -> None:
     last iterate."""
     options: dict[str, Any] = {"harmonics": 12, "residual_tolerance": 1e-25}
     starts = "from fewer harmonics", "from an exact orbit", "continuation in the contact compliance"
-    tried = "; then ".join(rf"{start}: failed \(\d+ iterations\)" for start in starts)
-    said = tried + r"; no solution in \d+ iterations: try a tolerance, which takes the exact orbit"
-    with pytest.raises(fc.ConvergenceError, match=said):
+    attempts = "; then ".join(rf"{start}: failed \(\d+ iterations\)" for start in starts)
+    message = (
+        attempts + r"; no solution in \d+ iterations: try a tolerance, which takes the exact orbit"
+    )
+    with pytest.raises(fc.ConvergenceError, match=message):
         fc.solve_harmonic_balance(plate, 2000.0, RIGID, **options)
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, **options, throw=False)
-    assert not solution.converged and re.match(said, solution.status)
+    assert not solution.converged and re.match(message, solution.status)
 
 
 @pytest.mark.parametrize("modes", [30, 40, 49])
 def test_rigid_contact_where_few_modes_are_left_out(modes: int, soft_plate: fc.Structure) -> None:
     """Of 50 modes; the reference, which has more, may have all: the error is estimated."""
-    found, expected = (
+    solution, exact = (
         fc.solve_harmonic_balance(massless(soft_plate, count), 2000.0, RIGID, harmonics=20)
         for count in (modes, 49)
     )
-    assert found.converged and found.report.reduction < 0.1
+    assert solution.converged and solution.report.reduction < 0.1
     if modes < 49:
-        assert found.report.reduction > true_error(found, expected) / 5.0
+        assert solution.report.reduction > true_error(solution, exact) / 5.0
 
 
 # --- errors ---------------------------------------------------------------------------------------
@@ -259,10 +264,10 @@ def test_truncation_of_the_breathing_plate(
     for law in (fc.UnilateralPenalty(1e9), RIGID):
         exact = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=160)
         for harmonics in (5, 10, 20, 40):
-            found = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=harmonics)
+            solution = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=harmonics)
             time = np.linspace(0.0, exact.period, 2048, endpoint=False)
-            error = relative(found.gap(time), exact.gap(time))  # without clearance: B^T u
-            estimate = found.report.truncation
+            error = relative(solution.gap(time), exact.gap(time))  # without clearance: B^T u
+            estimate = solution.report.truncation
             assert error > 1e-5 and estimate > error / 3.0
             if law is not RIGID or harmonics == 40:
                 assert estimate < 3.0 * error
@@ -277,9 +282,9 @@ def test_reduction_of_the_breathing_plate(coarse_breathing_plate: fc.Structure) 
     errors = []
     for modes in (10, 20, 40):
         structure = massless(coarse_breathing_plate, modes)
-        found = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=80)
-        errors.append(true_error(found, exact))
-        assert errors[-1] / 3.0 < found.report.reduction < 3.0 * errors[-1]
+        solution = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=80)
+        errors.append(true_error(solution, exact))
+        assert errors[-1] / 3.0 < solution.report.reduction < 3.0 * errors[-1]
     assert 1e-3 < errors[-1] < errors[0] / 3.0
 
 
@@ -289,12 +294,12 @@ def test_sampling_and_penetration(plate: fc.Structure) -> None:
     exact = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10)
     assert exact.report.sampling == 0.0
     for samples in (64, 256):
-        found = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10, samples=samples)
-        error = true_error(found, exact)
-        assert error / 3.0 < found.report.sampling < 3.0 * error
-    fine = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
-    gap = fine.gap(np.arange(4096) * fine.period / 4096)
+        solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10, samples=samples)
+        error = true_error(solution, exact)
+        assert error / 3.0 < solution.report.sampling < 3.0 * error
+    fine_solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
+    gap = fine_solution.gap(np.arange(4096) * fine_solution.period / 4096)
     share = np.sqrt(np.mean(np.maximum(gap, 0.0) ** 2) / np.mean(gap**2))
-    assert fine.report.penetration == pytest.approx(share, rel=0.02)
+    assert fine_solution.report.penetration == pytest.approx(share, rel=0.02)
     rigid = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=10)
     assert rigid.report.penetration == 0.0

@@ -80,12 +80,12 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
         motion = base**2 * d @ d @ u @ mass + base * d @ u @ dashpots.T + u @ stiffness
         return relative(motion + force @ pairs.T, drive)
 
-    collocated, classical = (
+    collocation_solution, galerkin_solution = (
         solve_form(problem, balance=balance, form=form, residual_tolerance=1e-12)
         for balance in ("collocation", "galerkin")
     )
-    assert left(collocated) < 1e-9
-    assert left(classical) > 1e-3
+    assert left(collocation_solution) < 1e-9
+    assert left(galerkin_solution) > 1e-3
 
 
 # --- spurious solutions: a Duffing oscillator -----------------------------------------------------
@@ -135,17 +135,19 @@ def test_duffing_with_spurious_roots() -> None:
     """
     exact = classical_amplitudes()
     for samples in (5, 6, 64):
-        found = np.array(newton_roots(duffing_system(1, samples)))
-        assert np.allclose(np.sort(np.hypot(found[:, 1, 0], found[:, 2, 0])), exact, atol=1e-9)
-        assert np.abs(found[:, 0]).max() < 1e-9
+        solutions = np.array(newton_roots(duffing_system(1, samples)))
+        assert np.allclose(
+            np.sort(np.hypot(solutions[:, 1, 0], solutions[:, 2, 0])), exact, atol=1e-9
+        )
+        assert np.abs(solutions[:, 0]).max() < 1e-9
     roots = collocation_roots(1)
-    real = roots[np.abs(roots.imag).max(axis=1) < 1e-8].real
-    assert len(roots) == 27 and len(real) == 9
-    found = np.array(newton_roots(duffing_system(1, 3)))
-    assert len(found) == 9
-    values = np.array([evaluate(gap, 1.0, instants(1))[:, 0] for gap in found])
-    nearest = np.abs(values[:, None] - real).max(axis=2)
-    assert np.all(nearest.min(axis=1) < 1e-9) and len(set(nearest.argmin(axis=1))) == 9
+    real_roots = roots[np.abs(roots.imag).max(axis=1) < 1e-8].real
+    assert len(roots) == 27 and len(real_roots) == 9
+    solutions = np.array(newton_roots(duffing_system(1, 3)))
+    assert len(solutions) == 9
+    values = np.array([evaluate(gap, 1.0, instants(1))[:, 0] for gap in solutions])
+    distances = np.abs(values[:, None] - real_roots).max(axis=2)
+    assert np.all(distances.min(axis=1) < 1e-9) and len(set(distances.argmin(axis=1))) == 9
 
 
 @pytest.mark.nightly
@@ -165,24 +167,23 @@ def test_the_report_reveals_spurious_solutions() -> None:
     structure, law, exact = duffing(), Cubic(1.0), classical_amplitudes()
     problem = Problem(structure, 2.0, law, 1)
     start = solve_form(problem, balance="collocation")
-    reported, strayed = [], []
+    reported_errors, true_errors = [], []
     for gap in newton_roots(duffing_system(1, 3)):
-        there = fc.PeriodicSolution(
+        spurious_start = fc.PeriodicSolution(
             structure, 2.0, law, start.displacement_coefficients, gap, start.force_coefficients,
             subharmonic=1,
         )  # fmt: skip
-        spurious = solve_form(problem, balance="collocation", initial=there)
+        spurious = solve_form(problem, balance="collocation", initial=spurious_start)
         assert spurious.converged and spurious.iterations == 0
-        reported.append(spurious.report.sampling)
+        reported_errors.append(spurious.report.sampling)
         classical = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=1, initial=spurious)
-        amplitude = np.hypot(*classical.gap_coefficients[1:, 0])
-        assert np.abs(exact - amplitude).min() < 1e-8
+        assert np.abs(exact - np.hypot(*classical.gap_coefficients[1:, 0])).min() < 1e-8
         assert classical.report.sampling < 1e-12
-        strayed.append(true_error(spurious, classical))
-    order = np.argsort(reported)
-    assert np.allclose(np.array(reported)[order[:2]], [0.0205, 0.1128], rtol=0.01)
-    assert np.allclose(np.array(strayed)[order[0]], 0.0208, rtol=0.01)
-    assert np.array(strayed)[order[1:]].min() > 0.3
+        true_errors.append(true_error(spurious, classical))
+    order = np.argsort(reported_errors)
+    assert np.allclose(np.array(reported_errors)[order[:2]], [0.0205, 0.1128], rtol=0.01)
+    assert np.allclose(np.array(true_errors)[order[0]], 0.0208, rtol=0.01)
+    assert np.array(true_errors)[order[1:]].min() > 0.3
 
 
 # --- spurious solutions: contact ------------------------------------------------------------------
@@ -194,13 +195,17 @@ def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics
     compliance = Problem(structure, omega, fc.UnilateralPenalty(k), harmonics).compliance()
     rows = 2 * harmonics + 1
     value, response = (evaluate(np.eye(rows), 1.0, instants(harmonics)), np.empty((rows, rows)))
-    moved = compliance.matrices[:, :, 0] * to_complex(np.eye(rows))
-    response[0], response[1::2], response[2::2] = moved[0].real, moved[1:].real, -moved[1:].imag
+    displacements = compliance.matrices[:, :, 0] * to_complex(np.eye(rows))
+    response[0], response[1::2], response[2::2] = (
+        displacements[0].real,
+        displacements[1:].real,
+        -displacements[1:].imag,
+    )
     in_time = value @ response @ np.linalg.inv(value)
-    closed = (np.arange(2**rows)[:, None] >> np.arange(rows)) & 1
-    free = np.broadcast_to(value @ compliance.linear_gap, (2**rows, rows, 1))
-    gap = np.linalg.solve(np.eye(rows) + k * in_time * closed[:, None, :], free)[:, :, 0]
-    return int(np.sum(np.all((gap > 0.0) == (closed > 0), axis=1)))
+    closed_sets = (np.arange(2**rows)[:, None] >> np.arange(rows)) & 1
+    free_gaps = np.broadcast_to(value @ compliance.linear_gap, (2**rows, rows, 1))
+    gap = np.linalg.solve(np.eye(rows) + k * in_time * closed_sets[:, None, :], free_gaps)[:, :, 0]
+    return int(np.sum(np.all((gap > 0.0) == (closed_sets > 0), axis=1)))
 
 
 def test_spurious_solutions_of_contact(soft_plate: fc.Structure) -> None:
@@ -262,16 +267,18 @@ def test_error_of_collocation_on_contact(scene: str, soft_plate: fc.Structure) -
         problem = Problem(structure, omega, law, harmonics)
         classical = solve_form(problem)
         # Few instants have other solutions, too: that next to the classical one.
-        collocated = solve_form(problem, balance="collocation", initial=classical)
-        errors.append([true_error(found, reference) for found in (classical, collocated)])
+        collocation_solution = solve_form(problem, balance="collocation", initial=classical)
+        errors.append(
+            [true_error(solution, reference) for solution in (classical, collocation_solution)]
+        )
         assert classical.report.sampling == 0.0
-        aliasing = true_error(collocated, classical)
-        assert 0.6 < collocated.report.sampling / aliasing < 1.8
-    for found, expected, slope in zip(
+        aliasing_error = true_error(collocation_solution, classical)
+        assert 0.6 < collocation_solution.report.sampling / aliasing_error < 1.8
+    for method_errors, expected_errors, slope in zip(
         np.transpose(errors), ERRORS[scene][:2], ERRORS[scene][2], strict=True
     ):
-        assert np.allclose(found, expected, rtol=0.03)
-        assert log_slope(orders, found) == pytest.approx(slope, abs=0.06)
+        assert np.allclose(method_errors, expected_errors, rtol=0.03)
+        assert log_slope(orders, method_errors) == pytest.approx(slope, abs=0.06)
 
 
 # --- the incremental form is Newton's method on the classical one ---------------------------------
@@ -293,21 +300,21 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
     structure, harmonics, omega = chain("matrix"), 5, 0.9
     problem = Problem(structure, omega, LAWS[law], harmonics, samples)
     compliance = problem.compliance()
-    condensed, linear = problem.system(compliance), compliance.displacement(np.zeros((11, 3)))
+    system, linear = problem.system(compliance), compliance.displacement(np.zeros((11, 3)))
     with block_system(problem if samples else replace(problem, samples=64)) as (_, residual, slope):
         incremental = newton = linear
-        gap, moved = condensed.linear_gap.copy(), 0.0
+        gap, path_length = system.linear_gap.copy(), 0.0
         for _ in range(5):
-            matrix, right = incremental_system(
+            matrix, rhs = incremental_system(
                 structure, omega, LAWS[law], incremental, samples=samples
             )
-            incremental = incremental + np.linalg.solve(matrix, right.ravel()).reshape(right.shape)
+            incremental = incremental + np.linalg.solve(matrix, rhs.ravel()).reshape(rhs.shape)
             step = np.linalg.solve(slope(newton), residual(newton).ravel())
             newton = newton - step.reshape(newton.shape)
-            small = condensed.linearise(gap)
-            step = small.solve(small.residual)
-            gap, moved = gap - step, moved + np.linalg.norm(step)
+            point = system.linearise(gap)
+            step = point.solve(point.residual)
+            gap, path_length = gap - step, path_length + np.linalg.norm(step)
             if samples:
                 assert relative(incremental, newton) < 1e-9
             assert relative(structure.gap_of(incremental), gap) < 1e-9
-    assert moved > 0.1 * np.linalg.norm(gap)
+    assert path_length > 0.1 * np.linalg.norm(gap)

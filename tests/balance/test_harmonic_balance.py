@@ -32,11 +32,11 @@ def test_linear_solution_is_the_complex_frequency_response(paper_structure: fc.S
         impedance = stiffness - omega**2 * mass + 1j * omega * damping
         mean, cosine, sine = structure.force
         response = np.linalg.solve(impedance, cosine - 1j * sine)
-        found = fc.solve_linear(structure, omega, harmonics=3).displacement_coefficients
-        expected = np.zeros_like(found)
-        expected[0] = np.linalg.solve(stiffness, mean)
-        expected[1], expected[2] = response.real, -response.imag
-        assert relative(found, expected) < 1e-10
+        coefficients = fc.solve_linear(structure, omega, harmonics=3).displacement_coefficients
+        expected_coefficients = np.zeros_like(coefficients)
+        expected_coefficients[0] = np.linalg.solve(stiffness, mean)
+        expected_coefficients[1], expected_coefficients[2] = response.real, -response.imag
+        assert relative(coefficients, expected_coefficients) < 1e-10
 
 
 @pytest.mark.parametrize("damping", ["matrix", "modal", "few modes", "rayleigh"])
@@ -92,8 +92,12 @@ def test_residual_of_the_block_system_is_that_of_the_paper(damping: str) -> None
     weights = np.full(2 * harmonics + 1, 2.0 / samples)
     weights[0] = 1.0 / samples
     residual += weights[:, None] * (basis.T @ force)
-    with block_system(fc.Problem(structure, omega, law, harmonics, samples)) as (_, found, _):
-        assert relative(found(amplitude), residual) < 1e-12
+    with block_system(fc.Problem(structure, omega, law, harmonics, samples)) as (
+        _,
+        evaluate_residual,
+        _,
+    ):
+        assert relative(evaluate_residual(amplitude), residual) < 1e-12
 
 
 @pytest.mark.parametrize("omega", [0.3, 0.55, 0.9, 1.3, 1.8])
@@ -114,8 +118,8 @@ def test_solution_satisfies_the_equation_of_motion_in_the_mean(omega: float) -> 
     load += np.outer(np.sin(omega * t), structure.force[2])
     contact = solution.contact_force(t) @ structure.gap.toarray().T
     unbalance = acceleration @ mass + velocity @ damping.T + u @ stiffness + contact - load
-    projected = np.fft.fft(unbalance, axis=0)[: harmonics + 1] / count
-    assert np.abs(projected).max() < 1e-5 * np.abs(load).max()
+    unbalance_spectrum = np.fft.fft(unbalance, axis=0)[: harmonics + 1] / count
+    assert np.abs(unbalance_spectrum).max() < 1e-5 * np.abs(load).max()
 
 
 @pytest.mark.parametrize("method", [None, "massless"])
@@ -124,17 +128,19 @@ def test_response_with_lips_open_and_tied(
 ) -> None:
     """That of linear solutions, and of lips tied by stiff springs; with and without mass there."""
     plate = paper_structure.damped(fc.RayleighDamping(20.0))
-    small = plate if method is None else fc.reduce_structure(plate, modes=20, method=method)
+    model = plate if method is None else fc.reduce_structure(plate, modes=20, method=method)
     dof, omega = plate.find_dof((0.1, 0.1), "x"), np.array([1000.0, 2500.0, 4000.0])
-    tied = plate.tied(1e15)
-    for lips, reference in (("open", plate), ("tied", tied)):
-        rows = [fc.solve_linear(reference, one).coefficients_at([dof])[1:3, 0] for one in omega]
-        found = fc.linear_response(small, dof, omega, lips=lips)
-        np.testing.assert_allclose(found, np.hypot(*np.transpose(rows)), rtol=5e-3)
+    bonded_plate = plate.tied(1e15)
+    for lips, reference in (("open", plate), ("tied", bonded_plate)):
+        rows = [
+            fc.solve_linear(reference, load_omega).coefficients_at([dof])[1:3, 0]
+            for load_omega in omega
+        ]
+        amplitudes = fc.linear_response(model, dof, omega, lips=lips)
+        np.testing.assert_allclose(amplitudes, np.hypot(*np.transpose(rows)), rtol=5e-3)
     with pytest.raises(fc.InputError, match="lips = 'closed'"):
-        fc.linear_response(small, dof, omega, lips="closed")
-    undamped = oscillator(damping=0.0)
-    assert fc.linear_response(undamped, 0, np.array([1.0]))[0] == np.inf
+        fc.linear_response(model, dof, omega, lips="closed")
+    assert fc.linear_response(oscillator(damping=0.0), 0, np.array([1.0]))[0] == np.inf
 
 
 def test_cold_start_on_soft_contact_of_all_pairs(breathing_plate: fc.Structure) -> None:
@@ -158,8 +164,10 @@ def test_cold_start_on_the_paper_plate(
     """H = 5, both laws, the paper's stiffness among others, from the linear solution."""
     plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
     hard = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(stiffness))
-    smooth = fc.solve_harmonic_balance(plate, 2000.0, fc.SmoothedPenalty(stiffness, 1e11))
-    assert hard.report.residual < 1e-10 and smooth.report.residual < 1e-10
+    smoothed_solution = fc.solve_harmonic_balance(
+        plate, 2000.0, fc.SmoothedPenalty(stiffness, 1e11)
+    )
+    assert hard.report.residual < 1e-10 and smoothed_solution.report.residual < 1e-10
     t = np.linspace(0.0, hard.period, 400)
     penetration = hard.gap(t).max()
     assert 0.0 < penetration
@@ -170,11 +178,15 @@ def test_cold_start_on_the_paper_plate(
 def test_continues_from_a_given_solution() -> None:
     """From the solution itself no iteration is needed; the number of harmonics may differ."""
     law = fc.UnilateralPenalty(1.0)
-    first = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
-    again = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6, initial=first)
-    assert again.iterations == 0
-    finer = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=9, initial=first)
-    assert finer.harmonics == 9 and finer.iterations <= first.iterations
+    solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
+    restarted_solution = fc.solve_harmonic_balance(
+        oscillator(), 1.0, law, harmonics=6, initial=solution
+    )
+    assert restarted_solution.iterations == 0
+    finer_solution = fc.solve_harmonic_balance(
+        oscillator(), 1.0, law, harmonics=9, initial=solution
+    )
+    assert finer_solution.harmonics == 9 and finer_solution.iterations <= solution.iterations
 
 
 def test_failure_is_an_error_with_its_history() -> None:
@@ -202,22 +214,25 @@ def test_failure_is_an_error_with_its_history() -> None:
         ("samples", {"samples": 20}),
         ("samples", {"samples": 64, "contact": fc.UnilateralConstraint()}),
         ("samples", {"samples": 64, "tolerance": 1e-3}),
-        *(("residual_tolerance", {"residual_tolerance": given}) for given in (0.0, -1.0, "small")),
-        *(("tolerance", {"tolerance": given}) for given in (0.0, -1e-3, NAN, INF, "small")),
+        *(("residual_tolerance", {"residual_tolerance": x}) for x in (0.0, -1.0, "small")),
+        *(("tolerance", {"tolerance": x}) for x in (0.0, -1e-3, NAN, INF, "small")),
         ("tolerance", {"tolerance": 1e-3, "harmonics": 5}),
         ("contact stiffness", {"contact": fc.UnilateralPenalty(np.ones(2))}),
         ("contact", {"contact": None}),
         ("contact", {"contact": 5.0}),
         ("contact", {"contact": fc.UnilateralPenalty}),
-        *(("initial", {"initial": given}) for given in ("solution", np.zeros((11, 1)), 1.0)),
+        *(("initial", {"initial": x}) for x in ("solution", np.zeros((11, 1)), 1.0)),
     ],
     ids=str,
 )
 def test_bad_arguments_are_named(key: str, arguments: dict[str, object]) -> None:
     """One error with key, value and what is allowed."""
-    given: dict[str, object] = {"omega": 1.0, "contact": fc.UnilateralPenalty(1.0)} | arguments
+    call_arguments: dict[str, object] = {
+        "omega": 1.0,
+        "contact": fc.UnilateralPenalty(1.0),
+    } | arguments
     error = refusal(
-        lambda: fc.solve_harmonic_balance(oscillator(), **given), f"^{key} (= |is missing)"
+        lambda: fc.solve_harmonic_balance(oscillator(), **call_arguments), f"^{key} (= |is missing)"
     )
     assert error.key == key and error.allowed
 
@@ -225,8 +240,10 @@ def test_bad_arguments_are_named(key: str, arguments: dict[str, object]) -> None
 def test_initial_of_another_structure_is_refused() -> None:
     """The number of dofs and of pairs must fit, and the subharmonic."""
     law = fc.UnilateralPenalty(1.0)
-    linear = [fc.solve_linear(made, 1.0) for made in (oscillator(), two_masses(), chain())]
-    for other, subharmonic in (
+    linear = [
+        fc.solve_linear(structure, 1.0) for structure in (oscillator(), two_masses(), chain())
+    ]
+    for foreign_solution, subharmonic in (
         (linear[1], 1),  # two dofs, one pair
         (linear[2], 1),  # ten dofs, three pairs
         (replace(linear[0], subharmonic=2), 1),
@@ -234,7 +251,7 @@ def test_initial_of_another_structure_is_refused() -> None:
     ):
         with pytest.raises(fc.InputError, match=r"^initial = "):
             fc.solve_harmonic_balance(
-                oscillator(), 1.0, law, initial=other, subharmonic=subharmonic
+                oscillator(), 1.0, law, initial=foreign_solution, subharmonic=subharmonic
             )
 
 
@@ -252,17 +269,17 @@ def test_the_kernel_finds_what_snes_finds(law: ContactLaw, lips: str) -> None:
     structure = chain()
     if lips == "massless":
         structure = fc.reduce_structure(structure, modes=4, method="massless")
-    options, found = PETSc.Options("crack_hb_"), []
-    for asked in (False, True):
-        if asked:
+    options, solutions = PETSc.Options("crack_hb_"), []
+    for uses_snes in (False, True):
+        if uses_snes:
             options["snes_max_it"] = 50
-        found.append(
+        solutions.append(
             fc.solve_harmonic_balance(structure, 0.8, law, harmonics=7, residual_tolerance=1e-13)
         )
     options.delValue("snes_max_it")
-    assert found[0].converged and np.any(found[0].force_coefficients)
-    assert relative(found[0].gap_coefficients, found[1].gap_coefficients) < 1e-10
-    assert relative(found[0].force_coefficients, found[1].force_coefficients) < 1e-9
+    assert solutions[0].converged and np.any(solutions[0].force_coefficients)
+    assert relative(solutions[0].gap_coefficients, solutions[1].gap_coefficients) < 1e-10
+    assert relative(solutions[0].force_coefficients, solutions[1].force_coefficients) < 1e-9
 
 
 def test_one_rank_alone(mpirun: Callable[..., str]) -> None:
@@ -296,21 +313,25 @@ class Steep(Cubic):
 @pytest.mark.parametrize("throw", [True, False])
 def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
     """Advice on harmonics and damping helps nobody then; it stays that of a law that is right."""
-    one = np.eye(1)
-    found = {}
+    unit = np.eye(1)
+    solutions = {}
     for force in (0.3, 3.0):
-        load = fc.Structure.from_matrices(one, one, gap=one, force_cos=[force], damping=0.05 * one)
+        load = fc.Structure.from_matrices(
+            unit, unit, gap=unit, force_cos=[force], damping=0.05 * unit
+        )
         with pytest.raises(fc.InputError, match=r"tangent\(gap\) is the slope of its force"):
             fc.solve_harmonic_balance(load, 1.5, Steep(100.0), harmonics=9, throw=throw)
-        found[force] = fc.solve_harmonic_balance(load, 1.5, Cubic(100.0), harmonics=9, throw=False)
-    assert found[0.3].converged and not found[3.0].converged
-    assert "try other harmonics" in found[3.0].status
+        solutions[force] = fc.solve_harmonic_balance(
+            load, 1.5, Cubic(100.0), harmonics=9, throw=False
+        )
+    assert solutions[0.3].converged and not solutions[3.0].converged
+    assert "try other harmonics" in solutions[3.0].status
 
 
 @pytest.mark.parametrize("law", [fc.SmoothedPenalty(1.0, 10.0), fc.UnilateralConstraint()])
 def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
     """A smoothed law, and rigid lips with mass: nothing is decided, and it is said why."""
-    known = fc.solve_harmonic_balance(oscillator(), 1.0, law).assessment
-    assert known.nearest_orbit is None and known.predicted_error == np.inf
-    assert not known.is_accepted and np.isnan(known.distance)
-    assert known.rejection_reason == "there is no exact flow for its law or structure"
+    assessment = fc.solve_harmonic_balance(oscillator(), 1.0, law).assessment
+    assert assessment.nearest_orbit is None and assessment.predicted_error == np.inf
+    assert not assessment.is_accepted and np.isnan(assessment.distance)
+    assert assessment.rejection_reason == "there is no exact flow for its law or structure"

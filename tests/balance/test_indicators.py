@@ -12,23 +12,23 @@ import fenics_crack as fc
 def test_force_of_a_crack_does_not_depend_on_the_mesh() -> None:
     """Twice the elements along the lips halve the force of the largest pair, not that of all."""
     scene = fc.Scene.load(ROOT / "demos/blade.toml").replace({"excitation.frequency": 600.0})
-    found = []
+    indicators = []
     for elements in (3, 6):
         blade = fc.prepare(scene.replace({"mesh.lip_elements": elements}))
         omega = blade.scene.excitation.omega
         solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=10)
-        found.append(solution.indicators(0))
-    assert found[1].crack_force == pytest.approx(found[0].crack_force, rel=0.05)
-    assert found[1].contact_force < 0.75 * found[0].contact_force
+        indicators.append(solution.indicators(0))
+    assert indicators[1].crack_force == pytest.approx(indicators[0].crack_force, rel=0.05)
+    assert indicators[1].contact_force < 0.75 * indicators[0].contact_force
 
 
 def bilinear_wave(ratio: float, count: int) -> np.ndarray:
     """A free motion of x'' + x = 0 for x < 0, x'' + r^2 x = 0 for x > 0, over one period."""
     open_share = ratio / (1.0 + ratio)
     time = np.arange(count) / count
-    closed = np.sin(np.pi * time / (1.0 - open_share)) / ratio
+    closed_part = np.sin(np.pi * time / (1.0 - open_share)) / ratio
     open_part = -np.sin(np.pi * (time - (1.0 - open_share)) / open_share)
-    return np.where(time < 1.0 - open_share, closed, open_part)
+    return np.where(time < 1.0 - open_share, closed_part, open_part)
 
 
 @pytest.mark.parametrize("massless", [False, True])
@@ -40,15 +40,17 @@ def test_curve_has_the_indicators_of_its_solutions(massless: bool) -> None:
         structure = fc.reduce_structure(structure, modes=6, method="massless")
         law = fc.UnilateralConstraint()
     curve = fc.continue_frequency(structure, 0.5, 0.6, law, harmonics=8)
-    for dof, along in zip((0, 5), curve.measure([0, 5]), strict=True):
-        assert along.to_dict().keys() == curve.indicators(dof).to_dict().keys()
+    for dof, curve_indicators in zip((0, 5), curve.measure([0, 5]), strict=True):
+        assert curve_indicators.to_dict().keys() == curve.indicators(dof).to_dict().keys()
         for index in (0, len(curve) // 2, -1):
-            alone = curve.solution(index).indicators(dof)
-            for name, value in alone.to_dict().items():
-                expected = pytest.approx(value, rel=5e-3, abs=5e-3 * alone.amplitude, nan_ok=True)
-                assert getattr(along, name)[index] == expected, name
-    assert f"{len(curve)} points" in repr(along)
-    assert along.table().columns[:2] == ["omega [rad/s]", "amplitude [m]"]
+            solution_indicators = curve.solution(index).indicators(dof)
+            for name, value in solution_indicators.to_dict().items():
+                expected_value = pytest.approx(
+                    value, rel=5e-3, abs=5e-3 * solution_indicators.amplitude, nan_ok=True
+                )
+                assert getattr(curve_indicators, name)[index] == expected_value, name
+    assert f"{len(curve)} points" in repr(curve_indicators)
+    assert curve_indicators.table().columns[:2] == ["omega [rad/s]", "amplitude [m]"]
 
 
 def test_a_steady_load_leaves_two_masses_still() -> None:

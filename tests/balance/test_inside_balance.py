@@ -91,8 +91,8 @@ def grazing_gaps(depth: np.ndarray, harmonics: int = 4) -> np.ndarray:
 
 def linearised(integrals: PairIntegrals, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces and their tangent."""
-    found = integrals.linearise(gap)
-    return found.force, found.tangent
+    point = integrals.linearise(gap)
+    return point.force, point.tangent
 
 
 def finite_differences(integrals: PairIntegrals, gap: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -110,10 +110,10 @@ def test_exact_force_against_adaptive_quadrature() -> None:
     """Eq. 7 by QUADPACK with the switching instants as break points, to 1e-11."""
     harmonics = 5
     gap = random_gaps(harmonics, 4)
-    found = ExactIntegrals(UnilateralPenalty(STIFFNESS), harmonics).force(gap)
-    switching = switching_instants(to_complex(gap))
+    force_rows = ExactIntegrals(UnilateralPenalty(STIFFNESS), harmonics).force(gap)
+    events = switching_instants(to_complex(gap))
     for pair in range(4):
-        instants = np.sort(switching.theta[switching.pair == pair])
+        instants = np.sort(events.theta[events.pair == pair])
         assert len(instants) >= 2
 
         def force(t: float, pair: int = pair) -> float:
@@ -133,8 +133,10 @@ def test_exact_force_against_adaptive_quadrature() -> None:
                 epsabs=1e-12,
                 epsrel=1e-12,
             )
-            expected = integral / np.pi * (0.5 if row == 0 else 1.0)
-            assert found[row, pair] == pytest.approx(expected, abs=1e-11 * STIFFNESS[pair])
+            expected_force = integral / np.pi * (0.5 if row == 0 else 1.0)
+            assert force_rows[row, pair] == pytest.approx(
+                expected_force, abs=1e-11 * STIFFNESS[pair]
+            )
 
 
 def test_samples_approach_the_exact_force_with_second_order() -> None:
@@ -155,7 +157,7 @@ def test_samples_approach_the_exact_force_with_second_order() -> None:
 def test_smoothed_force_by_samples_against_quadrature() -> None:
     """A smooth law needs no break points: the trapezoidal rule is exact to 1e-10."""
     law, gap = SmoothedPenalty(3.0, 4.0), random_gaps(3, 1)
-    found = SampledIntegrals(law, 3, 1024).force(gap)[:, 0]
+    force_rows = SampledIntegrals(law, 3, 1024).force(gap)[:, 0]
 
     def force(t: float) -> float:
         return float(law.force(evaluate_series(gap[:, 0], 1.0, np.array([t])))[0])
@@ -165,18 +167,18 @@ def test_smoothed_force_by_samples_against_quadrature() -> None:
         integral, _ = quad(
             lambda t, w=weight: force(t) * w(t), 0.0, 2.0 * np.pi, epsabs=1e-12, limit=200
         )
-        assert found[row] == pytest.approx(integral / np.pi, abs=1e-10)
+        assert force_rows[row] == pytest.approx(integral / np.pi, abs=1e-10)
 
 
 @pytest.mark.parametrize("harmonics", [1, 4, 12])
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed"])
 def test_tangent_against_finite_differences(kind: str, harmonics: int) -> None:
     """All couplings of the harmonics of 4 pairs, to 1e-6 of the stiffness."""
-    penalty, smoothed = UnilateralPenalty(STIFFNESS), SmoothedPenalty(STIFFNESS, 5.0)
+    penalty, smoothed_law = UnilateralPenalty(STIFFNESS), SmoothedPenalty(STIFFNESS, 5.0)
     integrals = {
         "exact": ExactIntegrals(penalty, harmonics),
         "sampled": SampledIntegrals(penalty, harmonics, 64),
-        "smoothed": SampledIntegrals(smoothed, harmonics, 64),
+        "smoothed": SampledIntegrals(smoothed_law, harmonics, 64),
     }[kind]
     gap = random_gaps(harmonics, 4, seed=harmonics)
     force, tangent = linearised(integrals, gap)
@@ -205,9 +207,9 @@ def quotients(integrals: PairIntegrals, steps: np.ndarray) -> tuple[np.ndarray, 
     gap = np.array([[-1.0], [1.0], [0.0]])
     rows = []
     for sign in (1.0, -1.0):
-        moved = [gap + np.array([[sign * h], [0.0], [0.0]]) for h in steps]
+        shifted_gaps = [gap + np.array([[sign * h], [0.0], [0.0]]) for h in steps]
         start = integrals.force(gap)[0, 0]
-        forces = np.array([integrals.force(g)[0, 0] for g in moved])
+        forces = np.array([integrals.force(g)[0, 0] for g in shifted_gaps])
         rows.append((forces - start) / (sign * steps))
     return rows[0], rows[1]
 
@@ -233,11 +235,11 @@ def test_exact_tangent_is_continuous_across_grazing() -> None:
     depths = 10.0 ** -np.arange(4.0, 11.0)
     jumps = []
     for depth in depths:
-        above, below = (
+        upper_tangent, lower_tangent = (
             integrals.linearise(grazing_gaps(np.full(5, side * depth))).tangent
             for side in (1.0, -1.0)
         )
-        jumps.append(np.linalg.norm(above - below))
+        jumps.append(np.linalg.norm(upper_tangent - lower_tangent))
     assert log_slope(depths, jumps) == pytest.approx(0.5, abs=0.02)
 
 
@@ -246,19 +248,23 @@ def test_always_closed_and_always_open() -> None:
     gap = random_gaps(3, 4)
     gap[0] = [50.0, -50.0, 50.0, -50.0]
     force, tangent = linearised(ExactIntegrals(UnilateralPenalty(STIFFNESS), 3), gap)
-    closed = np.array([1.0, 0.0, 1.0, 0.0])
-    assert np.allclose(force, closed * STIFFNESS * gap, rtol=0.0, atol=1e-11)
-    expected = (closed * STIFFNESS)[:, None, None] * np.eye(7)
-    assert np.allclose(tangent, expected, rtol=0.0, atol=1e-13)
+    closed_share = np.array([1.0, 0.0, 1.0, 0.0])
+    assert np.allclose(force, closed_share * STIFFNESS * gap, rtol=0.0, atol=1e-11)
+    expected_tangent = (closed_share * STIFFNESS)[:, None, None] * np.eye(7)
+    assert np.allclose(tangent, expected_tangent, rtol=0.0, atol=1e-13)
 
 
 def test_parts_above_and_below_zero_make_up_the_whole() -> None:
     """max(g, 0) - max(-g, 0) = g, and the tangents of both add up to k."""
     gap = random_gaps(8, 4)
     integrals = ExactIntegrals(UnilateralPenalty(STIFFNESS), 8)
-    (force, tangent), (mirrored, other) = (linearised(integrals, s * gap) for s in (1.0, -1.0))
-    assert np.allclose(force - mirrored, STIFFNESS * gap, rtol=0.0, atol=1e-11)
-    assert np.allclose(tangent + other, STIFFNESS[:, None, None] * np.eye(17), atol=1e-11)
+    (force, tangent), (mirrored_force, mirrored_tangent) = (
+        linearised(integrals, s * gap) for s in (1.0, -1.0)
+    )
+    assert np.allclose(force - mirrored_force, STIFFNESS * gap, rtol=0.0, atol=1e-11)
+    assert np.allclose(
+        tangent + mirrored_tangent, STIFFNESS[:, None, None] * np.eye(17), atol=1e-11
+    )
     assert np.abs(force).min(axis=0).max() > 0.0
 
 
@@ -266,11 +272,11 @@ def test_parts_above_and_below_zero_make_up_the_whole() -> None:
 def test_scaling(samples: int | None) -> None:
     """L times the gap: L times the force, the same tangent; L times the stiffness: L times both."""
     gap = random_gaps(5, 4)
-    made = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples)
-    force, tangent = linearised(made, gap)
-    larger = linearised(made, 1e6 * gap)
-    assert np.allclose(larger[0], 1e6 * force, rtol=1e-9, atol=1e-6)
-    assert np.allclose(larger[1], tangent, rtol=0.0, atol=1e-9)
+    integrals = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples)
+    force, tangent = linearised(integrals, gap)
+    scaled_point = linearised(integrals, 1e6 * gap)
+    assert np.allclose(scaled_point[0], 1e6 * force, rtol=1e-9, atol=1e-6)
+    assert np.allclose(scaled_point[1], tangent, rtol=0.0, atol=1e-9)
     law = UnilateralPenalty(STIFFNESS).scaled(1e3)
     stiffer = linearised(contact_integrals(law, 5, samples), gap)
     assert np.allclose(stiffer[0], 1e3 * force) and np.allclose(stiffer[1], 1e3 * tangent)
@@ -286,8 +292,8 @@ def test_stiffness_of_each_pair(law: Callable[..., ContactLaw], samples: int | N
     gap = random_gaps(5, 4)
     force, tangent = linearised(contact_integrals(law(STIFFNESS), 5, samples), gap)
     for pair, stiffness in enumerate(STIFFNESS):
-        alone = contact_integrals(law(float(stiffness)), 5, samples)
-        one_force, one_tangent = linearised(alone, gap[:, pair : pair + 1])
+        pair_integrals = contact_integrals(law(float(stiffness)), 5, samples)
+        one_force, one_tangent = linearised(pair_integrals, gap[:, pair : pair + 1])
         assert np.allclose(force[:, pair], one_force[:, 0], rtol=0.0, atol=1e-12)
         assert np.allclose(tangent[pair], one_tangent[0], rtol=0.0, atol=1e-10)
 
@@ -295,27 +301,27 @@ def test_stiffness_of_each_pair(law: Callable[..., ContactLaw], samples: int | N
 def test_widened_integrals_see_the_same_wave() -> None:
     """With more harmonics the lower rows stay; the samples suffice for the higher ones."""
     gap, law = random_gaps(4, 4), UnilateralPenalty(STIFFNESS)
-    padded = resize_harmonics(gap, 16)
+    padded_gap = resize_harmonics(gap, 16)
     exact = ExactIntegrals(law, 4)
-    wide = exact.with_harmonics(16)
-    force = wide.force(padded)
-    assert wide.harmonics == 16 and force.shape == (33, 4)
+    wide_integrals = exact.with_harmonics(16)
+    force = wide_integrals.force(padded_gap)
+    assert wide_integrals.harmonics == 16 and force.shape == (33, 4)
     assert np.allclose(force[:9], exact.force(gap), rtol=0.0, atol=1e-12)
-    sampled = SampledIntegrals(law, 4, 4096).with_harmonics(16)
-    assert sampled.samples == 4096
-    assert np.allclose(sampled.force(padded), force, rtol=0.0, atol=1e-4)
-    few = SampledIntegrals(law, 4, 32).with_harmonics(100)
-    assert few.harmonics == 100 and few.samples > 400
+    sampled_integrals = SampledIntegrals(law, 4, 4096).with_harmonics(16)
+    assert sampled_integrals.samples == 4096
+    assert np.allclose(sampled_integrals.force(padded_gap), force, rtol=0.0, atol=1e-4)
+    coarse_integrals = SampledIntegrals(law, 4, 32).with_harmonics(100)
+    assert coarse_integrals.harmonics == 100 and coarse_integrals.samples > 400
 
 
 def test_choice_of_integrals() -> None:
     """Exact for the penalty law unless samples are given; the default samples grow with H."""
-    penalty, smoothed = UnilateralPenalty(1.0), SmoothedPenalty(1.0, 1.0)
+    penalty, smoothed_law = UnilateralPenalty(1.0), SmoothedPenalty(1.0, 1.0)
     assert isinstance(contact_integrals(penalty, 5), ExactIntegrals)
-    chosen = contact_integrals(penalty, 5, 64)
-    assert isinstance(chosen, SampledIntegrals) and chosen.samples == 64
-    chosen = contact_integrals(smoothed, 5, n_load_periods=3)
-    assert isinstance(chosen, SampledIntegrals) and chosen.samples == 3 * 1024
+    integrals = contact_integrals(penalty, 5, 64)
+    assert isinstance(integrals, SampledIntegrals) and integrals.samples == 64
+    integrals = contact_integrals(smoothed_law, 5, n_load_periods=3)
+    assert isinstance(integrals, SampledIntegrals) and integrals.samples == 3 * 1024
     assert default_samples(5) == default_samples(32) == 1024
     assert default_samples(33) == 2048
 
@@ -348,8 +354,7 @@ def integrals(kind: str, harmonics: int, **options: Any) -> CoupledIntegrals:
 
 def difference(function: Any, place: Any, step: Any) -> np.ndarray:
     """Central difference of a function along a step."""
-    found: np.ndarray = 0.5 * (function(place + step) - function(place - step))
-    return found
+    return 0.5 * (function(place + step) - function(place - step))
 
 
 @pytest.mark.parametrize("mean", [0.0, 100.0, -100.0])
@@ -360,14 +365,14 @@ def test_products_with_the_tangent(mean: float) -> None:
     gap[0] = mean
     basis = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 2)))[0]
     for kind in ("rigid", "smoothed"):
-        made = integrals(kind, 4)
-        forces, other = made.linearise(gap), made.linearise(change)
+        contact = integrals(kind, 4)
+        forces, change_forces = contact.linearise(gap), contact.linearise(change)
         matrix = forces.tangent().reshape(27, 27)
         assert np.allclose(forces.apply(change).ravel(), matrix @ change.ravel(), atol=1e-9)
-        seen = forces.tangent(basis).reshape(18, 18) @ change[:, :2].ravel()
-        expected = (matrix @ (change[:, :2] @ basis.T).ravel()).reshape(9, 3) @ basis
-        assert np.allclose(seen, expected.ravel(), atol=1e-9)
-        assert np.array_equal(other.apply(gap), made.linearise(change).apply(gap))
+        projected_product = forces.tangent(basis).reshape(18, 18) @ change[:, :2].ravel()
+        expected_product = (matrix @ (change[:, :2] @ basis.T).ravel()).reshape(9, 3) @ basis
+        assert np.allclose(projected_product, expected_product.ravel(), atol=1e-9)
+        assert np.array_equal(change_forces.apply(gap), contact.linearise(change).apply(gap))
 
 
 # --- forces ---------------------------------------------------------------------------------------
@@ -376,33 +381,39 @@ def test_products_with_the_tangent(mean: float) -> None:
 @pytest.mark.parametrize("law", ["rigid", "penalty"])
 def test_exact_force_by_gauss_between_events(law: str) -> None:
     """All coefficients of three pairs, the instants of events found by bisection, to 1e-11."""
-    harmonics, made = 4, integrals(law, 4)
+    harmonics, contact = 4, integrals(law, 4)
     gap = random_gaps(harmonics, 3, 2)
     grid = np.linspace(0.0, 2.0 * np.pi, 4097)
-    _, closed = made.active_set_solver.solve(evaluate_series(gap, 1.0, grid))
+    _, closed_sets = contact.active_set_solver.solve(evaluate_series(gap, 1.0, grid))
     events = []
-    for place in np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)):
-        low, high = grid[place], grid[place + 1]
+    for place in np.flatnonzero(np.any(closed_sets[1:] != closed_sets[:-1], axis=1)):
+        lower_theta, upper_theta = grid[place], grid[place + 1]
         for _ in range(60):
-            middle = 0.5 * (low + high)
-            same = made.active_set_solver.solve(evaluate_series(gap, 1.0, np.array([middle])))[1][0]
-            low, high = (middle, high) if np.array_equal(same, closed[place]) else (low, middle)
-        events.append(low)
+            middle = 0.5 * (lower_theta + upper_theta)
+            middle_set = contact.active_set_solver.solve(
+                evaluate_series(gap, 1.0, np.array([middle]))
+            )[1][0]
+            lower_theta, upper_theta = (
+                (middle, upper_theta)
+                if np.array_equal(middle_set, closed_sets[place])
+                else (lower_theta, middle)
+            )
+        events.append(lower_theta)
     assert len(events) >= 6
     ends = np.unique(np.concatenate([[0.0], events, np.linspace(0.0, 2.0 * np.pi, 9)]))
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    expected = np.zeros_like(gap)
-    for low, high in pairwise(ends):
-        theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
+    expected_force = np.zeros_like(gap)
+    for lower_theta, upper_theta in pairwise(ends):
+        theta = 0.5 * (lower_theta + upper_theta) + 0.5 * (upper_theta - lower_theta) * nodes
         force = (
-            made.forces_at_gap_samples(evaluate_series(gap, 1.0, theta))
-            * (0.5 * (high - low) * weights)[:, None]
+            contact.forces_at_gap_samples(evaluate_series(gap, 1.0, theta))
+            * (0.5 * (upper_theta - lower_theta) * weights)[:, None]
         )
-        expected[0] += force.sum(axis=0) / (2.0 * np.pi)
+        expected_force[0] += force.sum(axis=0) / (2.0 * np.pi)
         for k in range(1, harmonics + 1):
-            expected[2 * k - 1] += np.cos(k * theta) @ force / np.pi
-            expected[2 * k] += np.sin(k * theta) @ force / np.pi
-    assert relative(made.linearise(gap).force, expected) < 1e-11
+            expected_force[2 * k - 1] += np.cos(k * theta) @ force / np.pi
+            expected_force[2 * k] += np.sin(k * theta) @ force / np.pi
+    assert relative(contact.linearise(gap).force, expected_force) < 1e-11
 
 
 @pytest.mark.parametrize(("pairs", "harmonics"), [(2, 8), (6, 4), (20, 3)])
@@ -412,11 +423,11 @@ def test_coupled_samples_approach_with_second_order(pairs: int, harmonics: int) 
     errors = np.zeros(len(counts))
     for seed in range(8):
         gap = random_gaps(harmonics, pairs, seed)
-        made = CoupledIntegrals(RIGID, harmonics, residual_compliance=compliance)
-        exact = made.force(gap)
+        contact = CoupledIntegrals(RIGID, harmonics, residual_compliance=compliance)
+        exact = contact.force(gap)
         for place, count in enumerate(counts):
-            found = replace(made, samples=int(count)).force(gap)
-            errors[place] += relative(found, exact) / 8.0
+            sampled_force = replace(contact, samples=int(count)).force(gap)
+            errors[place] += relative(sampled_force, exact) / 8.0
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.15)
     assert errors[-1] < 1e-6
 
@@ -427,21 +438,26 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
     """R_inf and 1/k in series: the force, and its derivative, of 1 / (R_inf + 1/k)."""
     law = RIGID if np.isinf(stiffness) else fc.UnilateralPenalty(stiffness)
     compliance = 0.4 + 1.0 / stiffness
-    alone = ExactIntegrals(fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7)
+    spring_integrals = ExactIntegrals(
+        fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7
+    )
     for seed in range(4):
         gap = random_gaps(7, 1, seed)
-        seen: dict[str, Any] = {
+        options: dict[str, Any] = {
             "residual_compliance": np.full((1, 1), 0.4),
             "relative_softness": softness,
         }
-        forces = CoupledIntegrals(law, 7, **seen).linearise(gap)
-        pair, spring = ExactIntegrals(law, 7, **seen).linearise(gap), alone.linearise(gap)
-        for found in (forces, pair):
-            assert relative(found.force, spring.force) < 1e-12
+        forces = CoupledIntegrals(law, 7, **options).linearise(gap)
+        pair, spring = (
+            ExactIntegrals(law, 7, **options).linearise(gap),
+            spring_integrals.linearise(gap),
+        )
+        for point in (forces, pair):
+            assert relative(point.force, spring.force) < 1e-12
         assert relative(forces.tangent()[:, 0], spring.tangent[0]) < 1e-11
         assert relative(pair.tangent, spring.tangent) < 1e-12
-        one, other = (found.by_softness() for found in (forces, pair))
-        assert np.allclose(one, other, rtol=1e-10, atol=1e-12)
+        coupled_slope, pair_slope = (point.by_softness() for point in (forces, pair))
+        assert np.allclose(coupled_slope, pair_slope, rtol=1e-10, atol=1e-12)
 
 
 def test_grazing_contact_against_a_penalty() -> None:
@@ -451,26 +467,26 @@ def test_grazing_contact_against_a_penalty() -> None:
         for column in range(10):
             gap = gaps[:, [column]]
             for sign in (1.0, -1.0):
-                made = CoupledIntegrals(RIGID, 4, residual_compliance=np.eye(1)).linearise(
+                point = CoupledIntegrals(RIGID, 4, residual_compliance=np.eye(1)).linearise(
                     sign * gap
                 )
                 force = ExactIntegrals(fc.UnilateralPenalty(1.0), 4).force(sign * gap)
-                assert np.abs(made.force - force).max() < 1e-13
-                assert np.any(made.force) == (depth > 0.0 or sign < 0.0)
+                assert np.abs(point.force - force).max() < 1e-13
+                assert np.any(point.force) == (depth > 0.0 or sign < 0.0)
 
 
 def test_smoothed_force_by_quadrature() -> None:
     """lambda(s(t)) of one pair times each wave, by QUADPACK."""
     law, compliance = fc.SmoothedPenalty(3.0, 4.0), np.full((1, 1), 0.2)
-    made, gap = CoupledIntegrals(law, 2, residual_compliance=compliance), random_gaps(2, 1)
-    found = made.linearise(gap).force[:, 0]
+    contact, gap = CoupledIntegrals(law, 2, residual_compliance=compliance), random_gaps(2, 1)
+    force = contact.linearise(gap).force[:, 0]
 
     def products(t: float) -> np.ndarray:
         waves = np.array([0.5, np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
-        return waves * made.forces_at_gap_samples(evaluate_series(gap, 1.0, np.array([t])))[0, 0]
+        return waves * contact.forces_at_gap_samples(evaluate_series(gap, 1.0, np.array([t])))[0, 0]
 
     integrals, _ = scipy.integrate.quad_vec(products, 0.0, 2.0 * np.pi, epsabs=1e-11, limit=200)
-    assert found == pytest.approx(integrals / np.pi, abs=1e-9)
+    assert force == pytest.approx(integrals / np.pi, abs=1e-9)
 
 
 # --- derivatives ----------------------------------------------------------------------------------
@@ -480,14 +496,14 @@ def test_smoothed_force_by_quadrature() -> None:
 @pytest.mark.parametrize("kind", LAWS)
 def test_coupled_tangent_against_finite_differences(kind: str, harmonics: int) -> None:
     """All couplings of harmonics and pairs, to 1e-6 of the largest; T v is the matrix times v."""
-    made, gap = integrals(kind, harmonics), random_gaps(harmonics, 3, harmonics)
-    forces = made.linearise(gap)
+    contact, gap = integrals(kind, harmonics), random_gaps(harmonics, 3, harmonics)
+    forces = contact.linearise(gap)
     matrix = forces.tangent().reshape(len(gap), 3, len(gap), 3)
     for row in range(len(gap)):
         for pair in range(3):
             unit = np.zeros_like(gap)
             unit[row, pair] = 1.0
-            slope = difference(lambda s: made.linearise(s).force, gap, 1e-6 * unit) / 1e-6
+            slope = difference(lambda s: contact.linearise(s).force, gap, 1e-6 * unit) / 1e-6
             assert np.abs(matrix[:, :, row, pair] - slope).max() < 2e-6 * np.abs(matrix).max()
     change = np.random.default_rng(1).normal(size=gap.shape)
     assert relative(forces.apply(change), np.tensordot(matrix, change, 2)) < 1e-12
@@ -499,23 +515,25 @@ def test_coupled_tangent_against_finite_differences(kind: str, harmonics: int) -
 @pytest.mark.parametrize("kind", LAWS)
 def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> None:
     """By central differences; a rigid law has no stiffness to depend on."""
-    gap, made = random_gaps(5, 3, 3), integrals(kind, 5, relative_softness=softness)
-    forces, step = made.linearise(gap), 1e-5
-    found = forces.by_softness()
-    soft = [made.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)]
-    assert relative((soft[0] - soft[1]) / (2.0 * step), found) < 1e-5
+    gap, contact = random_gaps(5, 3, 3), integrals(kind, 5, relative_softness=softness)
+    forces, step = contact.linearise(gap), 1e-5
+    slope = forces.by_softness()
+    shifted_forces = [
+        contact.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)
+    ]
+    assert relative((shifted_forces[0] - shifted_forces[1]) / (2.0 * step), slope) < 1e-5
     if kind == "rigid":
         assert not np.any(forces.by_log_stiffness())
         return
-    law = made.law
+    law = contact.law
 
     def scaled(logarithm: float) -> np.ndarray:
-        other = replace(made, law=law.scaled(np.exp(logarithm)))
+        scaled_contact = replace(contact, law=law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
-        kept = other.with_softness(
-            softness * made.mean_pair_compliance / other.mean_pair_compliance
+        softened_contact = scaled_contact.with_softness(
+            softness * contact.mean_pair_compliance / scaled_contact.mean_pair_compliance
         )
-        return kept.linearise(gap).force
+        return softened_contact.linearise(gap).force
 
     assert relative(difference(scaled, 0.0, step) / step, forces.by_log_stiffness()) < 1e-5
 
@@ -524,22 +542,21 @@ def test_widened_keeps_the_forces() -> None:
     """More harmonics: the first ones stay, exact or by enough samples."""
     for kind in LAWS:
         gap = random_gaps(4, 3)
-        wide = np.vstack([gap, np.zeros((8, 3))])
-        made = integrals(kind, 4, relative_softness=0.2)
-        made = made if kind == "sampled" else replace(made, samples=None)
-        found = made.with_harmonics(8).linearise(wide).force[:9]
-        assert relative(found, made.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)
+        padded_gap = np.vstack([gap, np.zeros((8, 3))])
+        contact = integrals(kind, 4, relative_softness=0.2)
+        contact = contact if kind == "sampled" else replace(contact, samples=None)
+        force = contact.with_harmonics(8).linearise(padded_gap).force[:9]
+        assert relative(force, contact.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)
 
 
 def test_many_pairs_and_sets() -> None:
     """Forty pairs, hundreds of sets: the forces of many samples, and the tangent along a change."""
     compliance, gap = residual(40), random_gaps(4, 40)
-    made = CoupledIntegrals(RIGID, 4, residual_compliance=compliance)
-    exact = made.linearise(gap)
-    fine = replace(made, samples=1 << 13).linearise(gap)
-    assert relative(fine.force, exact.force) < 1e-5
+    contact = CoupledIntegrals(RIGID, 4, residual_compliance=compliance)
+    exact = contact.linearise(gap)
+    assert relative(replace(contact, samples=1 << 13).linearise(gap).force, exact.force) < 1e-5
     change = 1e-6 * np.random.default_rng(1).normal(size=gap.shape)
-    slope = difference(lambda s: made.linearise(s).force, gap, change)
+    slope = difference(lambda s: contact.linearise(s).force, gap, change)
     assert relative(exact.apply(change), slope) < 1e-5
 
 
@@ -579,33 +596,36 @@ def test_sampling_and_balancing_are_inverse(coefficients: np.ndarray) -> None:
 def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Values and coefficients are the same by matrices of waves and by FFTs; and as many instants
     as `instants` says give means of products without aliasing."""
-    wave, other = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
-    found = []
+    wave, second_wave = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
+    results_by_count = []
     for limit in (10**6, 0):
         monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_SIZE", limit)
         count = n_instants_for_products(harmonics)
         assert count > 4 * harmonics
-        values = sample_period(wave, 300), sample_period(other, count) * sample_period(wave, count)
-        found.append(
+        values = (
+            sample_period(wave, 300),
+            sample_period(second_wave, count) * sample_period(wave, count),
+        )
+        results_by_count.append(
             [
                 values[0],
                 fourier_coefficients(values[0], harmonics),
                 fourier_coefficients(values[1], harmonics),
             ]
         )
-    for one, same in zip(*found, strict=True):
-        np.testing.assert_allclose(one, same, atol=1e-12)
-    np.testing.assert_allclose(found[0][1], wave, atol=1e-12)
+    for matrix_result, fft_result in zip(*results_by_count, strict=True):
+        np.testing.assert_allclose(matrix_result, fft_result, atol=1e-12)
+    np.testing.assert_allclose(results_by_count[0][1], wave, atol=1e-12)
     time = np.arange(300) * 2.0 * np.pi / 300
-    np.testing.assert_allclose(found[0][0], evaluate_series(wave, 1.0, time), atol=1e-11)
+    np.testing.assert_allclose(results_by_count[0][0], evaluate_series(wave, 1.0, time), atol=1e-11)
 
 
 def test_resized_cuts_and_pads(coefficients: np.ndarray) -> None:
     """Harmonics are cut off at the end, and padded with zeros."""
-    longer = resize_harmonics(coefficients, HARMONICS + 2)
-    assert np.array_equal(longer[: len(coefficients)], coefficients)
-    assert not np.any(longer[len(coefficients) :])
-    assert np.array_equal(resize_harmonics(longer, HARMONICS), coefficients)
+    padded_rows = resize_harmonics(coefficients, HARMONICS + 2)
+    assert np.array_equal(padded_rows[: len(coefficients)], coefficients)
+    assert not np.any(padded_rows[len(coefficients) :])
+    assert np.array_equal(resize_harmonics(padded_rows, HARMONICS), coefficients)
     assert len(resize_harmonics(coefficients, 2)) == 5
 
 
@@ -644,13 +664,13 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
     def product(matrix: Any) -> np.ndarray:
         return (multiply(matrix, amplitude.real.T) + 1j * multiply(matrix, amplitude.imag.T)).T
 
-    found = product(structure.stiffness) - omega**2 * product(structure.mass)
+    product_rows = product(structure.stiffness) - omega**2 * product(structure.mass)
     if structure.damping_matrix is not None:
-        found += 1j * omega * product(structure.damping_matrix)
+        product_rows += 1j * omega * product(structure.damping_matrix)
     if (modes := damped_modes(structure)) is not None:
-        modal = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
-        found += 1j * omega * (modal * modes.modal_damping) @ modes.mass_shapes.T
-    return found
+        modal_velocity = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
+        product_rows += 1j * omega * (modal_velocity * modes.modal_damping) @ modes.mass_shapes.T
+    return product_rows
 
 
 def modal_sum(structure: Structure, omega: float, rigid: int = 0) -> np.ndarray:
@@ -666,9 +686,9 @@ def modal_sum(structure: Structure, omega: float, rigid: int = 0) -> np.ndarray:
     return (shapes / (squares - omega**2 + 1j * omega * rate)) @ shapes.T
 
 
-def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
+def relative_error(solution: np.ndarray, reference: np.ndarray) -> float:
     """Largest difference, relative to the largest entry."""
-    return float(np.abs(found - expected).max() / np.abs(expected).max())
+    return float(np.abs(solution - reference).max() / np.abs(reference).max())
 
 
 RNG = np.random.default_rng(7)
@@ -697,14 +717,14 @@ def test_against_dense_matrices(damping: Any, omega: float) -> None:
         matrix = dense_stiffness(structure, omega)
         gap = structure.gap.toarray()
         rng = np.random.default_rng(seed)
-        real = rng.standard_normal((4, N))
+        real_rows = rng.standard_normal((4, N))
         with DynamicStiffness(structure, omega) as stiffness:
-            for rows in (real, real + 1j * rng.standard_normal((4, N)), real[:1]):
+            for rows in (real_rows, real_rows + 1j * rng.standard_normal((4, N)), real_rows[:1]):
                 assert relative_error(applied(structure, omega, rows), rows @ matrix.T) < 1e-12
-                expected = np.linalg.solve(matrix, rows.T).T
-                assert relative_error(stiffness.solve(rows), expected) < 1e-10
-            expected = gap.T @ np.linalg.solve(matrix, gap)
-            assert relative_error(stiffness.compliance(), expected) < 1e-10
+                exact_solution = np.linalg.solve(matrix, rows.T).T
+                assert relative_error(stiffness.solve(rows), exact_solution) < 1e-10
+            exact_solution = gap.T @ np.linalg.solve(matrix, gap)
+            assert relative_error(stiffness.compliance(), exact_solution) < 1e-10
 
 
 @pytest.mark.parametrize("damping", [None, ModalDamping(0.001), ModalDamping(0.001, 10)])
@@ -717,11 +737,11 @@ def test_paper_plate_against_dense_matrices(
     matrix = dense_stiffness(structure, omega)
     gap = structure.gap.toarray()
     with DynamicStiffness(structure, omega) as stiffness:
-        found = stiffness.solve(structure.force)
-        assert relative_error(found, np.linalg.solve(matrix, structure.force.T).T) < 1e-10
-        assert relative_error(applied(structure, omega, found), found @ matrix.T) < 1e-12
-        expected = gap.T @ np.linalg.solve(matrix, gap)
-        assert relative_error(stiffness.compliance(), expected) < 1e-10
+        solution = stiffness.solve(structure.force)
+        assert relative_error(solution, np.linalg.solve(matrix, structure.force.T).T) < 1e-10
+        assert relative_error(applied(structure, omega, solution), solution @ matrix.T) < 1e-12
+        exact_compliance = gap.T @ np.linalg.solve(matrix, gap)
+        assert relative_error(stiffness.compliance(), exact_compliance) < 1e-10
 
 
 @pytest.mark.parametrize("damping", DAMPINGS.values(), ids=DAMPINGS)
@@ -818,8 +838,7 @@ def test_near_a_resonance_of_the_damped_modes_alone(offset: float) -> None:
     matrix = dense_stiffness(structure, omega)
     force = np.random.default_rng(1).standard_normal((3, N))
     with DynamicStiffness(structure, omega) as stiffness:
-        expected = np.linalg.solve(matrix, force.T).T
-        assert relative_error(stiffness.solve(force), expected) < 1e-8
+        assert relative_error(stiffness.solve(force), np.linalg.solve(matrix, force.T).T) < 1e-8
 
 
 def test_deflated_undamped_mode() -> None:
@@ -829,12 +848,12 @@ def test_deflated_undamped_mode() -> None:
     structure = Structure.from_matrices(
         np.eye(N), np.diag(omega**2), gap=np.ones(N), damping=ModalDamping(ratios)
     )
-    near = 3.0 * (1.0 + 2.0**-20)
-    with DynamicStiffness(structure, near) as stiffness:
-        found = stiffness.solve(np.eye(N))
-    denominators = omega**2 - near**2 + 2j * ratios * omega * near
-    denominators[2] = (3.0 - near) * (3.0 + near)
-    np.testing.assert_allclose(found, np.diag(1.0 / denominators), rtol=1e-8, atol=1e-9)
+    nearby_omega = 3.0 * (1.0 + 2.0**-20)
+    with DynamicStiffness(structure, nearby_omega) as stiffness:
+        solution = stiffness.solve(np.eye(N))
+    denominators = omega**2 - nearby_omega**2 + 2j * ratios * omega * nearby_omega
+    denominators[2] = (3.0 - nearby_omega) * (3.0 + nearby_omega)
+    np.testing.assert_allclose(solution, np.diag(1.0 / denominators), rtol=1e-8, atol=1e-9)
 
 
 # --- refused --------------------------------------------------------------------------------------
@@ -856,8 +875,10 @@ def test_free_structure(damping: Any) -> None:
 def test_a_light_stiff_part_is_no_rigid_body() -> None:
     """A sensor of 1e-9 kg on a mass, whose own frequency is 1e8 times the mass's: the static
     answer is the spring's."""
-    mass, own = 1e-9, 1e7
-    stiffness = np.array([[1.0 + own, -own], [-own, own]])
+    mass, part_stiffness = 1e-9, 1e7
+    stiffness = np.array(
+        [[1.0 + part_stiffness, -part_stiffness], [-part_stiffness, part_stiffness]]
+    )
     sensor = Structure.from_matrices(np.diag([1.0, mass]), stiffness, gap=[1.0, 0.0], damping=None)
     compliance = make_compliance_model(sensor, 0.5, 1)
     assert compliance.matrices[:, 0, 0].real == pytest.approx([1.0, 1.0 / 0.75], rel=1e-6)
@@ -898,18 +919,17 @@ def responses(scene: Scene, cases: list[Any], comm: MPI.Comm) -> list[Any]:
     lip = np.append(built.gap.toarray().sum(axis=1), 0.0)[local[:, 1]]  # clamped: number -1
     places = gather_rows(comm, np.column_stack([built.nodes.points.round(9), lip.round(9)]))
     order = np.lexsort(places.T)
-    found = []
+    results_by_case = []
     for ratio, modes, omega in cases:
-        damping = None if ratio is None else ModalDamping(ratio, modes)
-        damped = built.damped(damping)
-        with DynamicStiffness(damped, omega) as stiffness:
+        damped_structure = built.damped(None if ratio is None else ModalDamping(ratio, modes))
+        with DynamicStiffness(damped_structure, omega) as stiffness:
             response = stiffness.solve(built.force.astype(complex))
-            back = applied(damped, omega, response)
+            load_rows = applied(damped_structure, omega, response)
             compliance = stiffness.compliance()
         shape = gather_rows(comm, np.append(response[2], 0.0)[local])[order]
-        residual = comm.allreduce(np.abs(back - built.force).max(), MPI.MAX)
-        found.append({"shape": shape, "compliance": compliance, "residual": residual})
-    return found
+        residual = comm.allreduce(np.abs(load_rows - built.force).max(), MPI.MAX)
+        results_by_case.append({"shape": shape, "compliance": compliance, "residual": residual})
+    return results_by_case
 
 
 @pytest.mark.mpi
@@ -917,69 +937,77 @@ def test_two_ranks_give_the_same_responses(
     on_ranks: Callable[..., Any], paper_scene: Scene, paper_structure: Structure
 ) -> None:
     """Response and compliance of the paper's plate, at a resonance too, are those of one rank."""
-    first, second = solve_modes(paper_structure, 2).omega
+    first_omega, second_omega = solve_modes(paper_structure, 2).omega
     cases = [
         (None, None, 0.0),
         (None, None, 2000.0),
         (0.001, None, 2000.0),
         (0.001, 10, 2000.0),
-        (0.01, None, float(first)),
-        (0.01, None, float(second) * (1.0 + 1e-4)),
+        (0.01, None, float(first_omega)),
+        (0.01, None, float(second_omega) * (1.0 + 1e-4)),
     ]
     parallel = on_ranks(responses, paper_scene, cases)
-    for two, one in zip(parallel, responses(paper_scene, cases, MPI.COMM_SELF), strict=True):
+    for parallel_run, serial_run in zip(
+        parallel, responses(paper_scene, cases, MPI.COMM_SELF), strict=True
+    ):
         for name in ("shape", "compliance"):
-            assert relative_error(two[name], one[name]) < 1e-8
-        assert two["residual"] < 1e-6 and one["residual"] < 1e-6  # of a load of 100 N
+            assert relative_error(parallel_run[name], serial_run[name]) < 1e-8
+        assert (
+            parallel_run["residual"] < 1e-6 and serial_run["residual"] < 1e-6
+        )  # of a load of 100 N
 
 
 def compliances(kinds: list[str], comm: MPI.Comm) -> list[np.ndarray]:
     """B^T Z^-1 B with some kinds of damping (collective)."""
-    found = []
+    compliance_matrices = []
     for kind in kinds:
-        one = random_structure(damping := DAMPINGS[kind])
-        mass, _, stiffness = dense_matrices(one)
-        spread = Structure.from_matrices(mass, stiffness, gap=one.gap, damping=damping, comm=comm)
-        with DynamicStiffness(spread, 7.77) as dynamic:
-            found.append(dynamic.compliance())
-    return found
+        structure = random_structure(damping := DAMPINGS[kind])
+        mass, _, stiffness = dense_matrices(structure)
+        distributed_structure = Structure.from_matrices(
+            mass, stiffness, gap=structure.gap, damping=damping, comm=comm
+        )
+        with DynamicStiffness(distributed_structure, 7.77) as dynamic:
+            compliance_matrices.append(dynamic.compliance())
+    return compliance_matrices
 
 
 @pytest.mark.mpi
 def test_damping_matrix_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """Spread over two ranks, one that is not symmetric and Rayleigh's give the dense compliance."""
     kinds = ["any matrix", "Rayleigh"]
-    for kind, found in zip(kinds, on_ranks(compliances, kinds), strict=True):
+    for kind, compliance in zip(kinds, on_ranks(compliances, kinds), strict=True):
         structure = random_structure(DAMPINGS[kind])
         gap = structure.gap.toarray()
-        expected = gap.T @ np.linalg.solve(dense_stiffness(structure, 7.77), gap)
-        assert relative_error(found, expected) < 1e-10
+        exact_compliance = gap.T @ np.linalg.solve(dense_stiffness(structure, 7.77), gap)
+        assert relative_error(compliance, exact_compliance) < 1e-10
 
 
 def test_reduced_chain_that_is_not_fixed() -> None:
     """A chain that is not fixed: K is singular; compliance at w > 0, and the linear response."""
     for damping in ("matrix", "none"):
-        whole = chain(damping, 60, unconstrained=True)
-        elastic = fc.solve_modes(whole, 2).omega
-        assert elastic[0] < 1e-4 * elastic[1]
+        full_structure = chain(damping, 60, unconstrained=True)
+        mode_omegas = fc.solve_modes(full_structure, 2).omega
+        assert mode_omegas[0] < 1e-4 * mode_omegas[1]
         previous = np.inf
         for modes in (6, 12, 40):
-            reduced = fc.reduce_structure(whole, modes=modes)
+            reduced_structure = fc.reduce_structure(full_structure, modes=modes)
             errors = []
             for factor in (0.5, 1.3, 2.5):
-                omega = factor * elastic[1]
+                omega = factor * mode_omegas[1]
                 with (
-                    DynamicStiffness(reduced, omega) as small,
-                    DynamicStiffness(whole, omega) as large,
+                    DynamicStiffness(reduced_structure, omega) as reduced_stiffness,
+                    DynamicStiffness(full_structure, omega) as full_stiffness,
                 ):
-                    errors.append(relative(small.compliance(), large.compliance()))
+                    errors.append(
+                        relative(reduced_stiffness.compliance(), full_stiffness.compliance())
+                    )
             assert max(errors) < previous
             previous = max(errors)
         assert previous < 1e-5
-        dofs = list(range(whole.n_dofs))
+        dofs = list(range(full_structure.n_dofs))
         motions = [
-            fc.solve_linear(made, 1.3 * elastic[1]).coefficients_at(dofs)
-            for made in (reduced, whole)
+            fc.solve_linear(model, 1.3 * mode_omegas[1]).coefficients_at(dofs)
+            for model in (reduced_structure, full_structure)
         ]
         assert relative(*motions) < 1e-3
 
@@ -1045,11 +1073,13 @@ def test_each_start_is_needed(
         structure = stopped_chain(3, 2e-2)
         return fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, throw=False)
 
-    found = solution()
-    assert found.converged and f"{name}: converged" in found.status
+    with_all_starts = solution()
+    assert with_all_starts.converged and f"{name}: converged" in with_all_starts.status
     prevent(monkeypatch, start)
-    without = solution()
-    assert not without.converged or without.iterations > 2 * found.iterations, without.status
+    without_start = solution()
+    assert (
+        not without_start.converged or without_start.iterations > 2 * with_all_starts.iterations
+    ), without_start.status
 
 
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1059,12 +1089,12 @@ def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> N
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
     assert not solution.converged
-    told = solution.status.split("; ")
-    assert [attempt.split(" (")[0] for attempt in told[:2]] == [
+    messages = solution.status.split("; ")
+    assert [attempt.split(" (")[0] for attempt in messages[:2]] == [
         "from fewer harmonics: failed",
         "then continuation in the contact compliance: failed",
     ]
-    assert told[2] == (
+    assert messages[2] == (
         f"no solution in {solution.iterations} iterations: try other harmonics, a softer contact, "
         "more damping, or a neighbouring solution as initial"
     )
@@ -1079,12 +1109,12 @@ def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.Mo
     With ``throw`` it is an error."""
     monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MAX_HARMONICS", 40)
     law = fc.UnilateralPenalty(1e11)
-    missed = r"solved; error [\d.]+ %, 0.001 % was asked; what helps: more damping.* \(H = 40\)"
-    with pytest.raises(fc.ConvergenceError, match=missed):
+    message = r"solved; error [\d.]+ %, 0.001 % was asked; what helps: more damping.* \(H = 40\)"
+    with pytest.raises(fc.ConvergenceError, match=message):
         fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5)
-    best = fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5, throw=False)
-    assert best.converged and best.harmonics == 40 and re.match(missed, best.status)
-    assert 1e-5 < best.report.total < 1e-2
+    solution = fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5, throw=False)
+    assert solution.converged and solution.harmonics == 40 and re.match(message, solution.status)
+    assert 1e-5 < solution.report.total < 1e-2
 
 
 def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1092,12 +1122,14 @@ def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     what it lacks."""
     structure, law = bouncing("three masses")
     monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MAX_HARMONICS", 20)
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         structure, OMEGA["three masses"], law, tolerance=1e-3, throw=False
     )
-    assert found.converged and found.harmonics == 20 and found.report.total > 1e-3
-    words = f"solved; error {100.0 * found.report.total:.2g} %, 0.1 % was asked; what helps: more"
-    assert found.status.startswith(words)
+    assert solution.converged and solution.harmonics == 20 and solution.report.total > 1e-3
+    words = (
+        f"solved; error {100.0 * solution.report.total:.2g} %, 0.1 % was asked; what helps: more"
+    )
+    assert solution.status.startswith(words)
 
 
 # --- indicators of known coefficients -------------------------------------------------------------
@@ -1130,12 +1162,18 @@ def indicators_of(waves: np.ndarray, **given: Any) -> Indicators:
 
 def test_known_coefficients() -> None:
     """U_1 = 5, U_2 = 10, U_3 = 13, a0 = -2.5: ratios 2, 2.6 and -0.5."""
-    found = indicators_of(np.array([-2.5, 3.0, 4.0, 6.0, -8.0, 5.0, 12.0]))
-    assert (found.omega, found.amplitude, found.mean) == (7.0, 11.0, -2.5)
-    assert (found.harmonic_1, found.harmonic_2, found.harmonic_3) == (5.0, 10.0, 13.0)
-    assert (found.ratio_2_1, found.ratio_3_1, found.mean_shift) == (2.0, 2.6, -0.5)
-    assert (found.ratio_largest, found.largest_order) == (2.6, 3.0)
-    assert np.isnan([found.ratio_half_1, found.contact_force, found.closed_share]).all()
+    indicators = indicators_of(np.array([-2.5, 3.0, 4.0, 6.0, -8.0, 5.0, 12.0]))
+    assert (indicators.omega, indicators.amplitude, indicators.mean) == (7.0, 11.0, -2.5)
+    assert (indicators.harmonic_1, indicators.harmonic_2, indicators.harmonic_3) == (
+        5.0,
+        10.0,
+        13.0,
+    )
+    assert (indicators.ratio_2_1, indicators.ratio_3_1, indicators.mean_shift) == (2.0, 2.6, -0.5)
+    assert (indicators.ratio_largest, indicators.largest_order) == (2.6, 3.0)
+    assert np.isnan(
+        [indicators.ratio_half_1, indicators.contact_force, indicators.closed_share]
+    ).all()
 
 
 @pytest.mark.parametrize(("periods", "half"), [(2, 2.0), (3, np.nan)])
@@ -1143,37 +1181,39 @@ def test_longer_periods(periods: int, half: float) -> None:
     """Rows count parts of the load's frequency: harmonic m is U_1, and m / 2 is U_1/2."""
     rows = np.zeros(2 * 3 * periods + 1)
     rows[1], rows[2 * periods], rows[4 * periods - 1], rows[6 * periods] = 6.0, 3.0, 1.5, 0.75
-    found = indicators_of(rows, subharmonic=periods)
-    assert (found.harmonic_1, found.ratio_2_1, found.ratio_3_1) == (3.0, 0.5, 0.25)
-    assert (found.ratio_largest, found.largest_order) == (0.5, 2.0)
-    np.testing.assert_equal(found.ratio_half_1, half)
+    indicators = indicators_of(rows, subharmonic=periods)
+    assert (indicators.harmonic_1, indicators.ratio_2_1, indicators.ratio_3_1) == (3.0, 0.5, 0.25)
+    assert (indicators.ratio_largest, indicators.largest_order) == (0.5, 2.0)
+    np.testing.assert_equal(indicators.ratio_half_1, half)
 
 
 @pytest.mark.parametrize(("first", "shift"), [(2.0, 0.5), (0.0, np.nan)])
 def test_few_harmonics_and_no_motion(first: float, shift: float) -> None:
     """What is not known is nan, and no division warns."""
-    found = indicators_of(np.array([1.0, first, 0.0]))
-    np.testing.assert_equal(found.mean_shift, shift)
-    assert np.isnan([found.ratio_2_1, found.ratio_3_1, found.harmonic_2]).all()
-    assert np.isnan([found.ratio_largest, found.largest_order]).all()
+    indicators = indicators_of(np.array([1.0, first, 0.0]))
+    np.testing.assert_equal(indicators.mean_shift, shift)
+    assert np.isnan([indicators.ratio_2_1, indicators.ratio_3_1, indicators.harmonic_2]).all()
+    assert np.isnan([indicators.ratio_largest, indicators.largest_order]).all()
 
 
 @pytest.mark.parametrize(("second", "order"), [(1e-11, np.nan), (1e-9, 2.0)])
 def test_rounding_has_no_largest_harmonic(second: float, order: float) -> None:
     """Of the whole motion, to which the mean belongs: 1e-13 of it is no harmonic, 1e-11 is one."""
-    found = indicators_of(np.array([100.0, 1.0, 0.0, 0.0, second]))
-    np.testing.assert_equal(found.largest_order, order)
-    assert found.ratio_largest == second
+    indicators = indicators_of(np.array([100.0, 1.0, 0.0, 0.0, second]))
+    np.testing.assert_equal(indicators.largest_order, order)
+    assert indicators.ratio_largest == second
 
 
 def test_force_of_each_crack() -> None:
     """Pairs of one crack count together at each instant, those of another one by themselves."""
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
-    for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
+    for cracks, crack_force in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
         pairs = Pairs(cracks=None if cracks is None else np.array(cracks))
         structure = oscillator().with_places(None, pairs)
-        found = indicators_of(np.ones(3), gaps=-np.ones((2, 3)), forces=force, structure=structure)
-        assert (found.contact_force, found.crack_force) == (4.0, expected)
+        indicators = indicators_of(
+            np.ones(3), gaps=-np.ones((2, 3)), forces=force, structure=structure
+        )
+        assert (indicators.contact_force, indicators.crack_force) == (4.0, crack_force)
 
 
 @pytest.mark.parametrize("ratio", [1.2, 2.0, 4.0])
@@ -1182,7 +1222,7 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
 
     int_0^A sin(pi t / A) exp(-2 pi i k t) dt = A (1 + exp(-2 pi i k A)) / (pi (1 - 4 k^2 A^2)).
     """
-    is_open, closed = ratio / (1.0 + ratio), 1.0 / (1.0 + ratio)
+    is_open, closed_share = ratio / (1.0 + ratio), 1.0 / (1.0 + ratio)
 
     def part(order: int) -> float:
         """|U_k| from the integral of each half sine, from t = 0 and from t = B."""
@@ -1191,24 +1231,26 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
             turn = np.exp(-2j * np.pi * order * length)
             return length / np.pi * (1.0 + turn) / (1.0 - 4.0 * (order * length) ** 2)
 
-        shift = np.exp(-2j * np.pi * order * closed)
-        return abs(2.0 * (half_sine(closed) / ratio - shift * half_sine(is_open)))
+        shift = np.exp(-2j * np.pi * order * closed_share)
+        return abs(2.0 * (half_sine(closed_share) / ratio - shift * half_sine(is_open)))
 
     wave = bilinear_wave(ratio, 8192)
     gap = wave[:, None]
-    found = indicators_of(
+    indicators = indicators_of(
         fourier_coefficients(wave, 5),
         time=wave,
         row_products=gap,
         gaps=gap,
         forces=np.maximum(gap, 0.0),
     )
-    mean = 2.0 * closed / (np.pi * ratio) - 2.0 * is_open / np.pi
-    assert found.harmonic_1 == pytest.approx(part(1), rel=1e-6)
-    assert found.ratio_2_1 == pytest.approx(part(2) / part(1), rel=1e-6)
-    assert found.ratio_3_1 == pytest.approx(part(3) / part(1), rel=1e-5)
-    assert found.mean_shift == pytest.approx(mean / part(1), rel=1e-6)
-    assert found.amplitude == pytest.approx((1.0 + 1.0 / ratio) / 2.0, rel=1e-5)
-    assert found.closed_share == pytest.approx(closed, abs=1e-3)
-    assert found.opening == pytest.approx(1.0, rel=1e-6)
-    assert found.penetration == found.contact_force == pytest.approx(1.0 / ratio, rel=1e-5)
+    mean = 2.0 * closed_share / (np.pi * ratio) - 2.0 * is_open / np.pi
+    assert indicators.harmonic_1 == pytest.approx(part(1), rel=1e-6)
+    assert indicators.ratio_2_1 == pytest.approx(part(2) / part(1), rel=1e-6)
+    assert indicators.ratio_3_1 == pytest.approx(part(3) / part(1), rel=1e-5)
+    assert indicators.mean_shift == pytest.approx(mean / part(1), rel=1e-6)
+    assert indicators.amplitude == pytest.approx((1.0 + 1.0 / ratio) / 2.0, rel=1e-5)
+    assert indicators.closed_share == pytest.approx(closed_share, abs=1e-3)
+    assert indicators.opening == pytest.approx(1.0, rel=1e-6)
+    assert (
+        indicators.penetration == indicators.contact_force == pytest.approx(1.0 / ratio, rel=1e-5)
+    )

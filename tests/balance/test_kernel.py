@@ -111,19 +111,19 @@ class Intervals:
     @cached_property
     def closed(self) -> np.ndarray:
         """Pairs closed in each interval: (m, n_pairs) bool."""
-        turned = np.zeros((len(self.theta), len(self.first)), dtype=bool)
-        turned[0] = self.first
-        turned[np.arange(1, len(self.theta)), self.pair] = True
-        return np.logical_xor.accumulate(turned, axis=0)
+        has_changed = np.zeros((len(self.theta), len(self.first)), dtype=bool)
+        has_changed[0] = self.first
+        has_changed[np.arange(1, len(self.theta)), self.pair] = True
+        return np.logical_xor.accumulate(has_changed, axis=0)
 
     def rests(self, highest: int) -> np.ndarray:
         """Means over the period of exp(i m theta) from where each interval begins to the period's
         end: (m, highest + 1)."""
         order = np.arange(highest + 1)
-        found = 1.0 - np.exp(1j * np.multiply.outer(self.theta, order))
-        found[:, 0] = 2.0 * np.pi - self.theta
-        found[:, 1:] /= 1j * order[1:]
-        return found / (2.0 * np.pi)
+        integrals = 1.0 - np.exp(1j * np.multiply.outer(self.theta, order))
+        integrals[:, 0] = 2.0 * np.pi - self.theta
+        integrals[:, 1:] /= 1j * order[1:]
+        return integrals / (2.0 * np.pi)
 
 
 def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
@@ -134,7 +134,7 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
     columns, pairs = len(gap), len(contact.compliance)
     gap = require_shape(gap, 2 * (columns // 2) + 1, pairs)
     count = kernel.interval_cells(columns // 2, pairs)
-    first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
+    closed_at_start, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
         "pivot_table", pairs=pairs, compliance=contact.compliance, table=np.empty((pairs, pairs)),
         closed=np.empty(pairs, dtype=bool), work=np.empty(4 * pairs),
@@ -143,19 +143,24 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
     while True:
         theta, pair = np.zeros(places + 1), np.empty(places, dtype=np.intc)
         vectors, gains = np.empty((places, pairs)), np.empty(places)
-        known = Struct(
+        request = Struct(
             "breathing_pairs", contact=table, cells=count, max_events=places, n_waves=columns,
-            gaps=gap, waves=waves, first_set=first, stiffness=stiffness, theta=theta[1:],
+            gaps=gap, waves=waves, first_set=closed_at_start, stiffness=stiffness, theta=theta[1:],
             tolerance=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
             event_pairs=pair, vectors=vectors, gains=gains,
             work=np.empty(kernel.interval_work_size(pairs, columns // 2, count)),
         )  # fmt: skip
-        found = kernel.find_intervals(known.address)
-        if found >= 0:
+        n_events = kernel.find_intervals(request.address)
+        if n_events >= 0:
             return Intervals(
-                theta[: found + 1], first, pair[:found], stiffness, vectors[:found], gains[:found]
+                theta[: n_events + 1],
+                closed_at_start,
+                pair[:n_events],
+                stiffness,
+                vectors[:n_events],
+                gains[:n_events],
             )
-        if found == NO_FORCES:
+        if n_events == NO_FORCES:
             raise fc.ConvergenceError("contact: no forces were found at an instant of the period")
         places *= 2
 
@@ -173,8 +178,7 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
     random = np.random.default_rng(seed)
     root = random.normal(size=(pairs, pairs + 2))
     matrix, gap = root @ root.T + 1e-3 * np.eye(pairs), random.normal(size=pairs)
-    closed = random.random(pairs) < 0.5 if guessed else None
-    force = solve_complementarity(matrix, gap, closed)
+    force = solve_complementarity(matrix, gap, random.random(pairs) < 0.5 if guessed else None)
     opening = matrix @ force - gap
     assert force.min() >= 0.0
     assert opening.min() >= -1e-9 * np.abs(gap).max()
@@ -231,9 +235,9 @@ def test_wrong_shapes_are_refused(call: Callable[[], object]) -> None:
 
 def test_wrong_kinds_are_refused() -> None:
     """By a function, and as a member."""
-    ones = pointer(np.ones(3))
+    doubles = pointer(np.ones(3))
     with pytest.raises(TypeError, match="same type"):
-        kernel.respond(1, 1, ones, pointer(np.ones(3, np.intc)), ones)
+        kernel.respond(1, 1, doubles, pointer(np.ones(3, np.intc)), doubles)
     with pytest.raises(TypeError, match="same type"):
         Struct("flow_track", lengths=np.ones(3, bool))
 
@@ -282,17 +286,17 @@ def test_sets_are_those_of_every_instant(pairs: int, harmonics: int, seed: int) 
     theta = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 4000)
     distance = np.abs(theta[:, None] - intervals.theta).min(axis=1)
     theta = theta[distance > 1e-6]
-    _, expected = contact.solve(evaluate_series(gap, 1.0, theta))
-    assert np.array_equal(closed_at(intervals, theta), expected)
+    _, expected_sets = contact.solve(evaluate_series(gap, 1.0, theta))
+    assert np.array_equal(closed_at(intervals, theta), expected_sets)
     assert len(intervals.theta) > pairs
     # The forces on both sides of an event are the same: they vanish, or begin, there.
     values = evaluate_series(gap, 1.0, intervals.theta[1:])
-    before, after = (
+    forces_before, forces_after = (
         np.einsum("npq,nq->np", contact.invert_sets(sets), values)
         for sets in (intervals.closed[:-1], intervals.closed[1:])
     )
-    largest = np.abs(contact.solve(evaluate_series(gap, 1.0, theta))[0]).max()
-    assert np.abs(before - after).max() < 1e-9 * largest
+    max_force = np.abs(contact.solve(evaluate_series(gap, 1.0, theta))[0]).max()
+    assert np.abs(forces_before - forces_after).max() < 1e-9 * max_force
 
 
 @settings(max_examples=40, deadline=None)
@@ -303,15 +307,17 @@ def test_stiffness_follows_from_its_changes(pairs: int, harmonics: int, seed: in
     gap = random.normal(size=(2 * harmonics + 1, pairs))
     compliance = np.linalg.inv(random_stiffness(random, pairs))
     intervals = contact_intervals(gap, ActiveSetSolver(compliance))
-    found = intervals.stiffness.copy()
+    stiffness = intervals.stiffness.copy()
     changes = zip(intervals.gains, intervals.vectors, strict=True)
-    for closed, change in zip(intervals.closed, [*changes, None], strict=True):
-        expected = np.zeros((pairs, pairs))
-        inside = np.ix_(closed, closed)
-        expected[inside] = np.linalg.inv(compliance[inside])
-        assert np.abs(found - expected).max() <= 1e-12 * max(1.0, np.abs(expected).max())
+    for closed_set, change in zip(intervals.closed, [*changes, None], strict=True):
+        expected_stiffness = np.zeros((pairs, pairs))
+        closed_block = np.ix_(closed_set, closed_set)
+        expected_stiffness[closed_block] = np.linalg.inv(compliance[closed_block])
+        assert np.abs(stiffness - expected_stiffness).max() <= 1e-12 * max(
+            1.0, np.abs(expected_stiffness).max()
+        )
         if change is not None:
-            found += change[0] * np.outer(change[1], change[1])
+            stiffness += change[0] * np.outer(change[1], change[1])
 
 
 @pytest.mark.parametrize("stiffness", [1e4, 1e6])
@@ -323,12 +329,16 @@ def test_a_compliance_close_to_singular(stiffness: float) -> None:
     intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 200)
     values = evaluate_series(gap, 1.0, theta)
-    for value, closed in zip(values, closed_at(intervals, theta), strict=True):
+    for value, closed_set in zip(values, closed_at(intervals, theta), strict=True):
         force = np.zeros(40)
-        force[closed] = np.linalg.solve(compliance[np.ix_(closed, closed)], value[closed])
-        assert np.all(force >= 0.0) and np.all((compliance @ force - value)[~closed] > -1e-9)
-    last = intervals.stiffness + (intervals.vectors.T * intervals.gains) @ intervals.vectors
-    assert np.abs(last - intervals.stiffness).max() < 1e-9 * np.abs(last).max()
+        force[closed_set] = np.linalg.solve(
+            compliance[np.ix_(closed_set, closed_set)], value[closed_set]
+        )
+        assert np.all(force >= 0.0) and np.all((compliance @ force - value)[~closed_set] > -1e-9)
+    last_stiffness = (
+        intervals.stiffness + (intervals.vectors.T * intervals.gains) @ intervals.vectors
+    )
+    assert np.abs(last_stiffness - intervals.stiffness).max() < 1e-9 * np.abs(last_stiffness).max()
 
 
 def test_events_of_one_pair_are_its_zeros() -> None:
@@ -336,9 +346,8 @@ def test_events_of_one_pair_are_its_zeros() -> None:
     for seed in range(5):
         gap = random_gaps(8, 1, seed)
         intervals = contact_intervals(gap, ActiveSetSolver(np.full((1, 1), 0.3)))
-        switching = switching_instants(to_complex(gap))
-        expected = np.sort(np.mod(switching.theta, 2.0 * np.pi))
-        assert np.allclose(intervals.theta[1:], expected, rtol=0.0, atol=1e-11)
+        expected_theta = np.sort(np.mod(switching_instants(to_complex(gap)).theta, 2.0 * np.pi))
+        assert np.allclose(intervals.theta[1:], expected_theta, rtol=0.0, atol=1e-11)
 
 
 @pytest.mark.parametrize("depth", [1e-3, 1e-5, 1e-7, 1e-9])
@@ -352,30 +361,38 @@ def test_contact_that_comes_and_goes_in_a_cell(depth: float) -> None:
         top = int(np.argmax(wave))
         width = phase[1] - phase[0]
         bend = (wave[top - 1] - 2.0 * wave[top] + wave[(top + 1) % len(wave)]) / width**2
-        long = 2.0 * np.sqrt(2.0 * depth / -bend)
+        expected_duration = 2.0 * np.sqrt(2.0 * depth / -bend)
         contact = ActiveSetSolver(np.eye(1))
-        found = closed_for(contact_intervals(gap, contact))
-        assert found == pytest.approx(long, rel=0.2 if depth > 1e-4 else 0.02)
-        missing = contact_intervals(-gap, contact)
-        assert 2.0 * np.pi - closed_for(missing) == pytest.approx(found, rel=1e-4)
+        contact_duration = closed_for(contact_intervals(gap, contact))
+        assert contact_duration == pytest.approx(
+            expected_duration, rel=0.2 if depth > 1e-4 else 0.02
+        )
+        mirrored_intervals = contact_intervals(-gap, contact)
+        assert 2.0 * np.pi - closed_for(mirrored_intervals) == pytest.approx(
+            contact_duration, rel=1e-4
+        )
         gap[0] -= 2.0 * depth
         assert closed_for(contact_intervals(gap, contact)) == 0.0
 
 
 def test_pairs_that_open_and_close_together() -> None:
     """Equal waves on equal pairs, in pairs that differ by rounding: their events coincide."""
-    one = random_gaps(6, 1, 3)
+    single_gap = random_gaps(6, 1, 3)
     compliance = 2.0 * np.eye(4) + 0.5
     together = ActiveSetSolver(np.array([[compliance.sum(axis=1)[0]]]))
-    alone = contact_intervals(one, together)
+    single_intervals = contact_intervals(single_gap, together)
     for noise in (0.0, 1e-16, 1e-13):
-        gap = np.tile(one, 4) * (1.0 + noise * np.arange(4))
+        gap = np.tile(single_gap, 4) * (1.0 + noise * np.arange(4))
         intervals = contact_intervals(gap, ActiveSetSolver(compliance))
         for pair in range(4):
-            assert closed_for(intervals, pair) == pytest.approx(closed_for(alone), abs=1e-9)
+            assert closed_for(intervals, pair) == pytest.approx(
+                closed_for(single_intervals), abs=1e-9
+            )
         theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 500)
-        theta = theta[np.abs(theta[:, None] - alone.theta).min(axis=1) > 1e-6]
-        assert np.array_equal(closed_at(intervals, theta), np.tile(closed_at(alone, theta), 4))
+        theta = theta[np.abs(theta[:, None] - single_intervals.theta).min(axis=1) > 1e-6]
+        assert np.array_equal(
+            closed_at(intervals, theta), np.tile(closed_at(single_intervals, theta), 4)
+        )
 
 
 @pytest.mark.parametrize("harmonics", [1, 3, 8])
@@ -391,18 +408,18 @@ def test_events_at_the_ends_of_cells(wave: str, harmonics: int) -> None:
         assert closed_for(intervals, 0) == pytest.approx(np.pi, abs=1e-12)
         assert closed_for(intervals, 1) == pytest.approx(np.pi, abs=1e-12)
         theta = np.linspace(0.1, 6.2, 37)
-        expected = evaluate_series(sign * gap, 1.0, theta) > 0.0
-        assert np.array_equal(closed_at(intervals, theta), expected)
+        expected_sets = evaluate_series(sign * gap, 1.0, theta) > 0.0
+        assert np.array_equal(closed_at(intervals, theta), expected_sets)
 
 
 def test_always_open_and_always_closed() -> None:
     """No event: one set for all of the period."""
     gap = random_gaps(4, 3)
-    for mean, closed in ((-100.0, False), (100.0, True)):
+    for mean, is_closed in ((-100.0, False), (100.0, True)):
         gap[0] = mean
         compliance = np.eye(3) + 0.1
         intervals = contact_intervals(gap, ActiveSetSolver(compliance))
-        assert len(intervals.theta) == 1 and np.all(intervals.closed == closed)
+        assert len(intervals.theta) == 1 and np.all(intervals.closed == is_closed)
         assert np.allclose(means_of(intervals, 8), np.eye(9)[0], rtol=0.0, atol=1e-14)
 
 
@@ -433,12 +450,12 @@ def test_with_checks_of_addresses(tmp_path: pathlib.Path) -> None:
     library = subprocess.run(
         ["gcc", "-print-file-name=libasan.so"], check=True, capture_output=True, text=True
     ).stdout.strip()
-    known = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
-    done = subprocess.run(
+    environment = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
+    process = subprocess.run(
         [sys.executable, "-c", WITH_CHECKS, tmp_path / "_kernel.abi3.so", __file__, *OTHERS],
-        cwd=ROOT, env=os.environ | known, capture_output=True, text=True,
+        cwd=ROOT, env=os.environ | environment, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    assert process.returncode == 0, process.stdout[-3000:] + process.stderr[-3000:]
 
 
 # --- equations and paths --------------------------------------------------------------------------
@@ -498,11 +515,11 @@ def integrals_by_scan(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     ends = np.array([0.0, *zeros, 2.0 * np.pi])
     for left, right in pairwise(ends):
         if wave(0.5 * (left + right)) > 0.0:
-            whole = np.where(power == 0, right - left, 0.0).astype(complex)
-            other = power != 0
-            rate = 1j * power[other]
-            whole[other] = (np.exp(rate * right) - np.exp(rate * left)) / rate
-            means += whole / (2.0 * np.pi)
+            integral = np.where(power == 0, right - left, 0.0).astype(complex)
+            is_nonzero = power != 0
+            rate = 1j * power[is_nonzero]
+            integral[is_nonzero] = (np.exp(rate * right) - np.exp(rate * left)) / rate
+            means += integral / (2.0 * np.pi)
     # Columns 1, cos, sin, ... in exp(i m theta), m = -H to H.
     basis = np.zeros((len(gap), 2 * harmonics + 1), dtype=complex)
     basis[0, harmonics] = 1.0
@@ -521,14 +538,14 @@ def test_contact_integrals(harmonics: int, pairs: int, seed: int) -> None:
     """Forces and tangents of random gaps."""
     random = np.random.default_rng(seed)
     gap, stiffness = random_gap(random, harmonics, pairs), random.uniform(0.1, 10.0, pairs)
-    found = ExactIntegrals(fc.UnilateralPenalty(stiffness), harmonics).linearise(gap)
+    point = ExactIntegrals(fc.UnilateralPenalty(stiffness), harmonics).linearise(gap)
     for pair, k in enumerate(stiffness):
-        expected, expected_force, slope = integrals_by_scan(gap[:, pair])
+        expected_tangent, expected_force, slope = integrals_by_scan(gap[:, pair])
         assume(slope > 1e-3)
         assert np.allclose(
-            found.tangent[pair], k * expected, rtol=0.0, atol=1e-12 * k / min(slope, 1.0)
+            point.tangent[pair], k * expected_tangent, rtol=0.0, atol=1e-12 * k / min(slope, 1.0)
         )
-        assert np.allclose(found.force[:, pair], k * expected_force, rtol=0.0, atol=1e-11 * k)
+        assert np.allclose(point.force[:, pair], k * expected_force, rtol=0.0, atol=1e-11 * k)
 
 
 @settings(max_examples=40, deadline=None)
@@ -543,12 +560,18 @@ def test_respond_to_columns(harmonics: int, pairs: int, columns: int, seed: int)
         + 1j * np.where(np.arange(harmonics + 1) > 0, 1, 0)[:, None, None] * (matrices[1])
     )
     tangent = random.normal(size=(pairs, rows, columns))
-    found = multiply_compliance_and_tangent(matrices, tangent).reshape(rows, pairs, columns, pairs)
+    response = multiply_compliance_and_tangent(matrices, tangent).reshape(
+        rows, pairs, columns, pairs
+    )
     for pair in range(pairs):
-        moved = np.einsum("kp,kc->kpc", matrices[:, :, pair], to_complex(tangent[pair]))
-        assert np.allclose(found[0, :, :, pair], moved[0].real, rtol=0.0, atol=1e-12)
-        assert np.allclose(found[1::2, :, :, pair], moved[1:].real, rtol=0.0, atol=1e-12)
-        assert np.allclose(found[2::2, :, :, pair], -moved[1:].imag, rtol=0.0, atol=1e-12)
+        column_response = np.einsum("kp,kc->kpc", matrices[:, :, pair], to_complex(tangent[pair]))
+        assert np.allclose(response[0, :, :, pair], column_response[0].real, rtol=0.0, atol=1e-12)
+        assert np.allclose(
+            response[1::2, :, :, pair], column_response[1:].real, rtol=0.0, atol=1e-12
+        )
+        assert np.allclose(
+            response[2::2, :, :, pair], -column_response[1:].imag, rtol=0.0, atol=1e-12
+        )
 
 
 @settings(max_examples=60, deadline=None)
@@ -574,18 +597,27 @@ def test_equations_at_a_point(
         assert kernel is None  # it couples modes
         return
     assert isinstance(kernel, CompiledEquations)
-    gap, right = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
+    gap, residual = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
     parameter = float(random.uniform(-0.2, 1.2))
-    expected, found = family.linearise(gap, parameter), kernel.linearise(gap, parameter)
-    singular = np.linalg.svd(expected.jacobian, compute_uv=False)
-    close = 1e-12 * max(1.0, float(singular[0]))
-    for one, other, allowed in (
-        (found.residual, expected.residual, close),
-        (found.by_parameter, expected.by_parameter, close),
-        (found.solve(right), expected.solve(right), close / singular[-1] ** 2),
+    python_point, kernel_point = family.linearise(gap, parameter), kernel.linearise(gap, parameter)
+    singular_numbers = np.linalg.svd(python_point.jacobian, compute_uv=False)
+    base_tolerance = 1e-12 * max(1.0, float(singular_numbers[0]))
+    for kernel_array, python_array, tolerance in (
+        (kernel_point.residual, python_point.residual, base_tolerance),
+        (kernel_point.by_parameter, python_point.by_parameter, base_tolerance),
+        (
+            kernel_point.solve(residual),
+            python_point.solve(residual),
+            base_tolerance / singular_numbers[-1] ** 2,
+        ),
     ):
-        assert np.allclose(one, other, rtol=1e-12, atol=10.0 * allowed * np.abs(other).max())
-    assert found.sign == expected.sign
+        assert np.allclose(
+            kernel_array,
+            python_array,
+            rtol=1e-12,
+            atol=10.0 * tolerance * np.abs(python_array).max(),
+        )
+    assert kernel_point.sign == python_point.sign
 
 
 @pytest.mark.parametrize(("stiffness", "harmonics"), [(1.0, 3), (1.0, 10), (10.0, 6), (100.0, 5)])
@@ -605,9 +637,13 @@ def test_path_of_a_chain(name: str) -> None:
     """With three pairs, in every family, by steps that are too long for some points."""
     structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
     family = EQUATIONS_CLASS_BY_PARAMETER[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
-    first = family.problem_at(family.start)
+    start_problem = family.problem_at(family.start)
     start = fc.solve_harmonic_balance(
-        first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
+        start_problem.structure,
+        start_problem.omega,
+        start_problem.contact,
+        harmonics=4,
+        residual_tolerance=1e-12,
     )
     options = PathOptions(0.01, max_step=0.5, min_step=1e-10)
     assert_same_path(family, start.gap_coefficients, options, 40)
@@ -625,23 +661,29 @@ def assert_same_path(
 ) -> None:
     """Followed both ways."""
     ways = [followed(system, start, options, count) for system in (family, Plain(family))]
-    compared = 0
-    for one, other in zip(*ways, strict=False):
-        if other.chord_length_from_previous < 1e-4:  # at a sharp corner rounding counts
+    n_compared = 0
+    for kernel_point, python_point in zip(*ways, strict=False):
+        if python_point.chord_length_from_previous < 1e-4:  # at a sharp corner rounding counts
             break
-        compared += 1
-        size = np.abs(other.unknown).max()
-        assert one.parameter == pytest.approx(other.parameter, abs=1e-9)
-        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-8 * size)
-        assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=1e-6 * size)
-        assert one.tangent.p == pytest.approx(other.tangent.p, abs=1e-6)
-        assert one.tangent.unknowns_weight == pytest.approx(other.tangent.unknowns_weight, rel=1e-8)
-        assert one.chord_length_from_previous == pytest.approx(
-            other.chord_length_from_previous, rel=1e-6
+        n_compared += 1
+        size = np.abs(python_point.unknown).max()
+        assert kernel_point.parameter == pytest.approx(python_point.parameter, abs=1e-9)
+        assert np.allclose(kernel_point.unknown, python_point.unknown, rtol=0.0, atol=1e-8 * size)
+        assert np.allclose(
+            kernel_point.tangent.x, python_point.tangent.x, rtol=0.0, atol=1e-6 * size
         )
-        assert abs(one.iterations - other.iterations) <= 1  # rounding may decide over the last one
-        assert one.crosses_branch == other.crosses_branch
-    assert compared > 10
+        assert kernel_point.tangent.p == pytest.approx(python_point.tangent.p, abs=1e-6)
+        assert kernel_point.tangent.unknowns_weight == pytest.approx(
+            python_point.tangent.unknowns_weight, rel=1e-8
+        )
+        assert kernel_point.chord_length_from_previous == pytest.approx(
+            python_point.chord_length_from_previous, rel=1e-6
+        )
+        assert (
+            abs(kernel_point.iterations - python_point.iterations) <= 1
+        )  # rounding may decide over the last one
+        assert kernel_point.crosses_branch == python_point.crosses_branch
+    assert n_compared > 10
 
 
 @pytest.mark.parametrize("min_damping", [None, 0.05])
@@ -655,7 +697,7 @@ def test_corrections(bordered: bool, min_damping: float | None) -> None:
     random, outcomes = np.random.default_rng(3), []
     for size in np.repeat([0.0, 0.01, 0.3, 3.0, 1e200], 12):
         guess = start + size * random.normal(size=start.shape)
-        one, other = (
+        kernel_point, python_point = (
             solve_in_plane(
                 system, guess, 0.05, plane,
                 tolerance=1e-10, max_iterations=8, max_parameter_change=0.3,
@@ -663,20 +705,19 @@ def test_corrections(bordered: bool, min_damping: float | None) -> None:
             )
             for system in (family, Plain(family))
         )  # fmt: skip
-        outcomes.append(one is not None)
-        assert (one is None) == (other is None)
-        if one is not None and other is not None:
-            assert one.parameter == pytest.approx(other.parameter, abs=1e-9)
-            assert np.allclose(one.unknown, other.unknown, atol=1e-8)
-            assert one.iterations == other.iterations
+        outcomes.append(kernel_point is not None)
+        assert (kernel_point is None) == (python_point is None)
+        if kernel_point is not None and python_point is not None:
+            assert kernel_point.parameter == pytest.approx(python_point.parameter, abs=1e-9)
+            assert np.allclose(kernel_point.unknown, python_point.unknown, atol=1e-8)
+            assert kernel_point.iterations == python_point.iterations
     assert 12 < sum(outcomes) < 60
 
 
 def test_undamped_resonance() -> None:
     """One error, as from Python."""
-    structure = oscillator(None, 0.1)
     family = EQUATIONS_CLASS_BY_PARAMETER["omega"](
-        fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
+        fc.Problem(oscillator(None, 0.1), 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
     )
     with pytest.raises(fc.ConvergenceError, match="singular"):
         solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9)
@@ -692,29 +733,32 @@ def test_fold_and_value_between_two_points() -> None:
         family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 95
     )
     pairs = list(pairwise(points))
-    turning = [ends for ends in pairs if ends[0].tangent.p * ends[1].tangent.p < 0.0]
-    assert len(turning) == 2
-    for ends in turning:
+    fold_pairs = [ends for ends in pairs if ends[0].tangent.p * ends[1].tangent.p < 0.0]
+    assert len(fold_pairs) == 2
+    for ends in fold_pairs:
         fold = must(Fold().locate(family, ends, 1e-11))
         assert abs(fold.tangent.p) < 1e-7
         assert_same_point(fold, must(Fold().locate(Plain(family), ends, 1e-11)))
-    for first, last in pairs[10:90:20]:
-        target = 0.3 * first.parameter + 0.7 * last.parameter
-        found = must(Target(target).locate(family, (first, last), 1e-11))
-        assert found.parameter == target
-        assert_same_point(found, must(Target(target).locate(Plain(family), (first, last), 1e-11)))
-        at = family.linearise(found.unknown, found.parameter)
-        assert np.linalg.norm(at.residual) < 1e-10 * np.linalg.norm(found.unknown)
+    for start_point, end_point in pairs[10:90:20]:
+        target = 0.3 * start_point.parameter + 0.7 * end_point.parameter
+        target_point = must(Target(target).locate(family, (start_point, end_point), 1e-11))
+        assert target_point.parameter == target
+        assert_same_point(
+            target_point,
+            must(Target(target).locate(Plain(family), (start_point, end_point), 1e-11)),
+        )
+        linearisation = family.linearise(target_point.unknown, target_point.parameter)
+        assert np.linalg.norm(linearisation.residual) < 1e-10 * np.linalg.norm(target_point.unknown)
 
 
-def assert_same_point(one: PathPoint, other: PathPoint) -> None:
+def assert_same_point(point: PathPoint, expected_point: PathPoint) -> None:
     """To what Newton's method leaves."""
-    size = np.abs(other.unknown).max()
-    assert one.parameter == pytest.approx(other.parameter, abs=1e-10)
-    assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-9 * size)
-    assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=1e-7 * size)
-    assert one.tangent.p == pytest.approx(other.tangent.p, abs=1e-7)
-    assert one.iterations == other.iterations
+    size = np.abs(expected_point.unknown).max()
+    assert point.parameter == pytest.approx(expected_point.parameter, abs=1e-10)
+    assert np.allclose(point.unknown, expected_point.unknown, rtol=0.0, atol=1e-9 * size)
+    assert np.allclose(point.tangent.x, expected_point.tangent.x, rtol=0.0, atol=1e-7 * size)
+    assert point.tangent.p == pytest.approx(expected_point.tangent.p, abs=1e-7)
+    assert point.iterations == expected_point.iterations
 
 
 @pytest.mark.parametrize("name", list(RANGES))
@@ -724,9 +768,9 @@ def test_largest_compliance(name: str) -> None:
     family = EQUATIONS_CLASS_BY_PARAMETER[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance_model.matrices
-        expected = np.abs(matrices).sum(axis=2).max()
+        max_row_sum = np.abs(matrices).sum(axis=2).max()
         assert family.compiled_equations.max_dynamic_row_sum(parameter) == pytest.approx(
-            expected, rel=1e-12
+            max_row_sum, rel=1e-12
         )
 
 
@@ -739,15 +783,15 @@ def must(point: PathPoint | None) -> PathPoint:
 def test_folds_of_a_stiff_curve() -> None:
     """kc = 100, long steps: at every fold that is reported the path turns."""
     law = fc.UnilateralPenalty(100.0)
-    growing = Continuation(
+    continuation = Continuation(
         fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), "omega", 2.0, 0.3, longest_step=0.2
     )
-    for _ in growing:
+    for _ in continuation:
         pass
     family = EQUATIONS_CLASS_BY_PARAMETER["omega"](
         fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3
     )
-    folds = growing.curve.bifurcations
+    folds = continuation.curve.bifurcations
     assert len(folds) == 16
     for fold in folds:
         parameter, unknown = family.parameter(fold.value), fold.point.points[0]
@@ -756,8 +800,10 @@ def test_folds_of_a_stiff_curve() -> None:
         sides = [must(try_step(family, start, step, 1e-11)) for step in (1e-5, 2e-5)]
         assert abs(tangent.p) < 1e-5
         # p leaves the fold with the square of the distance.
-        first, second = (side.parameter - parameter for side in sides)
-        assert abs(first) < 1e-3 * 1e-5 or second == pytest.approx(4.0 * first, rel=0.5)
+        lower_offset, upper_offset = (side.parameter - parameter for side in sides)
+        assert abs(lower_offset) < 1e-3 * 1e-5 or upper_offset == pytest.approx(
+            4.0 * lower_offset, rel=0.5
+        )
 
 
 def test_path_of_many_unknowns() -> None:
@@ -770,16 +816,18 @@ def test_path_of_many_unknowns() -> None:
     ).gap_coefficients
     options = PathOptions(0.01, max_step=0.05, rtol=1e-9, min_cosine=0.85)
     ways = [followed(system, start, options, 100) for system in (family, Plain(family))]
-    for one, other in zip(*ways, strict=True):
-        at = family.linearise(one.unknown, one.parameter)
-        size, tangent = np.linalg.norm(one.unknown), one.tangent
-        assert np.linalg.norm(at.residual) < 2e-9 * size
-        along = at.apply(tangent.x) + tangent.p * at.by_parameter
-        assert np.linalg.norm(along) < 1e-4 * size
-        assert one.parameter == pytest.approx(other.parameter, abs=1e-6)
-        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-5 * size)
-        assert tangent.cosine_to(other.tangent, family) > 1.0 - 1e-6
-        assert one.iterations <= other.iterations + 2
+    for point, expected_point in zip(*ways, strict=True):
+        linearisation = family.linearise(point.unknown, point.parameter)
+        size, tangent = np.linalg.norm(point.unknown), point.tangent
+        assert np.linalg.norm(linearisation.residual) < 2e-9 * size
+        residual_along_tangent = (
+            linearisation.apply(tangent.x) + tangent.p * linearisation.by_parameter
+        )
+        assert np.linalg.norm(residual_along_tangent) < 1e-4 * size
+        assert point.parameter == pytest.approx(expected_point.parameter, abs=1e-6)
+        assert np.allclose(point.unknown, expected_point.unknown, rtol=0.0, atol=1e-5 * size)
+        assert tangent.cosine_to(expected_point.tangent, family) > 1.0 - 1e-6
+        assert point.iterations <= expected_point.iterations + 2
 
 
 def test_branch_crosses_a_path_of_many_unknowns() -> None:
@@ -804,9 +852,9 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
     assert np.allclose(*crossings, rtol=0.0, atol=1e-6)
     turns = [
         [
-            after.parameter
-            for before, after in pairwise(way)
-            if before.tangent.p * after.tangent.p < 0
+            point_after.parameter
+            for previous_point, point_after in pairwise(way)
+            if previous_point.tangent.p * point_after.tangent.p < 0
         ]
         for way in ways
     ]
@@ -833,11 +881,11 @@ def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     mass, stiffness = np.eye(2), np.diag([1.0, 9.0 * 0.7**2])
     structure = fc.Structure.from_matrices(mass, stiffness, gap=[1.0, 0.1], force_cos=[0.2, 0.0])
     law = fc.UnilateralPenalty(0.5)
-    alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
-    assert alone.converged
+    solution = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
+    assert solution.converged
     family = EQUATIONS_CLASS_BY_PARAMETER["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
-    found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
-    np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
+    point = solve_in_plane(family, 1.01 * solution.gap_coefficients, 0.0, None, tolerance=1e-9)
+    np.testing.assert_allclose(point.unknown, solution.gap_coefficients, rtol=1e-6, atol=1e-8)
 
 
 # --- behind a static compliance -------------------------------------------------------------------
@@ -853,22 +901,27 @@ def coupled_family(
     random = np.random.default_rng(seed)
     stiffness = random.uniform(0.5, 20.0, pairs) * (1e4 if law == "stiff" else 1.0)
     contact = fc.UnilateralConstraint() if law == "rigid" else fc.UnilateralPenalty(stiffness)
-    whole = chain(damping, pairs=pairs, seed=seed % 1000)
-    structure = fc.reduce_structure(whole, modes=modes, method="massless")
+    full_structure = chain(damping, pairs=pairs, seed=seed % 1000)
+    structure = fc.reduce_structure(full_structure, modes=modes, method="massless")
     return EQUATIONS_CLASS_BY_PARAMETER[name](
         fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name]
     )
 
 
-def assert_same_equations(found: Linearisation, expected: Linearisation, right: np.ndarray) -> None:
+def assert_same_equations(
+    kernel_point: Linearisation, python_point: Linearisation, residual: np.ndarray
+) -> None:
     """F, dF/dp, J^-1 r and the sign of det J, as well as they are conditioned."""
-    singular = np.linalg.svd(expected.jacobian, compute_uv=False)
-    assert relative(found.residual, expected.residual) < 1e-10
-    slope = expected.by_parameter
-    assert np.abs(found.by_parameter - slope).max() < 1e-10 * max(1e-3, np.abs(slope).max())
-    condition = float(singular[0] / singular[-1])
-    assert relative(found.solve(right), expected.solve(right)) < 1e-13 * condition + 1e-11
-    assert found.sign == expected.sign or condition > 1e10
+    singular_numbers = np.linalg.svd(python_point.jacobian, compute_uv=False)
+    assert relative(kernel_point.residual, python_point.residual) < 1e-10
+    slope = python_point.by_parameter
+    assert np.abs(kernel_point.by_parameter - slope).max() < 1e-10 * max(1e-3, np.abs(slope).max())
+    condition = float(singular_numbers[0] / singular_numbers[-1])
+    assert (
+        relative(kernel_point.solve(residual), python_point.solve(residual))
+        < 1e-13 * condition + 1e-11
+    )
+    assert kernel_point.sign == python_point.sign or condition > 1e10
 
 
 @settings(max_examples=60, deadline=None)
@@ -891,10 +944,10 @@ def test_coupled_equations_at_a_point(
     family = coupled_family(name, law, damping, harmonics, pairs, modes, seed)
     kernel, random = family.compiled_equations, np.random.default_rng(seed)
     assert isinstance(kernel, CompiledEquations)
-    gap, right = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
+    gap, residual = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
     parameter = float(random.uniform(-0.2, 1.2))
-    expected = family.linearise(gap, parameter)
-    assert_same_equations(kernel.linearise(gap, parameter), expected, right)
+    python_point = family.linearise(gap, parameter)
+    assert_same_equations(kernel.linearise(gap, parameter), python_point, residual)
 
 
 @pytest.mark.parametrize("formed", [True, False])
@@ -908,17 +961,17 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
     system = family.system(family.start)
     assert system.integrals.has_coupled_pairs and system.matrix_free != formed
     start = solve_at(Plain(family), system.linear_gap, 0.0, tolerance=1e-12)
-    close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
+    tolerance, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
     options = PathOptions(0.01, max_step=0.2, min_step=1e-10)
     ways = [
         list(islice(Path(way, point_on_path(way, start.unknown, 0.0), options).points(), 12))
         for way in (family, Plain(family))
     ]
-    for one, other in zip(*ways, strict=True):
-        assert one.parameter == pytest.approx(other.parameter, abs=close)
-        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=close)
-        assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=slope)
-        assert abs(one.iterations - other.iterations) <= (0 if formed else 1)
+    for kernel_point, python_point in zip(*ways, strict=True):
+        assert kernel_point.parameter == pytest.approx(python_point.parameter, abs=tolerance)
+        assert np.allclose(kernel_point.unknown, python_point.unknown, rtol=0.0, atol=tolerance)
+        assert np.allclose(kernel_point.tangent.x, python_point.tangent.x, rtol=0.0, atol=slope)
+        assert abs(kernel_point.iterations - python_point.iterations) <= (0 if formed else 1)
 
 
 @pytest.mark.parametrize("limit", [350, 0])
@@ -926,19 +979,18 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid path through its folds, its solutions found by products and its sign by factors, or
     not at all: its points are solutions, and it ends where Python's ends."""
     monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", limit)
-    whole = chain("modal", pairs=3)
-    structure = fc.reduce_structure(whole, modes=6, method="massless")
+    structure = fc.reduce_structure(chain("modal", pairs=3), modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
     family = EQUATIONS_CLASS_BY_PARAMETER["omega"](problem, 0.6, 0.45)
-    begun = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
-    start = begun.slow_gap_coefficients
+    start_solution = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
+    start = start_solution.slow_gap_coefficients
     ends = []
     for system in (family, Plain(family)):
-        begun = point_on_path(system, start, 0.0)
-        path = Path(system, begun, PathOptions(0.05, max_step=0.3), [Target(1.0)])
+        start_point = point_on_path(system, start, 0.0)
+        path = Path(system, start_point, PathOptions(0.05, max_step=0.3), [Target(1.0)])
         for point in path.points():
-            at = family.linearise(point.unknown, point.parameter)
-            assert np.linalg.norm(at.residual) < 2e-8 * np.linalg.norm(point.unknown)
+            linearisation = family.linearise(point.unknown, point.parameter)
+            assert np.linalg.norm(linearisation.residual) < 2e-8 * np.linalg.norm(point.unknown)
         assert path.end_reason is EndReason.REACHED and path.last_point.parameter == 1.0
         ends.append(path.last_point.unknown)
     assert relative(ends[0], ends[1]) < 1e-8
@@ -948,21 +1000,22 @@ def test_equations_are_freed_with_their_points() -> None:
     """At once, without a search for cycles: the kernel's arrays of many solutions would stay."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
     compiled = family.compiled_equations
-    at = compiled.linearise(np.zeros(family.shape), 0.5)
-    assert at.residual.any()
-    left = [weakref.ref(compiled), weakref.ref(at)]
-    del family, compiled, at
-    assert [one() for one in left] == [None, None]
+    linearisation = compiled.linearise(np.zeros(family.shape), 0.5)
+    assert linearisation.residual.any()
+    references = [weakref.ref(compiled), weakref.ref(linearisation)]
+    del family, compiled, linearisation
+    assert [reference() for reference in references] == [None, None]
 
 
 def test_an_instant_without_forces_is_no_solution() -> None:
     """BalanceEquations that are not finite: no point, and no crash."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
-    for wrong in (np.nan, np.inf, 1e300):
-        guess = np.full(family.shape, wrong)
-        assert solve_at(family, guess, 0.5, tolerance=1e-9) is None
+    for bad_number in (np.nan, np.inf, 1e300):
+        assert solve_at(family, np.full(family.shape, bad_number), 0.5, tolerance=1e-9) is None
     compiled = family.compiled_equations
     assert compiled is not None and compiled.linearise(np.zeros(family.shape), 0.5).residual.any()
-    at = compiled.linearise(np.full(family.shape, np.nan), 0.5)  # not the residual of the former
+    linearisation = compiled.linearise(
+        np.full(family.shape, np.nan), 0.5
+    )  # not the residual of the former
     with pytest.raises(fc.ConvergenceError, match="no forces were found at an instant"):
-        _ = at.residual
+        _ = linearisation.residual

@@ -32,39 +32,39 @@ def solved(structure: fc.Structure, law: Any, cases: dict[str, np.ndarray]) -> f
     return fc.solve_many(structure, cases["omega"], law, **rest)
 
 
-def check_single(many: fc.ManyOrbits, share: float) -> None:
+def check_single(cases: fc.ManyOrbits, share: float) -> None:
     """Each is a single solution's orbit, at least a share of them the one that is found alone; with
     its numbers."""
-    same = 0
-    for case in range(len(many.omega)):
-        problem, own = many.problem(case), many.orbit(case)
-        assert own.residual < 1e-8
+    n_same = 0
+    for case in range(len(cases.omega)):
+        problem, case_orbit = cases.problem(case), cases.orbit(case)
+        assert case_orbit.residual < 1e-8
         single = fc.solve_harmonic_balance(
             problem.structure, problem.omega, problem.contact, tolerance=0.05, throw=False
         )
-        if many.verdict[case] == "unstable":
+        if cases.verdict[case] == "unstable":
             assert not single.orbit.is_stable  # else that one would have been returned
-        if np.abs(single.orbit.gap - own.gap).max() > 1e-9 * np.abs(own.gap).max():
+        if np.abs(single.orbit.gap - case_orbit.gap).max() > 1e-9 * np.abs(case_orbit.gap).max():
             continue
-        same += 1
-        assert many.multiplier[case] == pytest.approx(abs(single.orbit.multipliers[0]), rel=1e-6)
-        expected = single.orbit.indicators()
+        n_same += 1
+        assert cases.multiplier[case] == pytest.approx(abs(single.orbit.multipliers[0]), rel=1e-6)
+        indicators = single.orbit.indicators()
         for name in ("amplitude", "opening", "closed_share"):
-            value = getattr(many, name)[case]
-            assert value == pytest.approx(getattr(expected, name), rel=1e-4), name
-        known = own.coefficients(many.harmonics)
-        error = truncated_orbit_solution(problem, own, known).assessment.distance
-        assert many.truncation[case] == pytest.approx(error, rel=0.02, abs=1e-6)
-    assert same >= share * len(many.omega)
+            value = getattr(cases, name)[case]
+            assert value == pytest.approx(getattr(indicators, name), rel=1e-4), name
+        coefficients = case_orbit.coefficients(cases.harmonics)
+        error = truncated_orbit_solution(problem, case_orbit, coefficients).assessment.distance
+        assert cases.truncation[case] == pytest.approx(error, rel=0.02, abs=1e-6)
+    assert n_same >= share * len(cases.omega)
 
 
 @pytest.mark.nightly
 def test_plate(light_lips: fc.Structure) -> None:
     """Rigid contact of crack faces without mass: neighbours lead to nearly all."""
     omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])
-    many = solved(light_lips, RIGID, drawn(omega, 40))
-    assert np.mean(many.status == "neighbour") > 0.8
-    check_single(many, 0.95)
+    cases = solved(light_lips, RIGID, drawn(omega, 40))
+    assert np.mean(cases.status == "neighbour") > 0.8
+    check_single(cases, 0.95)
 
 
 def test_chain() -> None:
@@ -84,28 +84,30 @@ def test_friction() -> None:
 
 def test_proportional_loads() -> None:
     """Without a clearance the orbit grows with the load; a reversed one is another motion."""
-    many = fc.solve_many(oscillator(), 0.7, fc.UnilateralPenalty(3.0), load=[1.0, 3.0, -2.0, 0.0])
-    assert many.amplitude[1] == pytest.approx(3.0 * many.amplitude[0], rel=1e-9)
-    assert many.amplitude[2] == pytest.approx(2.0 * many.amplitude[0], rel=1e-4)  # half a period on
-    assert many.amplitude[3] == 0.0
-    assert many.verdict.tolist() == ["stable"] * 4
+    cases = fc.solve_many(oscillator(), 0.7, fc.UnilateralPenalty(3.0), load=[1.0, 3.0, -2.0, 0.0])
+    assert cases.amplitude[1] == pytest.approx(3.0 * cases.amplitude[0], rel=1e-9)
+    assert cases.amplitude[2] == pytest.approx(
+        2.0 * cases.amplitude[0], rel=1e-4
+    )  # half a period on
+    assert cases.amplitude[3] == 0.0
+    assert cases.verdict.tolist() == ["stable"] * 4
 
 
 def test_bad_cases_stop_no_other() -> None:
     """They are listed with the reason."""
     nan = float("nan")
-    many = fc.solve_many(
+    cases = fc.solve_many(
         oscillator(), [0.7, nan, 0.7, 0.7, -1.0, 1e-9], fc.UnilateralPenalty(3.0),
         load=[1.0, 1.0, nan, 1.0, 1.0, 1.0], damping=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0],
     )  # fmt: skip
-    assert many.status.tolist() == ["alone", *["refused"] * 4, "lost"]
+    assert cases.status.tolist() == ["alone", *["refused"] * 4, "lost"]
     for case, word in enumerate(("omega", "load", "damping", "omega", "too slow"), 1):
-        assert word in many.reason[case]
-        assert np.isnan(many.amplitude[case]) and not many.verdict[case]
+        assert word in cases.reason[case]
+        assert np.isnan(cases.amplitude[case]) and not cases.verdict[case]
     with pytest.raises(fc.ConvergenceError, match="too slow"):
-        many.orbit(5)
-    assert len(many.to_dict()["amplitude"]) == 6
-    assert "5 without an orbit" in repr(many)
+        cases.orbit(5)
+    assert len(cases.to_dict()["amplitude"]) == 6
+    assert "5 without an orbit" in repr(cases)
 
 
 @pytest.mark.parametrize(
@@ -119,10 +121,10 @@ def test_bad_cases_stop_no_other() -> None:
 )  # fmt: skip
 def test_bad_arguments(change: dict[str, Any], key: str) -> None:
     """What concerns all cases is refused before any is solved."""
-    given: dict[str, Any] = {"structure": oscillator(), "omega": [0.7, 0.8]}
-    given |= {"contact": fc.UnilateralPenalty(3.0)} | change
+    arguments: dict[str, Any] = {"structure": oscillator(), "omega": [0.7, 0.8]}
+    arguments |= {"contact": fc.UnilateralPenalty(3.0)} | change
     with pytest.raises(fc.InputError, match=key):
-        fc.solve_many(**given)
+        fc.solve_many(**arguments)
 
 
 def test_undamped_cases_take_their_neighbours_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,6 +140,6 @@ def test_undamped_cases_take_their_neighbours_orbits(monkeypatch: pytest.MonkeyP
         return search_initial_orbit(problem)
 
     monkeypatch.setattr("fenics_crack.balance.many.search_initial_orbit", search)
-    found = fc.solve_many(masses, np.linspace(0.3, 2.0, 40), fc.UnilateralPenalty(10.0))
-    assert np.all(found.verdict != "") and len(searches) <= 10
-    assert np.sum(found.status == "neighbour") >= 30
+    cases = fc.solve_many(masses, np.linspace(0.3, 2.0, 40), fc.UnilateralPenalty(10.0))
+    assert np.all(cases.verdict != "") and len(searches) <= 10
+    assert np.sum(cases.status == "neighbour") >= 30

@@ -24,12 +24,14 @@ def plate(soft_plate: fc.Structure) -> fc.Structure:
 def test_the_orbit_of_a_search_is_error_and_verdict(plate: fc.Structure) -> None:
     """Many harmonics are sought from an exact orbit: no step predicts its error, which is the
     distance to an orbit that is found without harmonic balance."""
-    found = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=48)
-    stability = fc.floquet(plate, found)
-    assert "orbit_prediction" not in vars(found.assessment)
+    solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=48)
+    stability = fc.floquet(plate, solution)
+    assert "orbit_prediction" not in vars(solution.assessment)
     orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
     assert orbit is not None and stability.verdict != "undecided"
-    assert found.report.truncation == pytest.approx(relative_gap_distance(found, orbit), rel=1e-3)
+    assert solution.report.truncation == pytest.approx(
+        relative_gap_distance(solution, orbit), rel=1e-3
+    )
     assert abs(stability.multipliers[0]) == pytest.approx(abs(orbit.multipliers[0]), rel=1e-6)
 
 
@@ -48,9 +50,9 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     structure, law = rubbing_masses()
     monkeypatch.setattr("fenics_crack.balance.problem.MAX_FRICTION_SEARCH_WORK", 1.0)
     monkeypatch.setattr("fenics_crack.balance.problem.is_affordable", lambda *given: False)
-    found = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
-    assert not found.converged and found.report.unknown
-    assert "no solution in" in found.status and "try other harmonics" in found.status
+    solution = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
+    assert not solution.converged and solution.report.unknown
+    assert "no solution in" in solution.status and "try other harmonics" in solution.status
     monkeypatch.undo()
     assert fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10).converged
 
@@ -73,9 +75,9 @@ def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("fenics_crack.motion.orbit.INSTANTS_PER_BLOCK", 64)
     rows = orbit.coefficients(200).displacement
     time = np.linspace(0.0, orbit.period, 50)
-    moved = orbit.displacement_at(time)
-    away = np.abs(evaluate_series(rows, orbit.omega, time) - moved).max()
-    assert away <= 1e-3 * np.abs(moved).max()
+    displacement = orbit.displacement_at(time)
+    distance = np.abs(evaluate_series(rows, orbit.omega, time) - displacement).max()
+    assert distance <= 1e-3 * np.abs(displacement).max()
 
 
 @pytest.mark.nightly
@@ -83,15 +85,15 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
     """The paper's plate bounces chaotically: at frequencies that differ by 7e-8 Newton's method
     reaches different orbits, both unstable and as near to the solution, or none in its budget."""
     scene = paper_scene.replace({"harmonic_balance.harmonics": 20})
-    usual = []
+    verdicts = []
     for flows in (20, 80):
         monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", flows)
         for omega in (2142.857, 2142.857143):
             solution = fc.solve(scene.replace({"excitation.omega": omega})).result
             if flows == 20:
-                usual.append(solution.stability.verdict)
+                verdicts.append(solution.stability.verdict)
                 continue
             orbit = solution.assessment.nearest_orbit
             assert orbit is not None and solution.assessment.distance < 0.01
             assert np.abs(orbit.multipliers).max() > 2.0
-    assert set(usual) <= {"unstable", "irregular"}
+    assert set(verdicts) <= {"unstable", "irregular"}

@@ -36,32 +36,35 @@ def values_at(table: np.ndarray, pair: np.ndarray, theta: np.ndarray, order: int
     return (table.T[pair] * waves).real.sum(axis=1)
 
 
-def states(found: Switching, pair: int, theta: np.ndarray) -> np.ndarray:
+def states(crossings: Switching, pair: int, theta: np.ndarray) -> np.ndarray:
     """Whether the pair is closed at phases, by counting its sign changes from the start."""
-    instants = np.sort(found.theta[found.pair == pair])
-    before = np.searchsorted(instants, theta)
-    return found.closed_at_start[pair] ^ (before % 2 == 1)
+    instants = np.sort(crossings.theta[crossings.pair == pair])
+    n_earlier = np.searchsorted(instants, theta)
+    return crossings.closed_at_start[pair] ^ (n_earlier % 2 == 1)
 
 
-def assert_certified(table: np.ndarray, found: Switching) -> None:
+def assert_certified(table: np.ndarray, crossings: Switching) -> None:
     """Nothing is missed that the scan sees, signs alternate, and every root is one."""
     values = scan(table)
-    largest = np.abs(values).max(axis=0)
-    assert np.all((found.theta >= 0.0) & (found.theta <= 2.0 * np.pi))
-    assert np.all(np.abs(values_at(table, found.pair, found.theta)) <= 1e-12 * largest[found.pair])
+    max_gap = np.abs(values).max(axis=0)
+    assert np.all((crossings.theta >= 0.0) & (crossings.theta <= 2.0 * np.pi))
+    assert np.all(
+        np.abs(values_at(table, crossings.pair, crossings.theta)) <= 1e-12 * max_gap[crossings.pair]
+    )
     grid = 2.0 * np.pi * np.arange(SCAN) / SCAN
     for pair in range(table.shape[1]):
-        clear = np.abs(values[:, pair]) > CLEAR * largest[pair]
-        closed = states(found, pair, grid)
-        assert np.array_equal(closed[clear], values[clear, pair] > 0.0)
-        mine = found.pair == pair
-        closing = found.closing[mine][np.argsort(found.theta[mine], kind="stable")]
-        assert len(closing) % 2 == 0
-        assert np.all(closing[1:] == -closing[:-1])
-        if len(closing):
-            assert closing[0] == (-1.0 if found.closed_at_start[pair] else 1.0)
+        clear = np.abs(values[:, pair]) > CLEAR * max_gap[pair]
+        assert np.array_equal(states(crossings, pair, grid)[clear], values[clear, pair] > 0.0)
+        is_of_pair = crossings.pair == pair
+        closing_signs = crossings.closing[is_of_pair][
+            np.argsort(crossings.theta[is_of_pair], kind="stable")
+        ]
+        assert len(closing_signs) % 2 == 0
+        assert np.all(closing_signs[1:] == -closing_signs[:-1])
+        if len(closing_signs):
+            assert closing_signs[0] == (-1.0 if crossings.closed_at_start[pair] else 1.0)
         if clear[0]:
-            assert found.closed_at_start[pair] == (values[0, pair] > 0.0)
+            assert crossings.closed_at_start[pair] == (values[0, pair] > 0.0)
 
 
 def test_random_polynomials() -> None:
@@ -70,9 +73,9 @@ def test_random_polynomials() -> None:
     changes = 0
     for count in HARMONICS:
         table = random_harmonics(count, 10, rng)
-        found = switching_instants(table)
-        assert_certified(table, found)
-        changes += len(found.theta)
+        crossings = switching_instants(table)
+        assert_certified(table, crossings)
+        changes += len(crossings.theta)
     assert changes > 60 * 10 * 4
 
 
@@ -85,25 +88,29 @@ def test_grazing_polynomials() -> None:
     excursions = 0
     for count in HARMONICS:
         table = random_harmonics(count, 10, rng)
-        every = np.arange(10)
+        pair_indices = np.arange(10)
         values = scan(table)
         extremal = (values - np.roll(values, 1, axis=0)) * (np.roll(values, -1, axis=0) - values)
-        near = np.array([rng.choice(np.flatnonzero(extremal[:, pair] < 0.0)) for pair in every])
-        theta = 2.0 * np.pi * near / SCAN
+        chosen_places = np.array(
+            [rng.choice(np.flatnonzero(extremal[:, pair] < 0.0)) for pair in pair_indices]
+        )
+        theta = 2.0 * np.pi * chosen_places / SCAN
         for _ in range(6):  # Newton's method for g' = 0; at an extremum g' and g'' say all
-            slope, curvature = (values_at(table, every, theta, order) for order in (1, 2))
+            slope, curvature = (values_at(table, pair_indices, theta, order) for order in (1, 2))
             theta = theta - slope / curvature
         depth = 10.0 ** -rng.uniform(2.0, 10.0, 10) * rng.choice([-1.0, 1.0], 10)
         amplitude = np.abs(values - table[0].real).max(axis=0)
-        table[0] += depth * amplitude - values_at(table, every, theta)
-        assert np.all(np.abs(values_at(table, every, theta, 1)) < 1e-9 * count**2 * amplitude)
-        found = switching_instants(table)
-        assert_certified(table, found)
-        curvature = values_at(table, every, theta, 2)
-        for pair in every:
-            assert states(found, pair, theta[pair] % (2.0 * np.pi)) == (depth[pair] > 0.0)
+        table[0] += depth * amplitude - values_at(table, pair_indices, theta)
+        assert np.all(
+            np.abs(values_at(table, pair_indices, theta, 1)) < 1e-9 * count**2 * amplitude
+        )
+        crossings = switching_instants(table)
+        assert_certified(table, crossings)
+        curvature = values_at(table, pair_indices, theta, 2)
+        for pair in pair_indices:
+            assert states(crossings, pair, theta[pair] % (2.0 * np.pi)) == (depth[pair] > 0.0)
             if depth[pair] * curvature[pair] < 0.0:  # an excursion through zero, not a near miss
-                instants = found.theta[found.pair == pair]
+                instants = crossings.theta[crossings.pair == pair]
                 half = np.sqrt(-2.0 * depth[pair] * amplitude[pair] / curvature[pair])
                 distance = (instants - theta[pair] + np.pi) % (2.0 * np.pi) - np.pi
                 if half < 0.02 / count:  # short enough for the parabola
@@ -117,15 +124,15 @@ def test_known_roots_of_one_harmonic() -> None:
     """m + cos(theta - p) is zero at p +- arccos(-m), rising and falling as the cosine does."""
     mean = np.array([0.0, 0.3, -0.3, 0.999999, -0.999999, -1e-9])
     phase = np.array([0.7, 2.0, 3.0, 1.0, 5.0, 0.1])
-    found = switching_instants(np.array([mean + 0j, np.exp(-1j * phase)]))
+    crossings = switching_instants(np.array([mean + 0j, np.exp(-1j * phase)]))
     for pair, (m, p) in enumerate(zip(mean, phase, strict=True)):
-        mine = found.pair == pair
+        is_of_pair = crossings.pair == pair
         half = np.arccos(-m)
-        opening = found.theta[mine & (found.closing < 0.0)]
-        closing = found.theta[mine & (found.closing > 0.0)]
+        opening = crossings.theta[is_of_pair & (crossings.closing < 0.0)]
+        closing_instants = crossings.theta[is_of_pair & (crossings.closing > 0.0)]
         assert opening == pytest.approx([(p + half) % (2.0 * np.pi)], abs=1e-9)
-        assert closing == pytest.approx([(p - half) % (2.0 * np.pi)], abs=1e-9)
-        assert found.closed_at_start[pair] == (m + np.cos(p) > 0.0)
+        assert closing_instants == pytest.approx([(p - half) % (2.0 * np.pi)], abs=1e-9)
+        assert crossings.closed_at_start[pair] == (m + np.cos(p) > 0.0)
 
 
 @pytest.mark.parametrize("distance", [1e-1, 1e-2, 1e-3])
@@ -140,13 +147,13 @@ def test_three_roots_close_together(distance: float) -> None:
             table = np.zeros((3 * multiple + 1, 1), dtype=complex)
             table[multiple] = -1j * (0.75 - np.sin(distance) ** 2) * np.exp(-1j * phase)
             table[3 * multiple] = 0.25j * np.exp(-3j * phase)
-            found = switching_instants(table)
-            x = np.sort((multiple * found.theta - phase) % np.pi)
-            expected = np.repeat([0.0, distance, np.pi - distance], 2 * multiple)
-            wrapped = np.sort((x + 0.5 * np.pi) % np.pi)
-            expected = np.sort((expected + 0.5 * np.pi) % np.pi)
-            assert wrapped == pytest.approx(expected, abs=1e-2 * distance)
-            assert_certified(table, found)
+            crossings = switching_instants(table)
+            x = np.sort((multiple * crossings.theta - phase) % np.pi)
+            expected_roots = np.repeat([0.0, distance, np.pi - distance], 2 * multiple)
+            shifted_roots = np.sort((x + 0.5 * np.pi) % np.pi)
+            expected_roots = np.sort((expected_roots + 0.5 * np.pi) % np.pi)
+            assert shifted_roots == pytest.approx(expected_roots, abs=1e-2 * distance)
+            assert_certified(table, crossings)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -157,9 +164,9 @@ def test_without_sign_change(sign: float) -> None:
         table = random_harmonics(count, 20, rng)
         table[0] = sign * (1.0 + 1e-9) * np.abs(table[1:]).sum(axis=0)
         table[1:, 0] = 0.0
-        found = switching_instants(table)
-        assert len(found.theta) == len(found.pair) == len(found.closing) == 0
-        assert np.all(found.closed_at_start == (sign > 0.0))
+        crossings = switching_instants(table)
+        assert len(crossings.theta) == len(crossings.pair) == len(crossings.closing) == 0
+        assert np.all(crossings.closed_at_start == (sign > 0.0))
 
 
 def test_zero_polynomial() -> None:
@@ -167,9 +174,9 @@ def test_zero_polynomial() -> None:
     for pairs in (1, 3):
         table = np.zeros((6, pairs), dtype=complex)
         table[1, 1:] = 1.0
-        found = switching_instants(table)
-        assert np.array_equal(np.unique(found.pair), np.arange(1, pairs))
-        assert not found.closed_at_start[0]
+        crossings = switching_instants(table)
+        assert np.array_equal(np.unique(crossings.pair), np.arange(1, pairs))
+        assert not crossings.closed_at_start[0]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
@@ -179,9 +186,9 @@ def test_waves_that_are_not_finite(value: float) -> None:
     table[1] = 1.0
     table[5, 1] = value
     with np.errstate(over="ignore", invalid="ignore"):
-        found = switching_instants(table)
-    assert np.array_equal(np.unique(found.pair), [0, 2])
-    assert np.allclose(np.sort(found.theta), np.repeat([0.5 * np.pi, 1.5 * np.pi], 2))
+        crossings = switching_instants(table)
+    assert np.array_equal(np.unique(crossings.pair), [0, 2])
+    assert np.allclose(np.sort(crossings.theta), np.repeat([0.5 * np.pi, 1.5 * np.pi], 2))
 
 
 @pytest.mark.parametrize("angle", [0.0, np.pi, 0.5 * np.pi, 1.0, 6.0])
@@ -194,11 +201,11 @@ def test_double_roots_exactly_at_zero(angle: float, count: int) -> None:
     table = np.zeros((count + 1, 2), dtype=complex)
     table[0] = 1.0, -1.0
     table[count] = -np.exp(-1j * angle), np.exp(-1j * angle)
-    found = switching_instants(table)
-    for pair, closed in ((0, 1.0), (1, 0.0)):
-        mine = found.pair == pair
-        theta, closing = found.theta[mine], found.closing[mine]
-        assert len(theta) % 2 == 0 and closing.sum() == 0.0
-        assert np.all(np.abs(values_at(table, found.pair[mine], theta)) <= 1e-12)
-        share = found.closed_at_start[pair] - float(closing @ theta) / (2.0 * np.pi)
-        assert share == pytest.approx(closed, abs=1e-5)
+    crossings = switching_instants(table)
+    for pair, closed_share in ((0, 1.0), (1, 0.0)):
+        is_of_pair = crossings.pair == pair
+        theta, closing_signs = crossings.theta[is_of_pair], crossings.closing[is_of_pair]
+        assert len(theta) % 2 == 0 and closing_signs.sum() == 0.0
+        assert np.all(np.abs(values_at(table, crossings.pair[is_of_pair], theta)) <= 1e-12)
+        share = crossings.closed_at_start[pair] - float(closing_signs @ theta) / (2.0 * np.pi)
+        assert share == pytest.approx(closed_share, abs=1e-5)

@@ -19,9 +19,13 @@ def bouncing(name: str) -> tuple[fc.Structure, fc.UnilateralPenalty]:
     pairs, k R_0 = 140, whose motion does not settle to any period."""
     if name == "one mass":
         mass, stiffness, damping = 1.6447776143, 2.4865193799, 0.0145369478
-        one = np.ones((1, 1))
+        unit = np.ones((1, 1))
         structure = fc.Structure.from_matrices(
-            mass * one, stiffness * one, gap=np.ones(1), force_cos=np.ones(1), damping=damping * one
+            mass * unit,
+            stiffness * unit,
+            gap=np.ones(1),
+            force_cos=np.ones(1),
+            damping=damping * unit,
         )
         return structure, fc.UnilateralPenalty(4453.8415474818)
     stiffness = np.array([
@@ -62,35 +66,35 @@ def solved(name: str, tolerance: float) -> fc.PeriodicSolution:
 def test_error_is_what_was_asked_for(name: str, tolerance: float) -> None:
     """The gap is as far from the orbit as the harmonics left out say, and the orbit repeats itself
     when central differences march it, which know nothing of the exact flow."""
-    found, omega = solved(name, tolerance), OMEGA[name]
-    structure, law = found.structure, found.contact
-    assert found.converged and found.status.startswith("exact orbit")
-    assert f"chosen for an error of {tolerance:g}: H = {found.harmonics}" in found.status
-    assert 0.0 < found.report.truncation <= found.report.total <= tolerance
-    orbit = fc.shoot(structure, found)
-    time = np.arange(len(orbit.gap)) * found.period / len(orbit.gap)
-    closing = size_of_motion(orbit.gap + structure.clearance)
-    off = np.linalg.norm(found.gap(time) - orbit.gap) / closing
-    assert off == pytest.approx(found.report.truncation, rel=0.3)
+    solution, omega = solved(name, tolerance), OMEGA[name]
+    structure, law = solution.structure, solution.contact
+    assert solution.converged and solution.status.startswith("exact orbit")
+    assert f"chosen for an error of {tolerance:g}: H = {solution.harmonics}" in solution.status
+    assert 0.0 < solution.report.truncation <= solution.report.total <= tolerance
+    orbit = fc.shoot(structure, solution)
+    time = np.arange(len(orbit.gap)) * solution.period / len(orbit.gap)
+    motion_size = size_of_motion(orbit.gap + structure.clearance)
+    error = np.linalg.norm(solution.gap(time) - orbit.gap) / motion_size
+    assert error == pytest.approx(solution.report.truncation, rel=0.3)
     rate = orbit.flow.modal_model.shapes @ orbit.state[orbit.flow.size // 2 :]
-    begun = orbit.displacement_at(np.zeros(1))[0], rate
+    initial_state = orbit.displacement_at(np.zeros(1))[0], rate
     history = fc.integrate_central_difference(
-        structure, omega, law, periods=1, steps_per_period=512 * 600, initial=begun
+        structure, omega, law, periods=1, steps_per_period=512 * 600, initial=initial_state
     )
     # An error of the march grows by the largest multiplier; which orbit the motion passes first,
     # that of 25 or that of 0.93, depends on rounding.
-    allowed = 2e-3 * max(1.0, abs(orbit.multipliers[0]))
-    for first, last in zip(begun, history.final_state, strict=True):
-        assert np.linalg.norm(last - first) < allowed * np.linalg.norm(first)
-    marched = history.gap[:-1] if len(history.gap) % 512 else history.gap
-    marched = marched[:: len(marched) // 512]
-    assert np.linalg.norm(marched - orbit.gap) < 0.5 * allowed * closing
+    max_change = 2e-3 * max(1.0, abs(orbit.multipliers[0]))
+    for start_rows, end_rows in zip(initial_state, history.final_state, strict=True):
+        assert np.linalg.norm(end_rows - start_rows) < max_change * np.linalg.norm(start_rows)
+    march_gap = history.gap[:-1] if len(history.gap) % 512 else history.gap
+    march_gap = march_gap[:: len(march_gap) // 512]
+    assert np.linalg.norm(march_gap - orbit.gap) < 0.5 * max_change * motion_size
 
 
 @pytest.mark.parametrize("name", OMEGA)
 def test_stability_is_known(name: str) -> None:
     """Enough harmonics are kept that who judges the solution finds the orbit again."""
-    found = solved(name, 1e-2)
-    stability = fc.floquet(found.structure, found)
+    solution = solved(name, 1e-2)
+    stability = fc.floquet(solution.structure, solution)
     assert stability.refined and stability.verdict != "undecided"
-    assert stability.distance <= 3.0 * found.report.total
+    assert stability.distance <= 3.0 * solution.report.total

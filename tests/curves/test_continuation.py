@@ -45,8 +45,8 @@ def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> N
     if stiffness == 100.0 and harmonics >= 10:
         assert amplitude.max() == pytest.approx(2.465, rel=3e-3)  # measured elsewhere
         assert peak == pytest.approx(1.819, abs=2e-3)
-    sharp = [curve.solution(int(i)) for i in np.linspace(0, len(curve.omega) - 1, 20)]
-    assert max(solution.report.residual for solution in sharp) < 1e-7
+    curve_solutions = [curve.solution(int(i)) for i in np.linspace(0, len(curve.omega) - 1, 20)]
+    assert max(solution.report.residual for solution in curve_solutions) < 1e-7
 
 
 @pytest.mark.drawn(2)
@@ -55,7 +55,7 @@ def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> N
 def test_long_steps_reach_the_end(span: tuple[float, float], longest: float) -> None:
     """Stiff contact, up and down: the end, by whatever steps. Downwards the first solution lies on
     the curve that leads there; upwards most lie on a loop of the truncated equations."""
-    others = 0
+    n_other_starts = 0
     for stiffness, harmonics in ((100.0, 10), (100.0, 20), (1000.0, 10), (1000.0, 20)):
         curve = continue_frequency(
             oscillator(0.02, 0.1), *span, fc.UnilateralPenalty(stiffness),
@@ -64,29 +64,29 @@ def test_long_steps_reach_the_end(span: tuple[float, float], longest: float) -> 
         assert curve.complete and curve.status.startswith("reached the end")
         assert curve.values[0] == pytest.approx(span[0])
         assert curve.values[-1] == pytest.approx(span[1])
-        others += "not by the first solution" in curve.status
-    assert others == (0 if span[0] > span[1] else 3)
+        n_other_starts += "not by the first solution" in curve.status
+    assert n_other_starts == (0 if span[0] > span[1] else 3)
 
 
 def test_a_curve_past_a_loop() -> None:
     """Upwards, where the first solution lies on a closed loop: the curve's points are those of the
     way down, and a loop that a given solution lies on is followed as such."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(100.0)
-    up = continue_frequency(structure, 0.3, 2.0, law, harmonics=20, longest_step=0.2)
-    down = continue_frequency(structure, 2.0, 0.3, law, harmonics=20, longest_step=0.2)
-    assert "not by the first solution" in up.status
+    upward_curve = continue_frequency(structure, 0.3, 2.0, law, harmonics=20, longest_step=0.2)
+    downward_curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=20, longest_step=0.2)
+    assert "not by the first solution" in upward_curve.status
     assert (
-        np.abs(up.gap_coefficients[0] - down.gap_coefficients[-1]).max()
-        < 1e-6 * np.abs(up.gap_coefficients[0]).max()
+        np.abs(upward_curve.gap_coefficients[0] - downward_curve.gap_coefficients[-1]).max()
+        < 1e-6 * np.abs(upward_curve.gap_coefficients[0]).max()
     )
-    assert np.allclose(sorted(folds(up)), sorted(folds(down)), rtol=1e-6)
-    first = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=20)
+    assert np.allclose(sorted(folds(upward_curve)), sorted(folds(downward_curve)), rtol=1e-6)
+    start_solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=20)
     assert (
-        np.abs(first.gap_coefficients - up.gap_coefficients[0]).max()
-        > 1e-3 * np.abs(up.gap_coefficients[0]).max()
+        np.abs(start_solution.gap_coefficients - upward_curve.gap_coefficients[0]).max()
+        > 1e-3 * np.abs(upward_curve.gap_coefficients[0]).max()
     )
     loop = continue_frequency(
-        structure, 0.3, 2.0, law, harmonics=20, longest_step=0.2, initial=first
+        structure, 0.3, 2.0, law, harmonics=20, longest_step=0.2, initial=start_solution
     )
     assert loop.complete and loop.status == "closed loop"
 
@@ -106,8 +106,7 @@ def test_fold_of_a_duffing_oscillator() -> None:
         return float((pairs**2).real)
 
     grid = np.linspace(0.6, 2.4, 4001)
-    signs = np.sign([discriminant(omega) for omega in grid])
-    exact = grid[np.flatnonzero(np.diff(signs))]
+    exact = grid[np.flatnonzero(np.diff(np.sign([discriminant(omega) for omega in grid])))]
     assert len(exact) == 2
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
 
@@ -149,10 +148,14 @@ def test_bad_arguments_and_unfinished_curves() -> None:
         assert caught.value.key == key
     with pytest.raises(fc.InputError, match="contact"):
         continue_frequency(structure, 1.0, 2.0, fc.UnilateralConstraint())  # type: ignore[arg-type]
-    with pytest.raises(fc.ConvergenceError, match="10 points were not enough") as stopped:
+    with pytest.raises(fc.ConvergenceError, match="10 points were not enough") as caught_error:
         continue_frequency(structure, 2.0, 0.3, law, most_points=10)
-    found = stopped.value.found
-    assert isinstance(found, fc.ResponseCurve) and not found.complete and len(found) == 11
+    partial_curve = caught_error.value.found
+    assert (
+        isinstance(partial_curve, fc.ResponseCurve)
+        and not partial_curve.complete
+        and len(partial_curve) == 11
+    )
     curve = continue_frequency(structure, 2.0, 0.3, law, most_points=10, throw=False)
     assert not curve.complete and len(curve.omega) == 11
     with pytest.raises(AttributeError, match=r"stability.* fc\.judge_curve\(curve\) returns"):
@@ -181,24 +184,24 @@ def test_curve_over_another_parameter(name: str) -> None:
     assert (curve.values[0], curve.values[-1]) == pytest.approx((start, end))
     amplitude = curve.amplitude(0)
     for index in (0, len(curve) // 2, len(curve) - 1):
-        varied = {"load": 1.0, "damping": 1.0, "clearance": 0.0}
+        factors = {"load": 1.0, "damping": 1.0, "clearance": 0.0}
         factor = float(curve.values[index]) if name == "stiffness" else 1.0
         if name != "stiffness":
-            varied[name] = float(curve.values[index])
+            factors[name] = float(curve.values[index])
         by_hand = fc.Structure.from_matrices(
             np.eye(1),
             np.eye(1),
             gap=np.eye(1),
-            force_cos=[varied["load"]],
-            damping=0.1 * varied["damping"] * np.eye(1),
-            clearance=varied["clearance"],
+            force_cos=[factors["load"]],
+            damping=0.1 * factors["damping"] * np.eye(1),
+            clearance=factors["clearance"],
         )
-        found = fc.solve_harmonic_balance(
+        solution = fc.solve_harmonic_balance(
             by_hand, 1.2, law.scaled(factor), harmonics=8, initial=curve.solution(index)
         )
-        difference = found.gap_coefficients - curve.gap_coefficients[index]
+        difference = solution.gap_coefficients - curve.gap_coefficients[index]
         assert np.abs(difference).max() < 1e-8 * np.abs(curve.gap_coefficients[index]).max()
-        wave = found.displacement(np.linspace(0.0, found.period, 257), [0])
+        wave = solution.displacement(np.linspace(0.0, solution.period, 257), [0])
         assert np.ptp(wave) / 2.0 == pytest.approx(amplitude[index], rel=1e-3)
 
 
@@ -215,16 +218,17 @@ def test_one_eigensolution_for_a_curve(name: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(scipy.linalg, "eigh", counted)
     structure, law, (start, end) = two_masses(), fc.UnilateralPenalty(2.0), RANGES[name]
     curve = fc.continue_parameter(structure, 0.9, law, name, start, end, stability=True)
-    solutions = [curve.solution(index) for index in range(len(curve))]
-    assert len(solutions) > 5 and sum(calls) == 1
+    assert len([curve.solution(index) for index in range(len(curve))]) > 5 and sum(calls) == 1
 
 
 def test_load_only_scales_without_clearance() -> None:
     """The penalty law without clearance is homogeneous: so is the response."""
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(4.0)
     curve = fc.continue_parameter(structure, 1.2, law, "load", 1.0, 5.0, harmonics=6)
-    scaled = curve.gap_coefficients / curve.values[:, None, None]
-    assert np.allclose(scaled, scaled[0], atol=1e-8 * np.abs(scaled[0]).max())
+    unit_load_rows = curve.gap_coefficients / curve.values[:, None, None]
+    assert np.allclose(
+        unit_load_rows, unit_load_rows[0], atol=1e-8 * np.abs(unit_load_rows[0]).max()
+    )
 
 
 # --- branches, loops, resuming --------------------------------------------------------------------
@@ -265,24 +269,28 @@ def test_closed_loop() -> None:
 def test_points_come_one_by_one(tmp_path: Path) -> None:
     """Stopped, written and read: the same points as those of the whole curve."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
-    whole = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
+    complete_curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
     problem = fc.Problem(structure, 2.0, law, harmonics=6)
-    growing = fc.Continuation(problem, "omega", 2.0, 0.3, stability=True, longest_step=0.05)
-    turned = whole.omega[:-1] < whole.omega[1:]  # on the way back between the folds
-    stop = int(np.argmax(turned)) + 2
-    points = list(islice(growing, stop))
-    part = growing.curve
+    continuation = fc.Continuation(problem, "omega", 2.0, 0.3, stability=True, longest_step=0.05)
+    runs_back = (
+        complete_curve.omega[:-1] < complete_curve.omega[1:]
+    )  # on the way back between the folds
+    stop = int(np.argmax(runs_back)) + 2
+    points = list(islice(continuation, stop))
+    part = continuation.curve
     assert len(points) == len(part) == stop and not part.complete
     assert [point.omega for point in points] == list(part.omega)
-    assert np.array_equal(part.omega, whole.omega[:stop])
-    assert 0.0 < growing.progress() < 1.0
+    assert np.array_equal(part.omega, complete_curve.omega[:stop])
+    assert 0.0 < continuation.progress() < 1.0
     assert (
-        growing.describe_values()
+        continuation.describe_values()
         == f"{points[-1].omega / (2.0 * np.pi):.6g} Hz, {len(points)} points"
     )
     fc.save(part, tmp_path / "part.h5")
-    again = fc.load(tmp_path / "part.h5", structure, law)
-    assert np.array_equal(again.omega, part.omega) and np.array_equal(again.stable, part.stable)
+    loaded_curve = fc.load(tmp_path / "part.h5", structure, law)
+    assert np.array_equal(loaded_curve.omega, part.omega) and np.array_equal(
+        loaded_curve.stable, part.stable
+    )
 
 
 @pytest.mark.parametrize(
@@ -307,18 +315,20 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
 )
 def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object]) -> None:
     """One error names the argument."""
-    good = {"parameter": "stiffness", "start": 1.0, "end": 10.0, "omega": 1.2}
+    valid_arguments = {"parameter": "stiffness", "start": 1.0, "end": 10.0, "omega": 1.2}
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     assert (
-        refusal(lambda: fc.continue_parameter(structure, contact=law, **(good | arguments))).key
+        refusal(
+            lambda: fc.continue_parameter(structure, contact=law, **(valid_arguments | arguments))
+        ).key
         == key
     )
 
 
 def test_damping_that_is_not_there_cannot_vary() -> None:
     """A factor of the damping is refused where there is no damping."""
-    one = np.ones((1, 1))
-    bare = fc.Structure.from_matrices(one, one, gap=one, force_cos=[1.0])
+    unit = np.ones((1, 1))
+    bare = fc.Structure.from_matrices(unit, unit, gap=unit, force_cos=[1.0])
     with pytest.raises(fc.InputError, match="no damping"):
         fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
 
@@ -327,19 +337,18 @@ def test_damping_that_is_not_there_cannot_vary() -> None:
 def test_branch_where_rounding_leaves_much(seed: int) -> None:
     """k R of 1e8, masses that float on their stops: the first step leads to the branch."""
     rng = np.random.default_rng(seed)
-    floating = 6.0 * (np.diag([1.0, 2.0, 2.0, 1.0]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    free_stiffness = 6.0 * (np.diag([1.0, 2.0, 2.0, 1.0]) - np.eye(4, k=1) - np.eye(4, k=-1))
     structure = fc.Structure.from_matrices(
         np.eye(4),
-        floating + 1e-8 * np.eye(4),
+        free_stiffness + 1e-8 * np.eye(4),
         gap=np.eye(4) + 0.3 * rng.random((4, 4)),
         force_cos=2.5 * (1.0 + 0.1 * rng.random(4)),
         force_mean=1.0 + 0.2 * rng.random(4),
         damping=0.1 * np.eye(4),
     )
-    law = fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 3.2, 2.5, law, tolerance=1e-2)
-    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
-    branch = fc.follow_branch(curve, doubling, throw=False, most_points=5)
+    curve = continue_frequency(structure, 3.2, 2.5, fc.UnilateralPenalty(1.0), tolerance=1e-2)
+    doubling_point = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    branch = fc.follow_branch(curve, doubling_point, throw=False, most_points=5)
     assert len(branch) == 6
     assert np.all(np.linalg.norm(branch.gap_coefficients[:, 1:3], axis=(1, 2)) > 0.0)
 
@@ -350,11 +359,11 @@ def test_branch_only_from_where_one_begins() -> None:
     curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6)
     with pytest.raises(fc.InputError, match="fold"):
         fc.follow_branch(curve, curve.bifurcations[0])
-    wrong = replace(curve.bifurcations[0], kind="period_doubling")
+    false_doubling = replace(curve.bifurcations[0], kind="period_doubling")
     for call, words in (
-        (lambda: fc.follow_branch(curve, wrong, 1.9, 2.0), "either side"),
-        (lambda: fc.follow_branch(curve, wrong, harmonics=7), "harmonics"),
-        (lambda: fc.follow_branch(curve, wrong, step=0.1), "step"),
+        (lambda: fc.follow_branch(curve, false_doubling, 1.9, 2.0), "either side"),
+        (lambda: fc.follow_branch(curve, false_doubling, harmonics=7), "harmonics"),
+        (lambda: fc.follow_branch(curve, false_doubling, step=0.1), "step"),
     ):
         with pytest.raises(fc.InputError, match=words):
             call()
@@ -365,11 +374,11 @@ def test_branch_only_from_where_one_begins() -> None:
 def test_first_point_is_the_single_solution(stiffness: float, omega: float) -> None:
     """What PETSc's SNES finds from the linear solution, along a path where full steps fail."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(stiffness)
-    first = fc.Continuation(fc.Problem(structure, omega, law, 10), "omega", omega, 0.3).curve
-    known = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
-    size = np.abs(known.gap_coefficients).max()
-    assert np.allclose(first.points[0], known.gap_coefficients, rtol=0.0, atol=1e-8 * size)
-    assert first.iterations[0] == known.iterations
+    curve = fc.Continuation(fc.Problem(structure, omega, law, 10), "omega", omega, 0.3).curve
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
+    size = np.abs(solution.gap_coefficients).max()
+    assert np.allclose(curve.points[0], solution.gap_coefficients, rtol=0.0, atol=1e-8 * size)
+    assert curve.iterations[0] == solution.iterations
 
 
 @pytest.mark.parametrize("stiffness", [1e7, 1e9, 1e10])
@@ -385,11 +394,11 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
     law = fc.UnilateralPenalty(1.0)
     with pytest.raises(fc.InputError, match="one sign"):
         fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)
-    one = np.ones((1, 1))
-    open_ = fc.Structure.from_matrices(
-        one, one, gap=one, force_cos=[1.0], damping=0.1 * one, clearance=0.1
+    unit = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(
+        unit, unit, gap=unit, force_cos=[1.0], damping=0.1 * unit, clearance=0.1
     )
-    curve = fc.continue_parameter(open_, 1.2, law, "load", 1.0, -1.0)
+    curve = fc.continue_parameter(structure, 1.2, law, "load", 1.0, -1.0)
     assert curve.complete and len(curve) < 500
 
 
@@ -400,8 +409,10 @@ def test_branch_points_are_where_a_multiplier_is_one() -> None:
         [[1.0]], [[1.0]], gap=[[1.0, -1.0]], force_sin=[1.0], clearance=0.5, damping=[[0.04]]
     )
     curve = fc.continue_frequency(structure, 0.6, 1.0, fc.UnilateralPenalty(3.0), harmonics=40)
-    points = [one for one in curve.bifurcations if one.kind == "branch_point"]
+    points = [
+        bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "branch_point"
+    ]
     assert len(points) == 2
     for point in points:
-        largest = fc.shoot(structure, point.solution).multipliers[0]
-        assert abs(largest - 1.0) < 1e-4
+        leading_multiplier = fc.shoot(structure, point.solution).multipliers[0]
+        assert abs(leading_multiplier - 1.0) < 1e-4

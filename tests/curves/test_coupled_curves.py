@@ -56,9 +56,11 @@ def newton_step(curve: fc.ResponseCurve, index: int) -> float:
     """How far a point would move, relative to it, with the same modes that answer at once."""
     point = curve.solution(index)
     problem = replace(curve.problem.with_harmonics(point.harmonics), omega=point.omega)
-    system = problem.system(problem.compliance())
-    at = system.linearise(point.slow_gap_coefficients)
-    return float(np.abs(at.solve(at.residual)).max() / np.abs(at.unknown).max())
+    linearisation = problem.system(problem.compliance()).linearise(point.slow_gap_coefficients)
+    return float(
+        np.abs(linearisation.solve(linearisation.residual)).max()
+        / np.abs(linearisation.unknown).max()
+    )
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
@@ -90,16 +92,16 @@ def test_a_rigid_pair_behind_a_spring(
     bilinear: fc.ResponseCurve, behind_a_spring: fc.Structure
 ) -> None:
     """R_inf = 1/kc: the bilinear oscillator, whose motion is the slow gap."""
-    found = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
-    assert found.omega == pytest.approx(bilinear.omega, rel=1e-7)
-    np.testing.assert_allclose(found.points, bilinear.points, atol=1e-6)
-    assert found.amplitude(0) == pytest.approx(bilinear.amplitude(0), rel=1e-6)
-    solution = found.solution(5)
+    curve = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
+    assert curve.omega == pytest.approx(bilinear.omega, rel=1e-7)
+    np.testing.assert_allclose(curve.points, bilinear.points, atol=1e-6)
+    assert curve.amplitude(0) == pytest.approx(bilinear.amplitude(0), rel=1e-6)
+    solution = curve.solution(5)
     time = np.arange(2**17) * solution.period / 2**17
     force = solution.contact_force(time)[:, 0]
-    assert found.amplitude(1)[5] == pytest.approx(np.ptp(force) / 2.0, rel=1e-9)
+    assert curve.amplitude(1)[5] == pytest.approx(np.ptp(force) / 2.0, rel=1e-9)
     assert solution.gap(time).max() < 1e-12
-    np.testing.assert_allclose(found.coefficients_at(1)[5], -solution.force_coefficients[:, 0])
+    np.testing.assert_allclose(curve.coefficients_at(1)[5], -solution.force_coefficients[:, 0])
 
 
 def test_doubled_branch_of_a_rigid_pair(behind_a_spring: fc.Structure) -> None:
@@ -107,7 +109,7 @@ def test_doubled_branch_of_a_rigid_pair(behind_a_spring: fc.Structure) -> None:
     law, ends = fc.UnilateralPenalty(1.0), []
     for structure, contact in ((oscillator(0.1, 1.0), law), (behind_a_spring, RIGID)):
         curve = fc.continue_frequency(structure, 1.5, 3.0, contact, tolerance=1e-2)
-        assert [one.kind for one in curve.bifurcations] == 2 * ["period_doubling"]
+        assert [bifurcation.kind for bifurcation in curve.bifurcations] == 2 * ["period_doubling"]
         branch = fc.follow_branch(curve, curve.bifurcations[0])
         assert branch.status == "joined the branch that it left" and branch.subharmonic == 2
         ends += [curve.bifurcations[0].omega, float(branch.omega[-1])]
@@ -118,14 +120,14 @@ def test_all_modes_are_the_structure_itself() -> None:
     """With all modes nothing is without mass: the ordinary curve, point by point."""
     structure, law = chain(n=6, pairs=1, seed=3), fc.UnilateralPenalty(5.0)
     ordinary = fc.continue_frequency(structure, 0.5, 1.2, law, harmonics=6)
-    whole = fc.reduce_structure(structure, modes=6, method="massless")
-    found = fc.continue_frequency(whole, 0.5, 1.2, law, harmonics=6)
-    assert found.static_above is not None and ordinary.static_above is None
+    massless_structure = fc.reduce_structure(structure, modes=6, method="massless")
+    curve = fc.continue_frequency(massless_structure, 0.5, 1.2, law, harmonics=6)
+    assert curve.static_above is not None and ordinary.static_above is None
     np.testing.assert_array_equal(ordinary.gap_coefficients, ordinary.points)
-    assert found.omega == pytest.approx(ordinary.omega, rel=1e-7)
-    np.testing.assert_allclose(found.points, ordinary.points, atol=1e-6)
+    assert curve.omega == pytest.approx(ordinary.omega, rel=1e-7)
+    np.testing.assert_allclose(curve.points, ordinary.points, atol=1e-6)
     for dof in (1, 5):
-        assert found.amplitude(dof) == pytest.approx(ordinary.amplitude(dof), rel=1e-6)
+        assert curve.amplitude(dof) == pytest.approx(ordinary.amplitude(dof), rel=1e-6)
 
 
 def test_few_modes_come_close_to_the_structure() -> None:
@@ -135,10 +137,10 @@ def test_few_modes_come_close_to_the_structure() -> None:
     peak = fc.continue_frequency(structure, *span, law, harmonics=12).amplitude(1).max()
     errors = []
     for modes in (2, 7):
-        reduced = fc.reduce_structure(structure, modes=modes, method="massless")
-        found = fc.continue_frequency(reduced, *span, law, harmonics=12)
-        assert np.abs(found.points - found.gap_coefficients).max() > 0.01
-        errors.append(abs(found.amplitude(1).max() / peak - 1.0))
+        reduced_structure = fc.reduce_structure(structure, modes=modes, method="massless")
+        curve = fc.continue_frequency(reduced_structure, *span, law, harmonics=12)
+        assert np.abs(curve.points - curve.gap_coefficients).max() > 0.01
+        errors.append(abs(curve.amplitude(1).max() / peak - 1.0))
     assert errors[1] < 0.5 * errors[0] < 0.02
 
 
@@ -172,8 +174,7 @@ def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
 
 def test_small_structure_with_fast_modes() -> None:
     """Modes above the harmonics answer at once: rigid contact without a reduction."""
-    structure = chain(n=8, pairs=1, seed=3)
-    curve = fc.continue_frequency(structure, 0.1, 0.16, RIGID, harmonics=4)
+    curve = fc.continue_frequency(chain(n=8, pairs=1, seed=3), 0.1, 0.16, RIGID, harmonics=4)
     assert curve.complete and curve.static_above == pytest.approx(2 * 4 * 0.16)
     assert_solutions(curve, 9)
 
@@ -204,14 +205,25 @@ def test_bifurcations_are_measured_as_points(curve: fc.ResponseCurve) -> None:
     exact = fc.continue_frequency(
         oscillator(0.1, 1.0), 1.5, 3.0, fc.UnilateralPenalty(1.0), tolerance=1e-5
     )
-    for whole, dof in ((curve, 0), (exact, 0)):
-        special = whole.at_bifurcations
-        assert len(special) == len(whole.bifurcations) + 2 > 2
-        found = special.indicators(dof)
-        np.testing.assert_allclose(found.amplitude[[0, -1]], whole.amplitude(dof)[[0, -1]])
-        for number, one in enumerate(whole.bifurcations, 1):
-            expected = one.solution.indicators(dof)
-            assert special.values[number] == one.value and special.omega[number] == one.omega
-            assert found.amplitude[number] == pytest.approx(expected.amplitude, rel=1e-3)
-            assert found.harmonic_1[number] == pytest.approx(expected.harmonic_1, rel=1e-9)
-            assert found.opening[number] == pytest.approx(expected.opening, rel=1e-3)
+    for measured_curve, dof in ((curve, 0), (exact, 0)):
+        special = measured_curve.at_bifurcations
+        assert len(special) == len(measured_curve.bifurcations) + 2 > 2
+        indicators = special.indicators(dof)
+        np.testing.assert_allclose(
+            indicators.amplitude[[0, -1]], measured_curve.amplitude(dof)[[0, -1]]
+        )
+        for number, bifurcation in enumerate(measured_curve.bifurcations, 1):
+            solution_indicators = bifurcation.solution.indicators(dof)
+            assert (
+                special.values[number] == bifurcation.value
+                and special.omega[number] == bifurcation.omega
+            )
+            assert indicators.amplitude[number] == pytest.approx(
+                solution_indicators.amplitude, rel=1e-3
+            )
+            assert indicators.harmonic_1[number] == pytest.approx(
+                solution_indicators.harmonic_1, rel=1e-9
+            )
+            assert indicators.opening[number] == pytest.approx(
+                solution_indicators.opening, rel=1e-3
+            )

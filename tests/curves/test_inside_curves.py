@@ -78,14 +78,14 @@ def followed(
     problem: fc.Problem, parameter: str, start: float, end: float, step: float = 0.05
 ) -> Continuation:
     """The curve from its start on."""
-    first = orbit_at(OrbitEquations(problem, parameter, start, end).problem_at(start))
+    start_orbit = orbit_at(OrbitEquations(problem, parameter, start, end).problem_at(start))
     path = Continuation(
         problem,
         parameter,
         start,
         end,
         exact=True,
-        initial=first,
+        initial=start_orbit,
         longest_step=step,
         most_points=3000,
     )
@@ -123,21 +123,23 @@ def test_derivatives(parameter: str, damping: str) -> None:
     problem = fc.Problem(chain(damping), 1.3, fc.UnilateralPenalty(5.0))
     family = OrbitEquations(problem, parameter, *RANGES[parameter])
     unknown, place, step = np.random.default_rng(1).normal(size=family.shape), 0.37, 1e-5
-    at = family.linearise(unknown, place)
-    assert at.n_events > 2
-    assert at.residual == pytest.approx(family.advance_unknown(unknown, place) - unknown, abs=1e-11)
+    point = family.linearise(unknown, place)
+    assert point.n_events > 2
+    assert point.residual == pytest.approx(
+        family.advance_unknown(unknown, place) - unknown, abs=1e-11
+    )
 
     def difference(dx: np.ndarray, dp: float) -> np.ndarray:
-        above, below = (
+        upper_residual, lower_residual = (
             family.linearise(unknown + side * step * dx, place + side * step * dp).residual
             for side in (1.0, -1.0)
         )
-        return (above - below) / (2.0 * step)
+        return (upper_residual - lower_residual) / (2.0 * step)
 
     rate = difference(np.zeros_like(unknown), 1.0)
-    assert at.by_parameter == pytest.approx(rate, abs=1e-6 * np.abs(rate).max())
+    assert point.by_parameter == pytest.approx(rate, abs=1e-6 * np.abs(rate).max())
     way = np.random.default_rng(2).normal(size=family.shape)
-    assert at.jacobian @ way == pytest.approx(difference(way, 0.0), abs=1e-6)
+    assert point.jacobian @ way == pytest.approx(difference(way, 0.0), abs=1e-6)
 
 
 @pytest.mark.drawn(3)
@@ -148,42 +150,54 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     path = followed(problem, parameter, *RANGES[parameter], 0.1)
     assert path.complete and path.progress() == 1.0
     family = OrbitEquations(problem, parameter, *RANGES[parameter])
-    last, there, state = path.points[-1], family.problem_at(RANGES[parameter][1]), states(path)[-1]
-    assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
+    last_point, end_problem, state = (
+        path.points[-1],
+        family.problem_at(RANGES[parameter][1]),
+        states(path)[-1],
+    )
+    assert (
+        last_point.value == pytest.approx(RANGES[parameter][1])
+        and last_point.omega == end_problem.omega
+    )
     orbit = find_orbit(
-        exact_flow_or_error(there.structure, there.contact), there.omega, 1.001 * state
+        exact_flow_or_error(end_problem.structure, end_problem.contact),
+        end_problem.omega,
+        1.001 * state,
     )
     assert state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
-    assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
+    assert np.abs(last_point.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
 
 
 def test_over_the_speed_of_a_rotor() -> None:
     """Orbits in the modes of each speed; the derivative against a wider difference."""
-    whole = fc.build_structure(cracked(600.0, -250.0), MPI.COMM_SELF)
-    spinning = fc.run_up_structure(whole, 560.0, 640.0, 4).at_speed(600.0)
-    problem = fc.Problem(spinning, 12 * 600.0, fc.UnilateralConstraint())
+    full_structure = fc.build_structure(cracked(600.0, -250.0), MPI.COMM_SELF)
+    rotor = fc.run_up_structure(full_structure, 560.0, 640.0, 4).at_speed(600.0)
+    problem = fc.Problem(rotor, 12 * 600.0, fc.UnilateralConstraint())
     family = OrbitEquations(problem, "speed", 560.0, 640.0)
     orbit = orbit_at(family.problem_at(600.0))
     assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
     assert family.state(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
     size = np.abs(unknown).max()
-    at, step = family.linearise(unknown, 0.5), 1e-5
-    assert at.residual == pytest.approx(0.0, abs=1e-9 * size)
-    above, below = (family.linearise(unknown, 0.5 + dp).residual for dp in (step, -step))
-    rate = (above - below) / (2.0 * step)
-    assert at.by_parameter == pytest.approx(rate, abs=1e-4 * np.abs(rate).max())
+    point, step = family.linearise(unknown, 0.5), 1e-5
+    assert point.residual == pytest.approx(0.0, abs=1e-9 * size)
+    upper_residual, lower_residual = (
+        family.linearise(unknown, 0.5 + dp).residual for dp in (step, -step)
+    )
+    rate = (upper_residual - lower_residual) / (2.0 * step)
+    assert point.by_parameter == pytest.approx(rate, abs=1e-4 * np.abs(rate).max())
 
 
 def test_twice_the_load_and_clearance_is_twice_the_motion() -> None:
     """A clearance that grows from c to 2 c is a load that falls from 1 to 1/2, times two."""
     problem = fc.Problem(oscillator(clearance=0.5), 1.2, fc.UnilateralPenalty(1.0))
     closer, wider = (
-        followed(problem, *along) for along in (("load", 1.0, 0.5), ("clearance", 0.0, 0.5))
+        followed(problem, *path_range)
+        for path_range in (("load", 1.0, 0.5), ("clearance", 0.0, 0.5))
     )
     assert states(wider)[-1] == pytest.approx(2.0 * states(closer)[-1], abs=1e-8)
-    last = [path.points[-1].multipliers for path in (closer, wider)]
-    assert last[1] == pytest.approx(last[0], abs=1e-8)
+    end_multipliers = [path.points[-1].multipliers for path in (closer, wider)]
+    assert end_multipliers[1] == pytest.approx(end_multipliers[0], abs=1e-8)
 
 
 def test_without_contact() -> None:
@@ -207,20 +221,20 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     """M of each point is that of the equations there."""
     family = OrbitEquations(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
     start = point_on_path(family, stop.points[0].unknown, 0.0)
-    seen: list[np.ndarray] = []
+    recorded_controls: list[np.ndarray] = []
 
     class Watched(MultiplierStepControl):
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
-            seen.append(points.step_control_values[-1])
+            recorded_controls.append(points.step_control_values[-1])
             return np.zeros(len(points) - 1 - first, dtype=bool)
 
     path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
     for stretch in path:
-        at = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
+        point = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
         assert stretch.step_control_values[-1] == pytest.approx(
-            leading_multipliers_and_counts(np.linalg.eigvals(at.monodromy[None]))[0], abs=1e-7
+            leading_multipliers_and_counts(np.linalg.eigvals(point.monodromy[None]))[0], abs=1e-7
         )
-    assert path.event is not None and len(seen) > 2
+    assert path.event is not None and len(recorded_controls) > 2
 
 
 def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
@@ -230,7 +244,7 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
     start = point_on_path(family, stop.points[0].unknown, 0.0)
     longest_step = 0.02
     kept_points = [np.zeros(1)]
-    kept_at_once: list[int] = []
+    kept_counts: list[int] = []
     step_ratios: list[float] = []
 
     class ShortBehind(MultiplierStepControl):
@@ -239,20 +253,20 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
             ends = points.parameters
             is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
-            kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
+            n_kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
             new_lengths = points.chord_lengths[ends > kept_points[-1][-1]]
             step_ratios.append(new_lengths.max() / self.bound)
             self.bound = min(2.0 * self.bound, longest_step)
             if is_long.any():
-                self.bound = 0.5 * points.chord_lengths[kept]
-            kept_points.append(ends[:kept])
-            kept_at_once.append(int(kept) if is_long.any() else 0)
+                self.bound = 0.5 * points.chord_lengths[n_kept]
+            kept_points.append(ends[:n_kept])
+            kept_counts.append(int(n_kept) if is_long.any() else 0)
             return is_long[first:]
 
     options = PathOptions(longest_step, longest_step, max_steps=12)
     path = Path(family, start, options, [], ShortBehind(longest_step))
     parameters = [0.0, *(point.parameter for point in path.points())]
-    assert len(parameters) == 13 and max(kept_at_once) > 2  # halved behind points of the same call
+    assert len(parameters) == 13 and max(kept_counts) > 2  # halved behind points of the same call
     assert parameters == np.unique(np.concatenate(kept_points)).tolist()
     assert max(step_ratios) == pytest.approx(1.0, abs=0.05)
 
@@ -297,69 +311,77 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
 
 def test_bifurcations_of_two_masses_and_a_stop(stop: Continuation) -> None:
     """Where many harmonics lead to, each on the unit circle."""
-    found = special(stop)
+    bifurcations = special(stop)
     assert stop.complete and stop.status == "reached the end"
     for kind, values in EXACT.items():
-        mine = [one for one in found if one.kind == kind]
-        assert [one.value for one in mine][: len(values)] == pytest.approx(values, rel=1e-8)
-        assert len(mine) == len(values)
+        same_kind = [bifurcation for bifurcation in bifurcations if bifurcation.kind == kind]
+        assert [bifurcation.value for bifurcation in same_kind][: len(values)] == pytest.approx(
+            values, rel=1e-8
+        )
+        assert len(same_kind) == len(values)
 
 
 def test_bifurcations_by_the_reference_flow(stop: Continuation) -> None:
     """States are orbits of another integration, with a multiplier where it must be; but for the
     fold where the stop is only just touched: there multipliers jump."""
-    found = special(stop)
-    assert found[-1].kind == "fold" and np.abs(found[-1].multipliers - 1.0).min() > 1e-4
+    bifurcations = special(stop)
+    assert (
+        bifurcations[-1].kind == "fold" and np.abs(bifurcations[-1].multipliers - 1.0).min() > 1e-4
+    )
     flow = ReferenceFlow(two_masses(), LAW)
-    for one in found[:-1]:
-        shapes = one.orbit.flow.modal_model.shapes
-        state = flow.state(*(shapes @ part for part in np.split(one.orbit.state, 2)))
-        passage = flow.advance(state, one.value, 0.0, 2.0 * np.pi / one.value)
+    for bifurcation in bifurcations[:-1]:
+        shapes = bifurcation.orbit.flow.modal_model.shapes
+        state = flow.state(*(shapes @ part for part in np.split(bifurcation.orbit.state, 2)))
+        passage = flow.advance(state, bifurcation.value, 0.0, 2.0 * np.pi / bifurcation.value)
         assert passage.state == pytest.approx(state, abs=1e-8)
         mu = np.linalg.eigvals(passage.tangent())
         pair = np.abs(mu[mu.imag > 0.0])
-        off = {
+        distances = {
             "fold": np.abs(mu - 1.0).min(),
             "period_doubling": np.abs(mu + 1.0).min(),
             "neimark_sacker": np.abs(pair - 1.0).min(initial=np.inf),
         }
-        assert off[one.kind] < 1e-5
+        assert distances[bifurcation.kind] < 1e-5
 
 
 def test_one_by_one_is_the_same(stop: Continuation) -> None:
     """Iterating yields what a run records."""
-    first = stop.curve.orbit(0)  # type: ignore[attr-defined]
+    start_orbit = stop.curve.orbit(0)  # type: ignore[attr-defined]
     problem = fc.Problem(two_masses(), 0.6, LAW)
-    path = Continuation(problem, "omega", 0.6, 0.9, exact=True, initial=first, most_points=3000)
+    path = Continuation(
+        problem, "omega", 0.6, 0.9, exact=True, initial=start_orbit, most_points=3000
+    )
     points = list(path)
     assert len(points) == len(stop.points) and path.status == stop.status
-    assert [one.value for one in points] == [one.value for one in stop.points]
-    met = [one for point in points for one in point.bifurcations]
-    assert met == [(one.kind, one.value) for one in special(stop)]
+    assert [point.value for point in points] == [point.value for point in stop.points]
+    bifurcations = [bifurcation for point in points for bifurcation in point.bifurcations]
+    assert bifurcations == [(point.kind, point.value) for point in special(stop)]
 
 
 def test_goes_on_where_it_was_stopped(stop: Continuation) -> None:
     """By too few points at first, and it says so; more are then allowed."""
     problem, half = fc.Problem(two_masses(), 0.6, LAW), len(stop.points) // 2
-    first = stop.curve.orbit(0)  # type: ignore[attr-defined]
-    short = Continuation(problem, "omega", 0.6, 0.9, exact=True, initial=first, most_points=half)
-    short.run()
-    assert not short.complete and short.status == f"{half} points were not enough"
-    part, short.most_points = short.curve, 3000
-    short.run()
-    found = [one.value for one in short.curve.bifurcations]
-    expected = [one.value for one in special(stop)]
-    assert short.complete and found == pytest.approx(expected, rel=1e-8)
-    assert short.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
+    start_orbit = stop.curve.orbit(0)  # type: ignore[attr-defined]
+    continuation = Continuation(
+        problem, "omega", 0.6, 0.9, exact=True, initial=start_orbit, most_points=half
+    )
+    continuation.run()
+    assert not continuation.complete and continuation.status == f"{half} points were not enough"
+    part, continuation.most_points = continuation.curve, 3000
+    continuation.run()
+    bifurcation_values = [bifurcation.value for bifurcation in continuation.curve.bifurcations]
+    exact_positions = [bifurcation.value for bifurcation in special(stop)]
+    assert continuation.complete and bifurcation_values == pytest.approx(exact_positions, rel=1e-8)
+    assert continuation.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
 
 
 def test_turns_back_past_its_start(stop: Continuation) -> None:
     """Behind the first fold, where it may not turn back."""
-    place = next(k for k, one in enumerate(stop.points) if one.value > 0.7)
-    first = stop.curve.orbit(place)  # type: ignore[attr-defined]
+    place = next(k for k, curve_point in enumerate(stop.points) if curve_point.value > 0.7)
+    start_orbit = stop.curve.orbit(place)  # type: ignore[attr-defined]
     path = Continuation(
-        fc.Problem(two_masses(), 0.7, LAW), "omega", first.omega, 0.9, exact=True, initial=first,
-        most_points=500, turning_back=0.0,
+        fc.Problem(two_masses(), 0.7, LAW), "omega", start_orbit.omega, 0.9, exact=True,
+        initial=start_orbit, most_points=500, turning_back=0.0,
     )  # fmt: skip
     path.run()
     assert not path.complete and path.has_returned
@@ -373,34 +395,34 @@ def test_branch_of_twice_the_period(stop: Continuation) -> None:
     """From one doubling of the oscillator to the other, through orbits of period two."""
     problem = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0))
     single = followed(problem, "omega", 1.5, 3.0)
-    first, second = special(single)
-    assert {first.kind, second.kind} == {"period_doubling"}
-    assert first.value < 2.0 * OMEGA_0 < second.value
+    first_point, second_point = special(single)
+    assert {first_point.kind, second_point.kind} == {"period_doubling"}
+    assert first_point.value < 2.0 * OMEGA_0 < second_point.value
     twofold = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), 10, subharmonic=2)
     path = Continuation(
-        twofold, "omega", 1.5, 3.0, exact=True, initial=first, branch_of=single.curve,
+        twofold, "omega", 1.5, 3.0, exact=True, initial=first_point, branch_of=single.curve,
         most_points=500, turning_back=0.0,
     )  # fmt: skip
     path.run()
     assert path.complete and path.status == "joined the branch that it left"
-    assert path.points[-1].value == pytest.approx(second.value, rel=1e-6)
+    assert path.points[-1].value == pytest.approx(second_point.value, rel=1e-6)
     curve: Any = path.curve
     orbit = curve.orbit(len(curve) // 2)
     period = 2.0 * np.pi / orbit.omega
-    once = orbit.flow.advance(orbit.state, orbit.omega, period).state
-    twice = orbit.flow.advance(once, orbit.omega, period, start=period).state
-    assert twice == pytest.approx(orbit.state, abs=1e-8)
-    assert np.abs(once - orbit.state).max() > 0.1 * np.abs(orbit.state).max()
+    state_after_one = orbit.flow.advance(orbit.state, orbit.omega, period).state
+    state_after_two = orbit.flow.advance(state_after_one, orbit.omega, period, start=period).state
+    assert state_after_two == pytest.approx(orbit.state, abs=1e-8)
+    assert np.abs(state_after_one - orbit.state).max() > 0.1 * np.abs(orbit.state).max()
 
 
 def test_no_branch_of_twice_the_period_from_a_fold(stop: Continuation) -> None:
     """Where no multiplier is -1 there is none."""
     problem = fc.Problem(two_masses(), 0.6, LAW, 10, subharmonic=2)
-    doubled = OrbitEquations(problem, "omega", 0.6, 0.9)
+    doubled_family = OrbitEquations(problem, "omega", 0.6, 0.9)
     curve = stop.curve
     fold = curve.bifurcation("period_doubling", 0.6, 0.6, curve.points[0])
     with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
-        branch_start(doubled, fold, 0.05)
+        branch_start(doubled_family, fold, 0.05)
 
 
 # --- steps and events -----------------------------------------------------------------------------
@@ -432,14 +454,19 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
         structure = fc.reduce_structure(structure, modes=4, method="massless")
         law = fc.UnilateralConstraint()
     curve = continue_frequency(structure, *map(float, span), law, harmonics=6, throw=False)
-    for place, known in enumerate(curve.assessments(range(len(curve)))):
+    for place, assessment in enumerate(curve.assessments(range(len(curve)))):
         problem = curve.problem_of(place)
-        at = problem.system(problem.compliance()).linearise(curve.points[place])
-        alone = problem.wave(at)
-        assert known.wave.omega == alone.omega and known.wave.static_above == alone.static_above
+        linearisation = problem.system(problem.compliance()).linearise(curve.points[place])
+        point_wave = problem.wave(linearisation)
+        assert (
+            assessment.wave.omega == point_wave.omega
+            and assessment.wave.static_above == point_wave.static_above
+        )
         for name in ("displacement", "gap", "force"):
-            mine, its = (getattr(one, name + "_coefficients") for one in (known.wave, alone))
-            assert relative(mine, its) < 1e-12
+            curve_rows, point_rows = (
+                getattr(wave, name + "_coefficients") for wave in (assessment.wave, point_wave)
+            )
+            assert relative(curve_rows, point_rows) < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -472,20 +499,20 @@ def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, .
 )
 def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ...]) -> None:
     """By one real multiplier; the longest step is 1."""
-    observed = np.array([row(float(np.exp(one)), 1e-3) for one in logs])
-    records = np.array([np.diag([np.exp(one), 1e-3]).ravel() for one in logs])
+    control_values = np.array([row(float(np.exp(logarithm)), 1e-3) for logarithm in logs])
+    records = np.array([np.diag([np.exp(logarithm), 1e-3]).ravel() for logarithm in logs])
     points: Any = SimpleNamespace(
-        step_control_values=observed, records=records, chord_lengths=np.array(lengths)
+        step_control_values=control_values, records=records, chord_lengths=np.array(lengths)
     )
     assert tuple(MultiplierStepControl(1.0).mark_rejected_steps(points)) == expected
 
 
 def test_several_changes_are_parted_below_the_floor() -> None:
     """Two events in one step are halved until each is by itself."""
-    observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
+    control_values = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
     records, lengths = np.tile(np.eye(2).ravel(), (2, 1)), np.array([0.0, 1e-6])
     points: Any = SimpleNamespace(
-        step_control_values=observed, records=records, chord_lengths=lengths
+        step_control_values=control_values, records=records, chord_lengths=lengths
     )
     assert MultiplierStepControl(1.0).mark_rejected_steps(points).tolist() == [True]
 
@@ -493,28 +520,27 @@ def test_several_changes_are_parted_below_the_floor() -> None:
 # --- the linear flow of smooth laws ---------------------------------------------------------------
 
 
-def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
+def integrated(law: Any, solution: fc.PeriodicSolution) -> np.ndarray:
     """M of the modes that move by SciPy's integrator, the law evaluated at its own instants."""
-    modes, residual = all_modes(found.structure), found.residual_compliance
-    if found.static_above is not None:
-        modes = modes.with_static_modes(found.static_above)
-    n, unit = len(modes.squares), np.eye(found.structure.n_pairs)
+    modes, residual = all_modes(solution.structure), solution.residual_compliance
+    if solution.static_above is not None:
+        modes = modes.with_static_modes(solution.static_above)
+    n, unit = len(modes.squares), np.eye(solution.structure.n_pairs)
     damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
 
     def rate(time: float, state: np.ndarray) -> np.ndarray:
-        moved = state.reshape(2 * n, 2 * n)
-        slope = np.diag(law.tangent(found.gap(np.array([time])))[0])
+        state_matrix = state.reshape(2 * n, 2 * n)
+        slope = np.diag(law.tangent(solution.gap(np.array([time])))[0])
         if residual is not None:  # d lambda / ds of lambda = h(s - R lambda)
             slope = slope @ np.linalg.inv(unit + residual @ slope)
-        push = modes.squares[:, None] * moved[:n] + damping @ moved[n:]
-        push += modes.gaps_by_mode @ (slope @ (modes.gaps_by_mode.T @ moved[:n]))
-        return np.concatenate([moved[n:], -push]).ravel()
+        push = modes.squares[:, None] * state_matrix[:n] + damping @ state_matrix[n:]
+        push += modes.gaps_by_mode @ (slope @ (modes.gaps_by_mode.T @ state_matrix[:n]))
+        return np.concatenate([state_matrix[n:], -push]).ravel()
 
     run = solve_ivp(
-        rate, (0.0, found.period), np.eye(2 * n).ravel(), "DOP853", rtol=1e-9, atol=1e-11
+        rate, (0.0, solution.period), np.eye(2 * n).ravel(), "DOP853", rtol=1e-9, atol=1e-11
     )
-    matrix: np.ndarray = run.y[:, -1].reshape(2 * n, 2 * n)
-    return matrix
+    return run.y[:, -1].reshape(2 * n, 2 * n)
 
 
 @pytest.mark.parametrize("damping", ["modal", "matrix", "overdamped"])
@@ -528,14 +554,16 @@ def test_against_an_integrator(damping: str) -> None:
             damping=fc.ModalDamping([1.5] * 4 + [0.1] * 6), clearance=structure.clearance,
         )  # fmt: skip
     law = fc.SmoothedPenalty(np.array([3.0, 5.0, 9.0]), 4.0)
-    found = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=20)
-    exact = integrated(law, found)
-    matrix = monodromy_of_linear_flow(structure, law, found.gap_coefficients, found.base_omega)
+    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=20)
+    exact = integrated(law, solution)
+    matrix = monodromy_of_linear_flow(
+        structure, law, solution.gap_coefficients, solution.base_omega
+    )
     assert relative(matrix, exact) < 2e-6
-    stability = fc.floquet(structure, found)
-    largest = np.abs(np.linalg.eigvals(exact)).max()
-    assert abs(stability.multipliers[0]) == pytest.approx(largest, rel=1e-6)
-    assert stability.verdict == ("stable" if largest < 1.0 else "unstable")
+    stability = fc.floquet(structure, solution)
+    max_multiplier = np.abs(np.linalg.eigvals(exact)).max()
+    assert abs(stability.multipliers[0]) == pytest.approx(max_multiplier, rel=1e-6)
+    assert stability.verdict == ("stable" if max_multiplier < 1.0 else "unstable")
     assert stability.uncertainty < 1e-3
 
 
@@ -544,11 +572,11 @@ def test_pairs_behind_a_compliance() -> None:
     """Lips without mass: modes alone move, tied by the slopes of lambda(s)."""
     structure = fc.reduce_structure(chain("modal"), modes=4, method="massless")
     law = fc.SmoothedPenalty(20.0, 4.0)
-    found = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=8)
-    gap, above = found.slow_gap_coefficients, found.static_above
-    matrix = monodromy_of_linear_flow(structure, law, gap, found.base_omega, above)
-    assert relative(matrix, integrated(law, found)) < 2e-6
-    assert fc.floquet(structure, found).verdict != "undecided"
+    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=8)
+    gap, static_above = solution.slow_gap_coefficients, solution.static_above
+    matrix = monodromy_of_linear_flow(structure, law, gap, solution.base_omega, static_above)
+    assert relative(matrix, integrated(law, solution)) < 2e-6
+    assert fc.floquet(structure, solution).verdict != "undecided"
 
 
 @dataclass(frozen=True)
@@ -576,8 +604,8 @@ def test_mathieu(order: int, even: bool) -> None:
     (-1)^r, twice, in a period pi."""
     q = 5.0
     characteristic = scipy.special.mathieu_a if even else scipy.special.mathieu_b
-    one = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(one, characteristic(order, q) * one, gap=one)
+    unit = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(unit, characteristic(order, q) * unit, gap=unit)
     gap = np.array([[0.0], [-2.0 * q], [0.0]])
     matrix = monodromy_of_linear_flow(structure, Square(), gap, 2.0)
     assert np.trace(matrix) == pytest.approx(2.0 * (-1.0) ** order, abs=2e-5)
@@ -591,18 +619,18 @@ def test_without_pairs() -> None:
         damping=0.1 * np.eye(2),
     )  # fmt: skip
     linear = fc.solve_linear(structure, 0.7, harmonics=3)
-    found = fc.floquet(structure, linear, fc.SmoothedPenalty(1.0, 1.0))
-    assert found.verdict == "stable"
-    assert np.abs(found.multipliers) == pytest.approx(np.exp(-0.05 * linear.period), rel=1e-9)
+    stability = fc.floquet(structure, linear, fc.SmoothedPenalty(1.0, 1.0))
+    assert stability.verdict == "stable"
+    assert np.abs(stability.multipliers) == pytest.approx(np.exp(-0.05 * linear.period), rel=1e-9)
 
 
 def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many stretches of the period are advanced together."""
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
     gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
-    one = monodromy_of_linear_flow(structure, law, gap, 1.1)
+    single_monodromy = monodromy_of_linear_flow(structure, law, gap, 1.1)
     monkeypatch.setattr("fenics_crack.curves.stability.MODAL_COORDINATES_IN_CACHE", 1)
-    assert relative(monodromy_of_linear_flow(structure, law, gap, 1.1), one) < 1e-10
+    assert relative(monodromy_of_linear_flow(structure, law, gap, 1.1), single_monodromy) < 1e-10
 
 
 # --- curves ---------------------------------------------------------------------------------------
@@ -615,20 +643,21 @@ def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
     curve = fc.continue_frequency(
         structure, 0.8, 2.6, law, harmonics=6, stability=True, longest_step=0.2
     )
-    assert [one.kind for one in curve.bifurcations] == ["fold", "fold"]
-    high, low = (one.value for one in curve.bifurcations)
+    assert [bifurcation.kind for bifurcation in curve.bifurcations] == ["fold", "fold"]
+    upper_fold, lower_fold = (bifurcation.value for bifurcation in curve.bifurcations)
     turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega)))) + 1
-    middle = np.arange(turns[0] + 1, turns[1])
-    assert set(curve.verdicts[middle]) == {"unstable"}
-    others = np.delete(curve.verdicts, np.arange(turns[0] - 1, turns[1] + 2))
-    assert set(others) == {"stable"} and low < high
-    for one in curve.bifurcations:
-        values = fc.floquet(structure, one.solution).multipliers
+    assert set(curve.verdicts[np.arange(turns[0] + 1, turns[1])]) == {"unstable"}
+    verdicts_off_folds = np.delete(curve.verdicts, np.arange(turns[0] - 1, turns[1] + 2))
+    assert set(verdicts_off_folds) == {"stable"} and lower_fold < upper_fold
+    for bifurcation in curve.bifurcations:
+        values = fc.floquet(structure, bifurcation.solution).multipliers
         assert np.abs(values - 1.0).min() < 1e-3
     for place in range(0, len(curve), 8):
-        alone = fc.floquet(structure, curve.solution(place))
-        assert curve.verdicts[place] == alone.verdict
-        assert abs(curve.multipliers[place]) == pytest.approx(abs(alone.multipliers[0]), rel=1e-9)
+        stability = fc.floquet(structure, curve.solution(place))
+        assert curve.verdicts[place] == stability.verdict
+        assert abs(curve.multipliers[place]) == pytest.approx(
+            abs(stability.multipliers[0]), rel=1e-9
+        )
 
 
 @pytest.fixture(scope="module")
@@ -640,12 +669,12 @@ def doubling() -> fc.ResponseCurve:
 
 def test_period_doublings_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
     """Between two points: a multiplier is -1 by an integrator, too; verdicts change there."""
-    assert [one.kind for one in doubling.bifurcations] == 2 * ["period_doubling"]
-    for one in doubling.bifurcations:
-        values = np.linalg.eigvals(integrated(doubling.contact, one.solution))
+    assert [bifurcation.kind for bifurcation in doubling.bifurcations] == 2 * ["period_doubling"]
+    for bifurcation in doubling.bifurcations:
+        values = np.linalg.eigvals(integrated(doubling.contact, bifurcation.solution))
         assert np.abs(values + 1.0).min() < 1e-4
-    first, second = (one.value for one in doubling.bifurcations)
-    unstable = (doubling.omega > first) & (doubling.omega < second)
+    first_omega, second_omega = (bifurcation.value for bifurcation in doubling.bifurcations)
+    unstable = (doubling.omega > first_omega) & (doubling.omega < second_omega)
     assert np.array_equal(doubling.verdicts == "unstable", unstable)
 
 
@@ -667,19 +696,23 @@ def test_neimark_sacker_point_of_a_smooth_law() -> None:
     )  # fmt: skip
     law = fc.SmoothedPenalty(20.0, 30.0)
     curve = fc.continue_frequency(structure, 0.58, 0.62, law, harmonics=20, stability=True)
-    found = [one for one in curve.bifurcations if one.kind == "neimark_sacker"]
-    assert found
-    for one in found:
-        values = np.linalg.eigvals(integrated(law, one.solution))
+    neimark_sacker_points = [
+        bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "neimark_sacker"
+    ]
+    assert neimark_sacker_points
+    for bifurcation in neimark_sacker_points:
+        values = np.linalg.eigvals(integrated(law, bifurcation.solution))
         pair = values[np.abs(values.imag) > 1e-3]
         assert np.abs(np.abs(pair) - 1.0).min() < 1e-4
 
 
 def test_judged_again(doubling: fc.ResponseCurve) -> None:
     """The same verdicts and bifurcations, each once."""
-    again = fc.judge_curve(doubling)
-    assert np.array_equal(again.verdicts, doubling.verdicts)
-    assert [one.value for one in again.bifurcations] == [one.value for one in doubling.bifurcations]
+    judged_curve = fc.judge_curve(doubling)
+    assert np.array_equal(judged_curve.verdicts, doubling.verdicts)
+    assert [bifurcation.value for bifurcation in judged_curve.bifurcations] == [
+        bifurcation.value for bifurcation in doubling.bifurcations
+    ]
 
 
 def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
@@ -712,30 +745,32 @@ def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_the_bar_counts_whole_per_cents(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a terminal of unknown width, too."""
-    shown = io.StringIO()
+    stream = io.StringIO()
 
     def narrow(bar: Callable[..., Any], **options: Any) -> Any:
-        return bar(**options, ncols=0, file=shown, mininterval=0.0)
+        return bar(**options, ncols=0, file=stream, mininterval=0.0)
 
     wrap(monkeypatch, "tqdm.tqdm", narrow)
     law = fc.UnilateralPenalty(1.0)
     assert continue_frequency(oscillator(0.02, 0.1), 2.0, 0.3, law, progress=True).complete
-    counts = re.findall(r"% (\S+)/100 ", shown.getvalue())
+    counts = re.findall(r"% (\S+)/100 ", stream.getvalue())
     assert len(counts) > 10 and counts[-1] == "100" and all(map(str.isdigit, counts))
 
 
 def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was found until then is returned with its status, or comes with the error, judged."""
     monkeypatch.setattr("fenics_crack.numerics.path.Target.locate", lambda *_: None)
-    given: dict[str, Any] = {"harmonics": 5, "stability": True}
+    options: dict[str, Any] = {"harmonics": 5, "stability": True}
     law = fc.UnilateralPenalty(1.0)
-    found = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **given)
-    assert not found.complete and found.status == "no solution at the very end"
-    assert len(found) > 3 and 1.25 < found.values.max() < 1.3
-    assert set(found.verdicts) <= {"stable", "unstable"}
-    with pytest.raises(fc.ConvergenceError, match=r"no solution at the very end at 1\.") as raised:
-        fc.continue_frequency(oscillator(), 1.0, 1.3, law, **given)
-    assert np.array_equal(raised.value.found.values, found.values)
+    curve = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **options)
+    assert not curve.complete and curve.status == "no solution at the very end"
+    assert len(curve) > 3 and 1.25 < curve.values.max() < 1.3
+    assert set(curve.verdicts) <= {"stable", "unstable"}
+    with pytest.raises(
+        fc.ConvergenceError, match=r"no solution at the very end at 1\."
+    ) as caught_error:
+        fc.continue_frequency(oscillator(), 1.0, 1.3, law, **options)
+    assert np.array_equal(caught_error.value.found.values, curve.values)
 
 
 STOP = fc.UnilateralPenalty(100.0)
@@ -760,7 +795,7 @@ def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no orbit is found at the start, by a curve from the end; or it says that there is
     none."""
-    whole = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
+    expected_curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
     search = continuation.search_initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
@@ -770,12 +805,12 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
 
     monkeypatch.setattr(continuation, "search_initial_orbit", lost_at_start)
-    curve = fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
+    curve = fc.continue_frequency(expected_curve.structure, 0.6, 0.9, STOP, tolerance=1e-2)
     assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
-    assert curve.points[0] == pytest.approx(whole.points[0], rel=1e-6)
+    assert curve.points[0] == pytest.approx(expected_curve.points[0], rel=1e-6)
     monkeypatch.setattr(continuation, "search_initial_orbit", lost)
     with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
-        fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
+        fc.continue_frequency(expected_curve.structure, 0.6, 0.9, STOP, tolerance=1e-2)
 
 
 def test_without_a_matrix_the_same_curve(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -785,10 +820,12 @@ def test_without_a_matrix_the_same_curve(monkeypatch: pytest.MonkeyPatch) -> Non
     for limit in (10_000, 10):
         monkeypatch.setattr("fenics_crack.balance.contact_system.MAX_UNKNOWNS_WITH_JACOBIAN", limit)
         curves.append(fc.continue_frequency(plate, *SPAN, fc.UnilateralConstraint(), harmonics=6))
-    formed, other = curves
-    assert other.complete and len(folds(formed)) == 2
-    assert folds(other) == pytest.approx(folds(formed), rel=1e-8)
-    assert other.amplitude(0).max() == pytest.approx(formed.amplitude(0).max(), rel=1e-3)
+    matrix_curve, matrix_free_curve = curves
+    assert matrix_free_curve.complete and len(folds(matrix_curve)) == 2
+    assert folds(matrix_free_curve) == pytest.approx(folds(matrix_curve), rel=1e-8)
+    assert matrix_free_curve.amplitude(0).max() == pytest.approx(
+        matrix_curve.amplitude(0).max(), rel=1e-3
+    )
 
 
 def test_change_over_half_a_period_is_twice_the_odd_harmonics() -> None:

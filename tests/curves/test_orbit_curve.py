@@ -19,20 +19,25 @@ def orbits(
     structure: fc.Structure, parameter: str = "omega", values: np.ndarray = OMEGA
 ) -> fc.ResponseCurve:
     """Orbits at some values of a parameter, next to solutions of harmonic balance."""
-    known: dict[str, list] = {"omega": [], "points": [], "multipliers": []}
+    columns: dict[str, list] = {"omega": [], "points": [], "multipliers": []}
     for value in values:
-        varied = {} if parameter == "omega" else {parameter: value}
-        there, omega = structure.varied(**varied), value if parameter == "omega" else 0.95
-        orbit = fc.shoot(there, fc.solve_harmonic_balance(there, omega, LAW, harmonics=20))
-        known["omega"].append(omega)
-        known["points"].append(orbit.state)
-        first = complex(orbit.multipliers[0])
-        known["multipliers"].append(complex(first.real, abs(first.imag)))
-    found = {name: np.array(column) for name, column in known.items()}
+        changes = {} if parameter == "omega" else {parameter: value}
+        varied_structure, omega = (
+            structure.varied(**changes),
+            value if parameter == "omega" else 0.95,
+        )
+        orbit = fc.shoot(
+            varied_structure, fc.solve_harmonic_balance(varied_structure, omega, LAW, harmonics=20)
+        )
+        columns["omega"].append(omega)
+        columns["points"].append(orbit.state)
+        multiplier = complex(orbit.multipliers[0])
+        columns["multipliers"].append(complex(multiplier.real, abs(multiplier.imag)))
+    fields = {name: np.array(column) for name, column in columns.items()}
     curve = fc.ResponseCurve(
         structure=structure, contact=LAW, parameter=parameter, values=values, bifurcations=(),
         iterations=np.ones(len(values), dtype=int), complete=True, status="reached the end",
-        subharmonic=1, tolerance=1e-3, **found,
+        subharmonic=1, tolerance=1e-3, **fields,
     )  # fmt: skip
     middle = curve.part(np.array([4]))
     special = curve.bifurcation(
@@ -49,18 +54,18 @@ def curve() -> fc.ResponseCurve:
 
 def test_indicators_are_those_of_solutions(curve: fc.ResponseCurve) -> None:
     """By 256 instants, to what these leave."""
-    seen = curve.indicators()
-    assert curve.exact and len(seen.amplitude) == len(curve)
+    curve_indicators = curve.indicators()
+    assert curve.exact and len(curve_indicators.amplitude) == len(curve)
     for index in (0, 4, 8):
         solution = curve.solution(index)
         assert solution.report.truncation < 1e-3 and solution.converged
-        alone = solution.indicators()
+        solution_indicators = solution.indicators()
         for name in ("amplitude", "mean", "harmonic_1", "harmonic_2", "opening", "crack_force"):
-            expected = getattr(alone, name)
-            assert getattr(seen, name)[index] == pytest.approx(expected, rel=5e-3), name
+            exact = pytest.approx(getattr(solution_indicators, name), rel=5e-3)
+            assert getattr(curve_indicators, name)[index] == exact, name
     gaps = curve.gap_coefficients[4]
-    alone = curve.solution(4).gap_coefficients
-    assert gaps[: len(alone)] == pytest.approx(alone, abs=1e-9)
+    solution_gaps = curve.solution(4).gap_coefficients
+    assert gaps[: len(solution_gaps)] == pytest.approx(solution_gaps, abs=1e-9)
 
 
 def test_verdicts_are_those_of_the_orbits(curve: fc.ResponseCurve) -> None:
@@ -78,8 +83,10 @@ def test_bifurcations_are_exact(curve: fc.ResponseCurve) -> None:
     [fold] = curve.bifurcations
     assert isinstance(fold, fc.Bifurcation)
     assert fold.orbit.residual < 1e-9
-    there = curve.solution(4)
-    assert fold.solution.gap_coefficients == pytest.approx(there.gap_coefficients, abs=1e-12)
+    point_solution = curve.solution(4)
+    assert fold.solution.gap_coefficients == pytest.approx(
+        point_solution.gap_coefficients, abs=1e-12
+    )
     assert len(curve.at_bifurcations) == 3
     assert curve.at_bifurcations.amplitude() == pytest.approx(curve.amplitude()[[0, 4, 8]])
     assert "fold at 0.95" in repr(fold)
@@ -108,12 +115,16 @@ def test_saved_and_read(parameter: str, values: np.ndarray, tmp_path: Path) -> N
     structure = oscillator(clearance=0.2)
     curve = orbits(structure, parameter, values)
     fc.save(curve, tmp_path / "curve.h5")
-    again = fc.load(tmp_path / "curve.h5", structure, LAW)
-    assert isinstance(again, fc.ResponseCurve) and again.exact and again.parameter == parameter
+    loaded_curve = fc.load(tmp_path / "curve.h5", structure, LAW)
+    assert (
+        isinstance(loaded_curve, fc.ResponseCurve)
+        and loaded_curve.exact
+        and loaded_curve.parameter == parameter
+    )
     for name in ("values", "omega", "points", "multipliers", "iterations"):
-        assert getattr(again, name) == pytest.approx(getattr(curve, name), rel=1e-12), name
-    assert again.at_bifurcations.points == pytest.approx(curve.at_bifurcations.points)
-    assert again.amplitude() == pytest.approx(curve.amplitude())
+        assert getattr(loaded_curve, name) == pytest.approx(getattr(curve, name), rel=1e-12), name
+    assert loaded_curve.at_bifurcations.points == pytest.approx(curve.at_bifurcations.points)
+    assert loaded_curve.amplitude() == pytest.approx(curve.amplitude())
     with pytest.raises(fc.InputError, match=r"^structure"):
         fc.load(tmp_path / "curve.h5", oscillator(force=1.1, clearance=0.2), LAW)
     with pytest.raises(fc.InputError, match=r"^contact"):
@@ -132,9 +143,10 @@ def test_branches_of_equal_masses() -> None:
         np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), gap=np.eye(2), force_sin=np.ones(2),
         clearance=0.3, damping=fc.ModalDamping(0.02),
     )  # fmt: skip
-    law = fc.UnilateralPenalty(2.0)
-    curve = fc.continue_frequency(structure, 0.9, 2.0, law, tolerance=1e-2)
-    points = [one for one in curve.bifurcations if one.kind == "branch_point"]
+    curve = fc.continue_frequency(structure, 0.9, 2.0, fc.UnilateralPenalty(2.0), tolerance=1e-2)
+    points = [
+        bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "branch_point"
+    ]
     assert len(points) == 4 and np.ptp(curve.gap_coefficients, axis=2).max() < 1e-6
     for point in points:
         branch = fc.follow_branch(curve, point)
@@ -154,19 +166,20 @@ def test_branches_of_equal_masses() -> None:
 )
 def test_arguments_that_cannot_be_used(key: str, wrong: dict[str, float]) -> None:
     """Each is named."""
-    given = {"omega_start": 0.6, "omega_end": 0.9, "contact": STOP, "tolerance": 1e-2}
+    arguments = {"omega_start": 0.6, "omega_end": 0.9, "contact": STOP, "tolerance": 1e-2}
     with pytest.raises(fc.InputError, match=rf"^{key}"):
-        fc.continue_frequency(two_masses(), **(given | wrong))
+        fc.continue_frequency(two_masses(), **(arguments | wrong))
 
 
 def test_harmonic_balance_where_there_are_no_orbits() -> None:
     """Of a smooth law, with as many harmonics along the curve as its first point asks for; and
     where harmonics are given."""
     law = fc.SmoothedPenalty(5.0, 10.0)
-    few, many = (
-        fc.continue_frequency(oscillator(), 0.9, 1.0, law, tolerance=one) for one in (0.3, 1e-4)
+    coarse_curve, fine_curve = (
+        fc.continue_frequency(oscillator(), 0.9, 1.0, law, tolerance=tolerance)
+        for tolerance in (0.3, 1e-4)
     )
-    assert not few.exact and not many.exact
-    assert few.harmonics == 5 < many.harmonics
-    plain = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, harmonics=7)
-    assert not plain.exact and plain.harmonics == 7
+    assert not coarse_curve.exact and not fine_curve.exact
+    assert coarse_curve.harmonics == 5 < fine_curve.harmonics
+    balance_curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, harmonics=7)
+    assert not balance_curve.exact and balance_curve.harmonics == 7

@@ -29,8 +29,7 @@ def followed(first: float, last: float) -> fc.ResponseCurve:
         np.diag([1.0, 1.0]), np.diag([1e4, 1e6]), gap=np.array([0.0, 1.0]), clearance=1.0,
         force_sin=[1.0, 0.0], damping=fc.ModalDamping(XI),
     )  # fmt: skip
-    law = fc.UnilateralPenalty(1e6)
-    return fc.continue_frequency(structure, first, last, law, harmonics=1)
+    return fc.continue_frequency(structure, first, last, fc.UnilateralPenalty(1e6), harmonics=1)
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +60,9 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
 def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool) -> None:
     """Of one mass before a stop that is so many times its largest amplitude away: steps are parts
     of the vibration, not of the clearance. Also where the way is followed by Python's loop."""
-    one, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
+    unit, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
     structure = fc.Structure.from_matrices(
-        one, one, gap=one, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * one
+        unit, unit, gap=unit, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * unit
     )
     law: Any = fc.SmoothedPenalty(1.0, 100.0) if other else fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 0.5, 1.6, law, harmonics=5, stability=not other)
@@ -76,9 +75,9 @@ def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool)
 
 def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurve) -> None:
     """Frequency, height and damping of the mode."""
-    peak, known = followed(120.0, 80.0).peak(), masses.peak()
-    assert peak.omega == pytest.approx(known.omega, rel=1e-4)
-    assert peak.amplitude == pytest.approx(known.amplitude, rel=1e-3)
+    peak, expected_peak = followed(120.0, 80.0).peak(), masses.peak()
+    assert peak.omega == pytest.approx(expected_peak.omega, rel=1e-4)
+    assert peak.amplitude == pytest.approx(expected_peak.amplitude, rel=1e-3)
     assert peak.damping == pytest.approx(XI, rel=5e-3)
 
 
@@ -92,8 +91,7 @@ def test_a_peak_beside_nothing_has_a_height() -> None:
     height = curve.amplitude(0)  # none at 10 rad/s, where the second mass alone moves
     top = int(height.argmax())
     places = [0, top, top + 1]
-    part = replace(curve, **{name: getattr(curve, name)[places] for name in COLUMNS})
-    peak = part.peak(0)
+    peak = replace(curve, **{name: getattr(curve, name)[places] for name in COLUMNS}).peak(0)
     assert height[0] < 1e-12 * height[top] and peak.amplitude == height[top] > height[top + 1]
     assert 10.0 < peak.omega < curve.omega[top + 1] and np.isnan(peak.damping)
 
@@ -107,34 +105,34 @@ def test_half_a_peak_has_no_width() -> None:
     top = followed(99.5, 100.5).peak()
     assert top.omega == pytest.approx(100.0, rel=1e-3) and np.isnan(top.damping)
     assert not top.at_end and "still rising" not in str(top)
-    hardening, law = oscillator(0.1, 1.0, clearance=2.0), fc.UnilateralPenalty(5.0)
-    curve = fc.continue_frequency(hardening, 0.5, 3.0, law, harmonics=5)
+    structure, law = oscillator(0.1, 1.0, clearance=2.0), fc.UnilateralPenalty(5.0)
+    curve = fc.continue_frequency(structure, 0.5, 3.0, law, harmonics=5)
     peak = curve.peak()
-    turned = peak.index + int(np.argmax(np.diff(curve.omega)[peak.index :] < 0.0))
-    assert curve.amplitude(0)[turned] > peak.amplitude / np.sqrt(2.0)
-    assert turned > peak.index and np.isnan(peak.damping)
+    fold_index = peak.index + int(np.argmax(np.diff(curve.omega)[peak.index :] < 0.0))
+    assert curve.amplitude(0)[fold_index] > peak.amplitude / np.sqrt(2.0)
+    assert fold_index > peak.index and np.isnan(peak.damping)
 
 
 def test_no_width_tells_the_damping_of_a_higher_harmonic() -> None:
     """Next to half of the natural frequency of a breathing crack the width is wrong by a factor of
     40: no damping is told, nor drawn, which the load's own resonance has."""
-    one, xi = np.ones((1, 1)), 0.002
+    unit, xi = np.ones((1, 1)), 0.002
     structure = fc.Structure.from_matrices(
-        one, one, gap=one, force_cos=[1.0], damping=2.0 * xi * one
+        unit, unit, gap=unit, force_cos=[1.0], damping=2.0 * xi * unit
     )
     law = fc.UnilateralPenalty(1.0)
-    natural = 2.0 / (1.0 + np.sqrt(0.5))  # bilinear
+    bilinear_omega = 2.0 / (1.0 + np.sqrt(0.5))  # bilinear
     for order in (1, 2):
-        ends = 0.95 * natural / order, 1.05 * natural / order
+        ends = 0.95 * bilinear_omega / order, 1.05 * bilinear_omega / order
         curve = fc.continue_frequency(structure, *ends, law, harmonics=9)
         peak = curve.peak()
-        assert peak.omega == pytest.approx(natural / order, rel=2e-3)
-        drawn = fc.draw_curve(curve).axes[0].get_legend_handles_labels()[1]
-        told = any("half-power damping" in words for words in drawn)
+        assert peak.omega == pytest.approx(bilinear_omega / order, rel=2e-3)
+        legend_labels = fc.draw_curve(curve).axes[0].get_legend_handles_labels()[1]
+        is_labelled = any("half-power damping" in words for words in legend_labels)
         if order == 1:
-            assert told and peak.damping == pytest.approx(xi / natural, rel=2e-3)
+            assert is_labelled and peak.damping == pytest.approx(xi / bilinear_omega, rel=2e-3)
         else:
-            assert not told and np.isnan(peak.damping)
+            assert not is_labelled and np.isnan(peak.damping)
             assert "the load's own harmonic has no half-power width" in str(peak)
 
 
@@ -145,32 +143,38 @@ def test_the_watched_dof_is_the_default() -> None:
     scene = fc.Scene.load(STEEL).replace(COARSE | {"sweep.over": {"crack.length": [0.02]}})
     loads = -1
     for changes in ({}, POINT):
-        at = scene.replace(changes)
-        solved, followed, marched = fc.solve(at), fc.curve(at), fc.integrate(at)
-        dof, peak = solved.watched_dof, followed.peak()
+        changed_scene = scene.replace(changes)
+        solution, curve, history = (
+            fc.solve(changed_scene),
+            fc.curve(changed_scene),
+            fc.integrate(changed_scene),
+        )
+        dof, peak = solution.watched_dof, curve.peak()
         assert peak.at_end and not peak.without and np.isnan(peak.omega_error)  # it is given
-        assert solved.amplitude() == solved.amplitude(dof)
-        assert np.all(solved.coefficients_at() == solved.coefficients_at([dof]))
-        assert np.all(followed.amplitude() == followed.amplitude(dof))
-        assert followed.to_dict()["ratio_2_1"] == followed.indicators(dof).ratio_2_1.tolist()
-        assert np.all(marched.displacement() == marched.displacement([dof]))
-        assert marched.indicators().amplitude == marched.indicators(dof).amplitude
-        assert marched.indicators().omega == pytest.approx(scene.excitation.omega)
-        assert "opening [m]" in marched.table().columns
+        assert solution.amplitude() == solution.amplitude(dof)
+        assert np.all(solution.coefficients_at() == solution.coefficients_at([dof]))
+        assert np.all(curve.amplitude() == curve.amplitude(dof))
+        assert curve.to_dict()["ratio_2_1"] == curve.indicators(dof).ratio_2_1.tolist()
+        assert np.all(history.displacement() == history.displacement([dof]))
+        assert history.indicators().amplitude == history.indicators(dof).amplitude
+        assert history.indicators().omega == pytest.approx(scene.excitation.omega)
+        assert "opening [m]" in history.table().columns
         if changes:
-            assert dof == solved.structure.find_dof((0.0, 0.3), "x") != loads
+            assert dof == solution.structure.find_dof((0.0, 0.3), "x") != loads
         loads = dof
-    plain, watched = (fc.run_sweep(scene.replace(changes)) for changes in ({}, POINT))
-    assert plain["response"] == pytest.approx(watched["response"], rel=1e-14)
-    assert watched["response"] != pytest.approx(watched["corner.ux.amplitude"], rel=1e-3)
+    plain_sweep, watched_sweep = (fc.run_sweep(scene.replace(changes)) for changes in ({}, POINT))
+    assert plain_sweep["response"] == pytest.approx(watched_sweep["response"], rel=1e-14)
+    assert watched_sweep["response"] != pytest.approx(
+        watched_sweep["corner.ux.amplitude"], rel=1e-3
+    )
 
 
 def test_pandas(masses: fc.ResponseCurve, monkeypatch: pytest.MonkeyPatch) -> None:
     """It gets the columns; where it is not installed one line says what to do."""
-    given: list[Any] = []
-    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=given.append))
+    frames: list[Any] = []
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=frames.append))
     masses.to_dataframe()
-    assert given[0]["amplitude"] == masses.amplitude().tolist() and "ratio_2_1" in given[0]
+    assert frames[0]["amplitude"] == masses.amplitude().tolist() and "ratio_2_1" in frames[0]
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match=r"pip install pandas.*to_csv"):
         masses.to_dataframe()

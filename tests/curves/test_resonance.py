@@ -23,15 +23,18 @@ def mass(
     )  # fmt: skip
 
 
-def free_frequency(farthest: float, stiffness: float, clearance: float) -> float:
+def free_frequency(reach: float, stiffness: float, clearance: float) -> float:
     """Of x'' + x + k max(x - g0, 0) = 0, whose motion turns back at x = -farthest: arcs of cosine,
     outside the stop about 0, within it about k g0 / (1 + k)."""
-    inside = math.sqrt(1.0 + stiffness)
-    if abs(clearance) >= farthest:
-        return 1.0 if clearance > 0.0 else inside
-    speed = math.sqrt(farthest**2 - clearance**2)
-    outside = math.acos(-clearance / farthest)
-    half = outside + math.atan2(speed / inside, clearance / inside**2) / inside
+    omega_in_contact = math.sqrt(1.0 + stiffness)
+    if abs(clearance) >= reach:
+        return 1.0 if clearance > 0.0 else omega_in_contact
+    speed = math.sqrt(reach**2 - clearance**2)
+    open_phase = math.acos(-clearance / reach)
+    half = (
+        open_phase
+        + math.atan2(speed / omega_in_contact, clearance / omega_in_contact**2) / omega_in_contact
+    )
     return math.pi / half
 
 
@@ -40,16 +43,18 @@ def free_frequency(farthest: float, stiffness: float, clearance: float) -> float
 def test_bilinear_mass(stiffness: float, ratio: float) -> None:
     """Without clearance 2 w1 w2 / (w1 + w2) at any load, but for the square of the damping; the
     width is that of the damping, and the amplitude grows with the load."""
-    law, closed = fc.UnilateralPenalty(stiffness), math.sqrt(1.0 + stiffness)
-    small, large = (
+    law, closed_omega = fc.UnilateralPenalty(stiffness), math.sqrt(1.0 + stiffness)
+    small_load_resonance, large_load_resonance = (
         resonance_at(Problem(mass(ratio, force=force), 1.0, law, 30)) for force in (1.0, 100.0)
     )
-    bilinear = 2.0 * closed / (1.0 + closed)
-    assert small.omega == pytest.approx(bilinear, rel=1e-7 + 0.05 * ratio**2)
-    assert large.omega == pytest.approx(small.omega, rel=1e-12)
-    assert large.solution.amplitude() == pytest.approx(100.0 * small.solution.amplitude())
-    assert small.width == pytest.approx(2.0 * ratio, rel=1e-4)
-    assert not small.several and small.solution.converged
+    bilinear = 2.0 * closed_omega / (1.0 + closed_omega)
+    assert small_load_resonance.omega == pytest.approx(bilinear, rel=1e-7 + 0.05 * ratio**2)
+    assert large_load_resonance.omega == pytest.approx(small_load_resonance.omega, rel=1e-12)
+    assert large_load_resonance.solution.amplitude() == pytest.approx(
+        100.0 * small_load_resonance.solution.amplitude()
+    )
+    assert small_load_resonance.width == pytest.approx(2.0 * ratio, rel=1e-4)
+    assert not small_load_resonance.several and small_load_resonance.solution.converged
 
 
 def test_newton_step_against_differences() -> None:
@@ -59,11 +64,11 @@ def test_newton_step_against_differences() -> None:
     system = ResonanceSystem(point.problem, point.drive, point.contact_point)
     rng, width = np.random.default_rng(4), 1e-6
     unknown = point.unknown * (1.0 + 0.05 * rng.normal(size=system.shape))  # not a solution
-    right = rng.normal(size=system.shape)
-    step = width * system.linearise(unknown, 0.0).solve(right)
+    residual = rng.normal(size=system.shape)
+    step = width * system.linearise(unknown, 0.0).solve(residual)
     ends = (system.linearise(unknown + side * step, 0.0).residual for side in (1.0, -1.0))
     change = np.subtract(*ends) / (2.0 * width)
-    assert change == pytest.approx(right, abs=1e-5 * np.abs(right).max())
+    assert change == pytest.approx(residual, abs=1e-5 * np.abs(residual).max())
 
 
 @pytest.mark.parametrize("clearance", [1.0, -1.0], ids=["clearance", "preload"])
@@ -74,11 +79,11 @@ def test_mass_with_a_stop(clearance: float, ratio: float, force: float) -> None:
     stiffness = 1.0
     structure = mass(ratio, force=2.0 * ratio * force, clearance=clearance)
     problem = Problem(structure, 1.0, fc.UnilateralPenalty(stiffness), 60)
-    found = resonance_at(problem, near=1.0 if clearance > 0.0 else math.sqrt(2.0))
-    moved = found.solution.displacement(found.solution.instants())[:, 0]
-    exact = free_frequency(-float(moved.min()), stiffness, clearance)
-    assert found.omega == pytest.approx(exact, rel=1e-6)
-    assert not found.several
+    resonance = resonance_at(problem, near=1.0 if clearance > 0.0 else math.sqrt(2.0))
+    displacement = resonance.solution.displacement(resonance.solution.instants())[:, 0]
+    exact = free_frequency(-float(displacement.min()), stiffness, clearance)
+    assert resonance.omega == pytest.approx(exact, rel=1e-6)
+    assert not resonance.several
 
 
 @pytest.mark.parametrize("force", [0.5, 4.0])
@@ -91,28 +96,28 @@ def test_curve_over_the_load(force: float) -> None:
     assert curve.complete and curve.parameter == "resonance"
     assert curve.values[[0, -1]] == pytest.approx([0.1, 2.0 * force])
     assert np.ptp(curve.omega[curve.values < 0.99]) < 1e-12
-    alone = resonance_at(
+    resonance = resonance_at(
         Problem(mass(ratio, force=2.0 * ratio * 2.0 * force, clearance=1.0), 1.0, law, 20)
     )
-    assert curve.omega[-1] == pytest.approx(alone.omega, rel=1e-9)
-    assert curve.amplitude()[-1] == pytest.approx(alone.solution.amplitude(), rel=1e-6)
-    last = curve.solution(len(curve) - 1)
-    assert last.amplitude() == pytest.approx(curve.amplitude()[-1], rel=1e-6)
-    back = follow_resonance(problem, 2.0 * force, 0.1)
-    assert back.omega[-1] == pytest.approx(curve.omega[0], rel=1e-9)
+    assert curve.omega[-1] == pytest.approx(resonance.omega, rel=1e-9)
+    assert curve.amplitude()[-1] == pytest.approx(resonance.solution.amplitude(), rel=1e-6)
+    last_solution = curve.solution(len(curve) - 1)
+    assert last_solution.amplitude() == pytest.approx(curve.amplitude()[-1], rel=1e-6)
+    returning_curve = follow_resonance(problem, 2.0 * force, 0.1)
+    assert returning_curve.omega[-1] == pytest.approx(curve.omega[0], rel=1e-9)
 
 
 def test_stop_at_rest_is_where_contact_begins() -> None:
     """The mean load that presses the mass onto the stop moves it as a clearance below 0 does."""
     ratio, law = 1e-3, fc.UnilateralPenalty(1.0)
-    pressed, shifted = (
+    pressed_resonance, shifted_resonance = (
         resonance_at(Problem(structure, math.sqrt(2.0), law, 20))
         for structure in (
             mass(ratio, force=6e-3, mean=1.0), mass(ratio, force=6e-3, clearance=-1.0)
         )
     )  # fmt: skip
-    assert pressed.omega == pytest.approx(shifted.omega, rel=1e-9)
-    assert 1.2 < pressed.omega < 1.41
+    assert pressed_resonance.omega == pytest.approx(shifted_resonance.omega, rel=1e-9)
+    assert 1.2 < pressed_resonance.omega < 1.41
 
 
 # --- several modes --------------------------------------------------------------------------------
@@ -128,16 +133,23 @@ def test_several_modes(second: float, several: bool) -> None:
         damping=0.06 * np.eye(2),
     ).watching(0)  # fmt: skip
     law = fc.UnilateralPenalty(0.1)
-    found = resonance_at(Problem(structure, 1.0, law, 20))
-    assert found.several == several and ("several = yes" in repr(found)) == several
+    resonance = resonance_at(Problem(structure, 1.0, law, 20))
+    assert resonance.several == several and ("several = yes" in repr(resonance)) == several
 
-    low, high = found.omega - 2.0 * found.width, found.omega + 2.0 * found.width
-    curve = fc.continue_frequency(structure, low, high, law, harmonics=20, longest_step=0.02)
-    along = np.hypot(*sum(curve.coefficients_at(dof)[:, 1:3] for dof in (0, 1)).T)
-    top = np.argmax(along)
-    fit = np.polyfit(curve.omega[top - 3 : top + 4] - found.omega, along[top - 3 : top + 4], 2)
-    apart = -0.5 * fit[1] / fit[0] / found.width
-    assert found.apart == pytest.approx(apart, rel=0.7 if several else 0.1)
+    lower_omega, upper_omega = (
+        resonance.omega - 2.0 * resonance.width,
+        resonance.omega + 2.0 * resonance.width,
+    )
+    curve = fc.continue_frequency(
+        structure, lower_omega, upper_omega, law, harmonics=20, longest_step=0.02
+    )
+    motion_size = np.hypot(*sum(curve.coefficients_at(dof)[:, 1:3] for dof in (0, 1)).T)
+    top = np.argmax(motion_size)
+    fit = np.polyfit(
+        curve.omega[top - 3 : top + 4] - resonance.omega, motion_size[top - 3 : top + 4], 2
+    )
+    peak_distance = -0.5 * fit[1] / fit[0] / resonance.width
+    assert resonance.apart == pytest.approx(peak_distance, rel=0.7 if several else 0.1)
 
 
 def test_other_mode_is_found_by_its_frequency() -> None:
@@ -147,8 +159,8 @@ def test_other_mode_is_found_by_its_frequency() -> None:
         damping=0.01 * np.eye(2),
     )  # fmt: skip
     problem = Problem(structure, 1.0, fc.UnilateralPenalty(0.1), 10)
-    low, high = (resonance_at(problem, near=near).omega for near in (1.2, 2.7))
-    assert 1.0 < low < 1.05 and 3.0 < high < 3.05
+    first_omega, second_omega = (resonance_at(problem, near=near).omega for near in (1.2, 2.7))
+    assert 1.0 < first_omega < 1.05 and 3.0 < second_omega < 3.05
 
 
 @pytest.mark.parametrize(("near", "harmonic"), [(1.0, 1), (0.35, 3), (0.45, 3)])
@@ -156,11 +168,11 @@ def test_harmonic_that_takes_most_power(near: float, harmonic: int) -> None:
     """Of a load with two harmonics, the third much larger: next to a frequency one of them excites
     the mode."""
     structure = mass(0.01, force=0.1).with_harmonics({3: (np.zeros(1), np.ones(1))})
-    found = resonance_at(Problem(structure, near, fc.UnilateralPenalty(1.0), 20))
+    resonance = resonance_at(Problem(structure, near, fc.UnilateralPenalty(1.0), 20))
     bilinear = 2.0 * math.sqrt(2.0) / (1.0 + math.sqrt(2.0))
-    assert found.harmonic == harmonic
-    assert found.omega == pytest.approx(bilinear / harmonic, rel=0.02)
-    assert found.width == pytest.approx(0.02 / harmonic, rel=0.05)
+    assert resonance.harmonic == harmonic
+    assert resonance.omega == pytest.approx(bilinear / harmonic, rel=0.02)
+    assert resonance.width == pytest.approx(0.02 / harmonic, rel=0.05)
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.0, 1.3, 2.0])
@@ -168,8 +180,8 @@ def test_found_from_either_side(factor: float) -> None:
     """The phase says on which side of a frequency the resonance lies, of a hardening one too."""
     ratio, law = 1e-3, fc.UnilateralPenalty(1.0)
     problem = Problem(mass(ratio, force=8e-3, clearance=1.0), 1.0, law, 20)
-    first = resonance_at(problem, 1.17)
-    assert resonance_at(problem, factor).omega == pytest.approx(first.omega, rel=1e-7)
+    resonance = resonance_at(problem, 1.17)
+    assert resonance_at(problem, factor).omega == pytest.approx(resonance.omega, rel=1e-7)
 
 
 # --- plates ---------------------------------------------------------------------------------------
@@ -179,28 +191,38 @@ def test_plate_pressed_by_a_mean_load() -> None:
     """The top of its curve of exact orbits, between bonded and breathing crack."""
     study = fc.prepare(cracked(0.0, -300.0))
     law, omega = study.contact, study.scene.excitation.omega
-    problem = Problem(study.structure, omega, law)
-    found = fc.resonance_at(problem, tolerance=0.01)
-    natural = fc.bilinear_frequencies(study.structure)
-    assert natural.omega_bilinear[0] < found.omega < (1.0 + 1e-9) * natural.omega_tied[0]
-    ends = natural.omega_tied[0] + 3.0 * found.width, found.omega - 3.0 * found.width
+    resonance = fc.resonance_at(Problem(study.structure, omega, law), tolerance=0.01)
+    frequencies = fc.bilinear_frequencies(study.structure)
+    assert (
+        frequencies.omega_bilinear[0] < resonance.omega < (1.0 + 1e-9) * frequencies.omega_tied[0]
+    )
+    ends = (
+        frequencies.omega_tied[0] + 3.0 * resonance.width,
+        resonance.omega - 3.0 * resonance.width,
+    )
     top = fc.continue_frequency(study.structure, *ends, law, tolerance=1e-3).top()
-    assert abs(top.value - found.omega) < 0.1 * found.width
-    assert found.solution.amplitude() == pytest.approx(top.amplitude, rel=0.02)
+    assert abs(top.value - resonance.omega) < 0.1 * resonance.width
+    assert resonance.solution.amplitude() == pytest.approx(top.amplitude, rel=0.02)
 
 
 def test_rotor_at_the_speed_of_its_resonance() -> None:
     """The order meets the resonance of the structure at that speed."""
     scene = cracked(300.0)
-    whole = fc.build_structure(scene.replace({"excitation.omega": 12.0 * 300.0}))
-    rotor = fc.run_up_structure(whole, 280.0, 350.0, 4)
+    full_structure = fc.build_structure(scene.replace({"excitation.omega": 12.0 * 300.0}))
+    rotor = fc.run_up_structure(full_structure, 280.0, 350.0, 4)
     law = fc.prepare(scene).contact
-    found = resonance_at(Problem(rotor, 12.0 * rotor.speed, law), parameter="speed")
-    assert found.omega == pytest.approx(12.0 * found.value, rel=1e-12)
-    there = resonance_at(Problem(rotor.at_speed(found.value), found.omega, law))
-    assert there.omega == pytest.approx(found.omega, rel=1e-8)
-    assert there.solution.amplitude() == pytest.approx(found.solution.amplitude(), rel=1e-6)
-    assert found.width / found.value > there.width / there.value  # it takes longer to pass
+    resonance = resonance_at(Problem(rotor, 12.0 * rotor.speed, law), parameter="speed")
+    assert resonance.omega == pytest.approx(12.0 * resonance.value, rel=1e-12)
+    resonance_at_speed = resonance_at(
+        Problem(rotor.at_speed(resonance.value), resonance.omega, law)
+    )
+    assert resonance_at_speed.omega == pytest.approx(resonance.omega, rel=1e-8)
+    assert resonance_at_speed.solution.amplitude() == pytest.approx(
+        resonance.solution.amplitude(), rel=1e-6
+    )
+    assert (
+        resonance.width / resonance.value > resonance_at_speed.width / resonance_at_speed.value
+    )  # it takes longer to pass
 
 
 def test_scene_over_its_load(tmp_path: Path) -> None:
@@ -212,15 +234,15 @@ def test_scene_over_its_load(tmp_path: Path) -> None:
     curve = run.result
     assert curve.complete and np.ptp(curve.omega) > 0.0
     run.save(tmp_path / "curve.h5")
-    again = fc.load_run(tmp_path / "curve.h5").result
-    assert np.array_equal(again.omega, curve.omega)
-    assert again.amplitude() == pytest.approx(curve.amplitude(), rel=1e-9)
+    loaded_curve = fc.load_run(tmp_path / "curve.h5").result
+    assert np.array_equal(loaded_curve.omega, curve.omega)
+    assert loaded_curve.amplitude() == pytest.approx(curve.amplitude(), rel=1e-9)
     place = len(curve) // 2
-    known = curve.solution(place)
-    solved = fc.solve_harmonic_balance(
-        known.structure, known.omega, known.contact, harmonics=known.harmonics, initial=known
+    point = curve.solution(place)
+    solution = fc.solve_harmonic_balance(
+        point.structure, point.omega, point.contact, harmonics=point.harmonics, initial=point
     )
-    assert solved.amplitude() == pytest.approx(curve.amplitude()[place], rel=1e-5)
+    assert solution.amplitude() == pytest.approx(curve.amplitude()[place], rel=1e-5)
 
 
 @pytest.mark.nightly
@@ -229,35 +251,36 @@ def test_solid_blade_on_a_rotor(force: float) -> None:
     """Its resonance is that of its curve over rpm, which the load moves by 20 rpm: the centrifugal
     load opens the crack, and the bilinear frequency meets the order at 5,847 rpm."""
     scene = titanium_blade(force)
-    whole = fc.build_structure(scene)
-    rotor = fc.run_up_structure(whole, 605.0, 615.0, 10)
+    rotor = fc.run_up_structure(fc.build_structure(scene), 605.0, 615.0, 10)
     problem = Problem(rotor, 4.0 * rotor.speed, fc.UnilateralConstraint())
-    found = resonance_at(problem, parameter="speed", tolerance=0.01)
+    resonance = resonance_at(problem, parameter="speed", tolerance=0.01)
     peak = fc.curve(scene).peak()
-    assert found.omega == pytest.approx(peak.omega, rel=2e-4)
-    assert found.solution.amplitude() == pytest.approx(peak.amplitude, rel=0.02)
-    assert not found.several
+    assert resonance.omega == pytest.approx(peak.omega, rel=2e-4)
+    assert resonance.solution.amplitude() == pytest.approx(peak.amplitude, rel=0.02)
+    assert not resonance.several
 
 
 def test_large_structures_are_reduced() -> None:
     """As for curves, to crack faces without mass."""
     scene = cracked(0.0)
-    whole, law = fc.build_structure(scene), fc.prepare(scene).contact
-    found = resonance_at(Problem(whole, scene.excitation.omega, law)).solution
-    assert whole.n_dofs > 600 > found.structure.n_dofs
-    assert found.structure.whole is whole and found.converged
+    full_structure, law = fc.build_structure(scene), fc.prepare(scene).contact
+    solution = resonance_at(Problem(full_structure, scene.excitation.omega, law)).solution
+    assert full_structure.n_dofs > 600 > solution.structure.n_dofs
+    assert solution.structure.whole is full_structure and solution.converged
 
 
 def test_the_short_form() -> None:
     """Structure, law and frequency in place of a problem, with 5 harmonics or those of the load;
     the frequency is that of a mass on each of two springs for half of its own periods."""
     law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
-    found = fc.resonance_at(structure, law, 1.2)
+    resonance = fc.resonance_at(structure, law, 1.2)
     bilinear = 2.0 / (1.0 + math.sqrt(0.5))
-    assert found.omega == pytest.approx(bilinear, rel=2e-3) and found.solution.harmonics == 5
-    assert found.omega == fc.resonance_at(Problem(structure, 1.2, law)).omega
-    many = structure.with_harmonics({7: (None, np.array([1e-6]))})
-    assert fc.resonance_at(many, law, 1.2).solution.harmonics == 7
+    assert (
+        resonance.omega == pytest.approx(bilinear, rel=2e-3) and resonance.solution.harmonics == 5
+    )
+    assert resonance.omega == fc.resonance_at(Problem(structure, 1.2, law)).omega
+    harmonic_load_structure = structure.with_harmonics({7: (None, np.array([1e-6]))})
+    assert fc.resonance_at(harmonic_load_structure, law, 1.2).solution.harmonics == 7
 
 
 # --- refused --------------------------------------------------------------------------------------

@@ -38,75 +38,89 @@ def run_up() -> Run[fc.ResponseCurve]:
 def test_basis_of_all_speeds() -> None:
     """Natural frequencies and compliances of structures that are assembled at speeds where the
     basis has none of its own."""
-    whole = fc.build_structure(blade(), MPI.COMM_SELF)
-    spinning = fc.run_up_structure(whole, 500.0, 700.0, 6)
+    full_structure = fc.build_structure(blade(), MPI.COMM_SELF)
+    rotor = fc.run_up_structure(full_structure, 500.0, 700.0, 6)
     law = fc.UnilateralConstraint()
     for speed in (540.0, 660.0):
-        one = spinning.at_speed(speed)
-        there = whole.rotation.at(speed)
-        assert one.omega == pytest.approx(fc.solve_modes(there, 6).omega, rel=1e-8)
-        other = fc.reduce_structure(there, modes=6, method="massless")
-        here, now = (
+        at_speed = rotor.at_speed(speed)
+        structure_at_speed = full_structure.rotation.at(speed)
+        assert at_speed.omega == pytest.approx(
+            fc.solve_modes(structure_at_speed, 6).omega, rel=1e-8
+        )
+        massless_structure = fc.reduce_structure(structure_at_speed, modes=6, method="massless")
+        rotor_compliance, massless_compliance = (
             fc.Problem(structure, 0.9 * ORDER * speed, law).compliance()
-            for structure in (one, other)
+            for structure in (at_speed, massless_structure)
         )
         for name in ("matrices", "linear_gap"):
-            found, expected = getattr(here, name), getattr(now, name)
-            assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+            rotor_array, massless_array = (
+                getattr(rotor_compliance, name),
+                getattr(massless_compliance, name),
+            )
+            assert np.abs(rotor_array - massless_array).max() < 1e-7 * np.abs(massless_array).max()
 
 
 @pytest.mark.nightly
 def test_stated_errors_of_a_run_up(run_up: Run[fc.ResponseCurve]) -> None:
     """Of the largest response those of the scene at its speed; the speed at which the resonance is
     met is off as on a mesh twice as fine, between a fifth of what is stated and 1.5 times it."""
-    found = run_up.errors
-    assert found is not None and found.causes == ("modes", "harmonics", "mesh", "friction")
+    errors = run_up.errors
+    assert errors is not None and errors.causes == ("modes", "harmonics", "mesh", "friction")
     peak, curve = run_up.peak(), run_up.result
     assert [peak.error, peak.omega_error] == [
-        found.stated(name)[0] for name in ("amplitude", "speed")
+        errors.stated(name)[0] for name in ("amplitude", "speed")
     ]
-    assert found.values["amplitude"] == pytest.approx(curve.amplitude().max(), rel=1e-3)
+    assert errors.values["amplitude"] == pytest.approx(curve.amplitude().max(), rel=1e-3)
     name = "omega_bilinear_1"
-    structure = curve.solution(peak.index).structure
-    rate = 1.0 - structure.stiffening(peak.omega)
-    assert rate < 0.99 and found.stated("speed")[0] * rate == pytest.approx(found.stated(name)[0])
+    rate = 1.0 - curve.solution(peak.index).structure.stiffening(peak.omega)
+    assert rate < 0.99 and errors.stated("speed")[0] * rate == pytest.approx(errors.stated(name)[0])
     mesh = run_up.scene.mesh
-    finer = {"mesh.lip_elements": 2 * mesh.given("lip_elements"), "mesh.size": mesh.size / 2.0}
-    finer |= {"mesh.error": False, "curve.stability": False}
-    finer |= {"curve.start": 0.99 * peak.value, "curve.stop": 1.01 * peak.value}
-    true = fc.curve(run_up.scene.replace(finer), MPI.COMM_SELF).peak().value / peak.value - 1.0
-    assert 0.2 < abs(true) / found.stated("speed")[0] < 1.5
+    changes = {"mesh.lip_elements": 2 * mesh.given("lip_elements"), "mesh.size": mesh.size / 2.0}
+    changes |= {"mesh.error": False, "curve.stability": False}
+    changes |= {"curve.start": 0.99 * peak.value, "curve.stop": 1.01 * peak.value}
+    true_shift = (
+        fc.curve(run_up.scene.replace(changes), MPI.COMM_SELF).peak().value / peak.value - 1.0
+    )
+    assert 0.2 < abs(true_shift) / errors.stated("speed")[0] < 1.5
     # A resonance that is higher is met at a higher speed; the coarse mesh's, where a finer one's is
     # met at a lower speed.
-    for parts in found.parts.values():
-        shifts = (np.array(parts[one].values) / found.values[one] - 1.0 for one in (name, "speed"))
+    for parts in errors.parts.values():
+        shifts = (
+            np.array(parts[quantity].values) / errors.values[quantity] - 1.0
+            for quantity in (name, "speed")
+        )
         resonance_shift, speed_shift = shifts
         assert speed_shift * rate == pytest.approx(resonance_shift, abs=1e-12)
-    assert true * (found.parts["mesh"]["speed"].values[1] - found.values["speed"]) < 0.0
+    assert true_shift * (errors.parts["mesh"]["speed"].values[1] - errors.values["speed"]) < 0.0
 
 
 def test_factor_of_the_damping() -> None:
     """A varied structure's run-up is damped as it is, at each speed."""
-    whole = fc.build_structure(blade(), MPI.COMM_SELF)
-    once, twice = (
-        fc.run_up_structure(whole.varied(damping=factor), 560.0, 640.0, 3) for factor in (1.0, 2.0)
+    full_structure = fc.build_structure(blade(), MPI.COMM_SELF)
+    rotor, doubled_rotor = (
+        fc.run_up_structure(full_structure.varied(damping=factor), 560.0, 640.0, 3)
+        for factor in (1.0, 2.0)
     )
-    assert twice.rate == pytest.approx(2.0 * once.rate, rel=1e-9)
-    assert str(twice.at_speed(600.0).damping) == "modal damping 1 %"
-    assert str(twice.varied(damping=3.0).at_speed(600.0).damping) == "modal damping 3 %"
+    assert doubled_rotor.rate == pytest.approx(2.0 * rotor.rate, rel=1e-9)
+    assert str(doubled_rotor.at_speed(600.0).damping) == "modal damping 1 %"
+    assert str(doubled_rotor.varied(damping=3.0).at_speed(600.0).damping) == "modal damping 3 %"
 
 
 def test_derivative_by_the_speed() -> None:
     """dF/dW of the equations, against wider differences of them, near resonance and in contact."""
-    whole = fc.build_structure(blade(), MPI.COMM_SELF)
-    spinning = fc.run_up_structure(whole, 560.0, 640.0, 6).at_speed(600.0)
-    problem = fc.Problem(spinning, ORDER * 600.0, fc.UnilateralConstraint(), 3)
-    found = fc.solve_harmonic_balance(spinning, problem.omega, problem.contact, harmonics=3)
-    assert found.indicators(0).closed_share > 0.05
-    family, unknown = BalanceAlongSpeed(problem, 560.0, 640.0), found.slow_gap_coefficients
+    full_structure = fc.build_structure(blade(), MPI.COMM_SELF)
+    rotor = fc.run_up_structure(full_structure, 560.0, 640.0, 6).at_speed(600.0)
+    problem = fc.Problem(rotor, ORDER * 600.0, fc.UnilateralConstraint(), 3)
+    solution = fc.solve_harmonic_balance(rotor, problem.omega, problem.contact, harmonics=3)
+    assert solution.indicators(0).closed_share > 0.05
+    family, unknown = BalanceAlongSpeed(problem, 560.0, 640.0), solution.slow_gap_coefficients
     rate = family._residual_by_value(600.0, family.system(600.0).linearise(unknown))
-    low, high = (family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01))
-    assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())
+    lower_residual, upper_residual = (
+        family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01)
+    )
+    assert rate == pytest.approx(
+        (upper_residual - lower_residual) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max()
+    )
 
 
 @pytest.mark.nightly
@@ -115,22 +129,24 @@ def test_a_crack_that_rotation_holds_open() -> None:
     steps short, nor long; the peak is that of a linear structure, proportional to the load."""
     peaks = []
     for force in (0.02, 0.2):
-        still = {"excitation.force_mean": [0.0, 0.0], "excitation.force_sin": [force, 0.0]}
-        found = fc.curve(blade(CURVE | {"stability": False}).replace(still), MPI.COMM_SELF).result
-        assert found.complete and len(found) < 200
-        assert found.indicators().closed_share.max() == 0.0
-        peaks.append(found.peak())
+        load_changes = {"excitation.force_mean": [0.0, 0.0], "excitation.force_sin": [force, 0.0]}
+        curve = fc.curve(
+            blade(CURVE | {"stability": False}).replace(load_changes), MPI.COMM_SELF
+        ).result
+        assert curve.complete and len(curve) < 200
+        assert curve.indicators().closed_share.max() == 0.0
+        peaks.append(curve.peak())
     assert peaks[1].amplitude == pytest.approx(10.0 * peaks[0].amplitude, rel=1e-3)
     assert peaks[1].damping == pytest.approx(peaks[0].damping, rel=1e-2)
-    whole, (speed, omega) = (
+    full_structure, (speed, omega) = (
         fc.build_structure(blade(), MPI.COMM_SELF),
         (peaks[1].value, peaks[1].omega),
     )
-    spinning = fc.run_up_structure(whole, 560.0, 640.0, 6).at_speed(speed)
-    beside = [spinning.at_speed(speed * (1.0 + h)).omega for h in (-1e-4, 1e-4)]
-    mode = int(np.abs(spinning.omega - omega).argmin())
-    stiffening = float(np.log(beside[1] / beside[0])[mode]) / 2e-4
-    assert spinning.stiffening(omega) == pytest.approx(stiffening, rel=1e-4)
+    rotor = fc.run_up_structure(full_structure, 560.0, 640.0, 6).at_speed(speed)
+    nearby_omegas = [rotor.at_speed(speed * (1.0 + h)).omega for h in (-1e-4, 1e-4)]
+    mode = int(np.abs(rotor.omega - omega).argmin())
+    stiffening = float(np.log(nearby_omegas[1] / nearby_omegas[0])[mode]) / 2e-4
+    assert rotor.stiffening(omega) == pytest.approx(stiffening, rel=1e-4)
     assert 0.02 < stiffening and peaks[1].damping == pytest.approx(0.005, rel=3e-3)
 
 
@@ -140,15 +156,15 @@ def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurv
     points, special = tabulate_curve_points(run_up), tabulate_special_points(run_up)
     for table, rows in ((points, points.rows[:: len(points.rows) // 5]), (special, special.rows)):
         for row in rows:
-            told = dict(zip(table.columns, row, strict=True))
-            omega = told["omega [rad/s]"]
-            there = fc.bilinear_frequencies(rotation.at(omega / ORDER)).nearest(omega)
+            record = dict(zip(table.columns, row, strict=True))
+            omega = record["omega [rad/s]"]
+            frequencies = fc.bilinear_frequencies(rotation.at(omega / ORDER)).nearest(omega)
             for name in ("over_open", "over_tied", "over_bilinear"):
-                assert told[name] == pytest.approx(float(there[name]), rel=2e-5)
-    [before, after] = (
+                assert record[name] == pytest.approx(float(frequencies[name]), rel=2e-5)
+    [first_omega, last_omega] = (
         row[points.columns.index("omega_open [rad/s]")] for row in (points.rows[0], points.rows[-1])
     )
-    assert after > 1.001 * before
+    assert last_omega > 1.001 * first_omega
 
 
 def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -> None:
@@ -157,23 +173,25 @@ def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -
     peak = int(curve.amplitude(run_up.watched_dof).argmax())
     for index in (0, peak, len(curve) - 1):
         speed = float(curve.values[index])
-        one = fc.solve(blade().replace({"rotation.speed": speed}), MPI.COMM_SELF)
-        expected = one.result.amplitude(one.watched_dof)
-        assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(expected, rel=1e-3)
-        assert curve.verdicts[index] == one.result.stability.verdict == "stable"
-        largest = abs(one.result.stability.multipliers[0])
+        solution_run = fc.solve(blade().replace({"rotation.speed": speed}), MPI.COMM_SELF)
+        amplitude = solution_run.result.amplitude(solution_run.watched_dof)
+        assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(amplitude, rel=1e-3)
+        assert curve.verdicts[index] == solution_run.result.stability.verdict == "stable"
+        max_multiplier = abs(solution_run.result.stability.multipliers[0])
         # Interpolated between orbits; at the peak a pair becomes real, which is a square root.
-        allowed = 3e-3 if index == peak else 1e-5
-        assert abs(curve.multipliers[index]) == pytest.approx(largest, rel=allowed)
+        rtol = 3e-3 if index == peak else 1e-5
+        assert abs(curve.multipliers[index]) == pytest.approx(max_multiplier, rel=rtol)
 
 
 def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None:
     """It is saved, and read with its scene, as it was; tip timing takes it."""
     fc.save(run_up.result, tmp_path / "curve.h5", run_up.scene)
-    again = fc.load_run(tmp_path / "curve.h5", MPI.COMM_SELF)
+    loaded_run = fc.load_run(tmp_path / "curve.h5", MPI.COMM_SELF)
     dof = run_up.watched_dof
-    assert isinstance(again.result, fc.ResponseCurve) and again.result.parameter == "speed"
-    assert again.result.amplitude(dof) == pytest.approx(run_up.result.amplitude(dof), rel=1e-6)
+    assert (
+        isinstance(loaded_run.result, fc.ResponseCurve) and loaded_run.result.parameter == "speed"
+    )
+    assert loaded_run.result.amplitude(dof) == pytest.approx(run_up.result.amplitude(dof), rel=1e-6)
     arrivals = fc.tip_timing(
         run_up.result, dof, probes=[0.1, 1.0, 2.5], tip_radius=0.42, order=ORDER, revolutions=50
     )
@@ -198,22 +216,24 @@ def test_run_up_in_the_scenes_unit(
     [panel] = figure.axes
     assert panel.get_xlabel() == f"rotor speed [{unit}]"
     assert panel.lines[0].get_xdata()[0] == pytest.approx(560.0 * factor)
-    [above] = panel.child_axes
+    [top_axes] = panel.child_axes
     order = f"load frequency, engine order 12 [{'Hz' if in_rpm else 'rad/s'}]"
-    assert above.get_xlabel() == order
+    assert top_axes.get_xlabel() == order
     figure.draw_without_rendering()
-    assert above.get_xlim() == pytest.approx(per_speed * np.array(panel.get_xlim()))
+    assert top_axes.get_xlim() == pytest.approx(per_speed * np.array(panel.get_xlim()))
 
-    whole = tabulate_special_points(run)
-    first = dict(zip(whole.columns, whole.rows[0], strict=True))
-    given = first["speed [rad/s]"], first["rpm"]
-    assert given == pytest.approx((560.0, 560.0 / RAD_PER_S_PER_RPM))
-    assert first["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
-    assert first["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
-    shown = select_printed_quantities(whole, run.scene, IN_SPECIAL_POINTS_TABLE).columns[:3]
-    assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
+    table = tabulate_special_points(run)
+    record = dict(zip(table.columns, table.rows[0], strict=True))
+    first_speeds = record["speed [rad/s]"], record["rpm"]
+    assert first_speeds == pytest.approx((560.0, 560.0 / RAD_PER_S_PER_RPM))
+    assert record["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
+    assert record["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
+    printed_columns = select_printed_quantities(table, run.scene, IN_SPECIAL_POINTS_TABLE).columns[
+        :3
+    ]
+    assert printed_columns == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
-    assert tabulate_curve_points(run).columns[:4] == whole.columns[1:5]
+    assert tabulate_curve_points(run).columns[:4] == table.columns[1:5]
 
 
 def test_bad_input() -> None:
@@ -226,6 +246,6 @@ def test_bad_input() -> None:
     plate = fc.prepare(cracked(600.0), MPI.COMM_SELF)
     with pytest.raises(InputError, match="run_up_structure"):
         fc.continue_parameter(plate.structure, 7e3, plate.contact, "speed", 560.0, 640.0)
-    still = fc.build_structure(cracked(0.0), MPI.COMM_SELF)
+    resting_structure = fc.build_structure(cracked(0.0), MPI.COMM_SELF)
     with pytest.raises(InputError, match="rotates"):
-        fc.run_up_structure(still, 560.0, 640.0, 6)
+        fc.run_up_structure(resting_structure, 560.0, 640.0, 6)

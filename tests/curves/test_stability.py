@@ -37,8 +37,8 @@ def test_without_contact_the_flow_is_linear() -> None:
     solution = fc.solve_harmonic_balance(structure, 1.3, fc.UnilateralPenalty(1.0), harmonics=3)
     flow = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
     exact = np.linalg.eigvals(scipy.linalg.expm(solution.period * flow))
-    found = floquet(structure, solution).multipliers
-    assert np.allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-9)
+    multipliers = floquet(structure, solution).multipliers
+    assert np.allclose(np.sort(np.abs(multipliers)), np.sort(np.abs(exact)), rtol=1e-9)
 
 
 def test_a_turning_shaft_with_a_crack() -> None:
@@ -50,11 +50,11 @@ def test_a_turning_shaft_with_a_crack() -> None:
             np.eye(2), np.diag([0.8, 1.0]) - speed**2 * np.eye(2), gap=[-1.0, 0.0],
             force_cos=[1.0, 0.0], force_sin=[0.0, -1.0], damping=damping,
         )  # fmt: skip
-        found = fc.solve_harmonic_balance(shaft, speed, fc.UnilateralPenalty(0.2), harmonics=40)
-        stability = floquet(shaft, found)
-        assert found.report.truncation < 1e-4 and stability.verdict == "stable", speed
+        solution = fc.solve_harmonic_balance(shaft, speed, fc.UnilateralPenalty(0.2), harmonics=40)
+        stability = floquet(shaft, solution)
+        assert solution.report.truncation < 1e-4 and stability.verdict == "stable", speed
         product = np.prod(stability.multipliers)
-        assert product == pytest.approx(np.exp(-0.16 * found.period), rel=1e-6)
+        assert product == pytest.approx(np.exp(-0.16 * solution.period), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,8 @@ def test_against_the_variational_equation(law: fc.UnilateralPenalty | fc.Smoothe
         rate, (0.0, solution.period), np.eye(4).ravel(), rtol=1e-8, atol=1e-10, max_step=0.01
     )
     exact = np.linalg.eigvals(run.y[:, -1].reshape(4, 4))
-    found = floquet(structure, solution).multipliers
-    assert np.abs(found[0]) == pytest.approx(np.abs(exact).max(), abs=2e-4)
+    multipliers = floquet(structure, solution).multipliers
+    assert np.abs(multipliers[0]) == pytest.approx(np.abs(exact).max(), abs=2e-4)
 
 
 @pytest.mark.drawn(1)
@@ -101,18 +101,20 @@ def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -
         law = fc.UnilateralPenalty(stiffness)
         harmonics = 100 if stiffness > 5e9 else 40
         solution = fc.solve_harmonic_balance(plate, omega, law, harmonics=harmonics)
-        found = floquet(plate, solution)
-        assert found.verdict != "undecided"
-        verdicts.append(found.verdict)
+        stability = floquet(plate, solution)
+        assert stability.verdict != "undecided"
+        verdicts.append(stability.verdict)
         orbit = fc.shoot(plate, solution)
-        assert np.abs(orbit.multipliers[0]) == pytest.approx(np.abs(found.multipliers[0]), rel=0.02)
+        assert np.abs(orbit.multipliers[0]) == pytest.approx(
+            np.abs(stability.multipliers[0]), rel=0.02
+        )
         state, distance = orbit.state * (1.0 + 1e-6 * random), [1e-6]
         while 1e-8 < distance[-1] < 1e-4 and len(distance) < 120:
             state = orbit.flow.advance(state, omega, solution.period).state
             distance.append(relative(state, orbit.state))
-        late = np.arange(len(distance) // 2, len(distance))
-        rate = np.exp(np.polyfit(late, np.log(np.array(distance)[late]), 1)[0])
-        assert (rate < 1.0) == (found.verdict == "stable"), (stiffness, omega, found, rate)
+        late_periods = np.arange(len(distance) // 2, len(distance))
+        rate = np.exp(np.polyfit(late_periods, np.log(np.array(distance)[late_periods]), 1)[0])
+        assert (rate < 1.0) == (stability.verdict == "stable"), (stiffness, omega, stability, rate)
         assert rate == pytest.approx(np.abs(orbit.multipliers[0]), rel=0.15)
     assert set(verdicts) == {"stable", "unstable"}
 
@@ -121,10 +123,10 @@ def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
     """The paper's data with few harmonics: the verdict is undecided."""
     plate = fc.reduce_structure(paper_structure, modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
-    found = floquet(plate, solution)
+    stability = floquet(plate, solution)
     assert solution.report.truncation > 0.005
-    assert found.verdict != "stable"
-    assert np.abs(found.multipliers[0]) > 1.0
+    assert stability.verdict != "stable"
+    assert np.abs(stability.multipliers[0]) > 1.0
 
 
 def test_what_cannot_be_judged_is_refused() -> None:
@@ -140,19 +142,21 @@ def test_solution_far_away_from_its_orbit() -> None:
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 0.8, law, harmonics=12)
     names = ("displacement_coefficients", "gap_coefficients", "force_coefficients")
-    wrong = replace(solution, **{name: 1.28 * getattr(solution, name) for name in names})
-    assert wrong.assessment is not solution.assessment
-    assert wrong.assessment.gap_and_load_errors() == pytest.approx((0.28, 0.28), rel=1e-4)
-    found = floquet(structure, wrong)
-    assert floquet(structure, solution).verdict == "stable" and found.verdict == "undecided"
-    assert "which is stable, is 28 % away where 22 % was predicted" in found.reason
+    scaled_solution = replace(solution, **{name: 1.28 * getattr(solution, name) for name in names})
+    assert scaled_solution.assessment is not solution.assessment
+    assert scaled_solution.assessment.gap_and_load_errors() == pytest.approx((0.28, 0.28), rel=1e-4)
+    stability = floquet(structure, scaled_solution)
+    assert floquet(structure, solution).verdict == "stable" and stability.verdict == "undecided"
+    assert "which is stable, is 28 % away where 22 % was predicted" in stability.reason
 
 
 def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
     """Of a law of one's own: a third of it called a motion with a multiplier of 1.79 stable. Kinks
     are no fault, nor is a pair that never closes or rests at one."""
-    one = np.eye(1)
-    structure = fc.Structure.from_matrices(one, one, gap=one, force_cos=[0.3], damping=0.05 * one)
+    unit = np.eye(1)
+    structure = fc.Structure.from_matrices(
+        unit, unit, gap=unit, force_cos=[0.3], damping=0.05 * unit
+    )
 
     class Third(Cubic):
         def tangent(self, gap: np.ndarray) -> np.ndarray:
@@ -177,11 +181,11 @@ def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
         floquet(structure, solution, Third(1.0))
     two, law = np.eye(2), Hardening(6.0)
     for clearance in (0.0, 10.0):
-        other = fc.Structure.from_matrices(
+        two_mass_structure = fc.Structure.from_matrices(
             two, two, gap=two, force_cos=[0.3, 0.0], damping=0.05 * two, clearance=clearance
         )
-        found = fc.solve_harmonic_balance(other, 1.5, law, harmonics=9)
-        assert floquet(other, found).verdict == "stable"
+        two_mass_solution = fc.solve_harmonic_balance(two_mass_structure, 1.5, law, harmonics=9)
+        assert floquet(two_mass_structure, two_mass_solution).verdict == "stable"
 
 
 # --- lips without mass ----------------------------------------------------------------------------
@@ -195,17 +199,17 @@ def test_verdict_is_that_of_the_disturbed_motion(
 ) -> None:
     """The distance to the orbit shrinks or grows as the leading multiplier says."""
     solution = fc.solve_harmonic_balance(light_lips, omega, law, harmonics=20)
-    found = fc.floquet(light_lips, solution)
-    assert found.refined and found.verdict in ("stable", "unstable")
+    stability = fc.floquet(light_lips, solution)
+    assert stability.refined and stability.verdict in ("stable", "unstable")
     orbit = fc.shoot(light_lips, solution)
-    moved = orbit.state * (1.0 + 1e-7)
+    state = orbit.state * (1.0 + 1e-7)
     distances = []
     for _ in range(40):
-        moved = orbit.flow.advance(moved, omega, orbit.period).state
-        distances.append(np.linalg.norm(moved - orbit.state))
+        state = orbit.flow.advance(state, omega, orbit.period).state
+        distances.append(np.linalg.norm(state - orbit.state))
     rate = (distances[-1] / distances[9]) ** (1.0 / 30.0)
-    assert (rate < 1.0) == (found.verdict == "stable")
-    assert rate < abs(found.multipliers[0]) + 0.05
+    assert (rate < 1.0) == (stability.verdict == "stable")
+    assert rate < abs(stability.multipliers[0]) + 0.05
 
 
 def test_two_ways_to_the_multipliers(light_lips: fc.Structure) -> None:
@@ -213,11 +217,11 @@ def test_two_ways_to_the_multipliers(light_lips: fc.Structure) -> None:
     solution = fc.solve_harmonic_balance(
         light_lips, 1500.0, fc.UnilateralPenalty(1e9), harmonics=60
     )
-    marched = fc.floquet(light_lips, solution)
+    stability = fc.floquet(light_lips, solution)
     prediction = solution.assessment.orbit_prediction
-    assert marched.refined and prediction is not None
-    largest = np.abs(np.linalg.eigvals(prediction.monodromy)).max()
-    assert abs(marched.multipliers[0]) == pytest.approx(largest, abs=0.03)
+    assert stability.refined and prediction is not None
+    max_multiplier = np.abs(np.linalg.eigvals(prediction.monodromy)).max()
+    assert abs(stability.multipliers[0]) == pytest.approx(max_multiplier, abs=0.03)
 
 
 def test_a_constraint_of_lips_with_mass_is_refused(soft_plate: fc.Structure) -> None:
@@ -230,14 +234,21 @@ def test_a_constraint_of_lips_with_mass_is_refused(soft_plate: fc.Structure) -> 
 def test_displacement_error_is_that_of_the_load(light_lips: fc.Structure) -> None:
     """Within a factor 3 of the difference from four times the harmonics."""
     law = fc.UnilateralPenalty(1e9)
-    coarse, fine = (
+    coarse_solution, fine_solution = (
         fc.solve_harmonic_balance(light_lips, 2000.0, law, harmonics=count) for count in (8, 32)
     )
-    waves = [one.displacement_coefficients @ light_lips.force[2] for one in (coarse, fine)]
+    waves = [
+        solution.displacement_coefficients @ light_lips.force[2]
+        for solution in (coarse_solution, fine_solution)
+    ]
     change = waves[1].copy()
     change[: len(waves[0])] -= waves[0]
-    true = np.sqrt(mean_square(change) / mean_square(waves[1]))
-    assert true / 3.0 < coarse.report.displacement < 3.0 * true + 3.0 * coarse.report.reduction
+    true_error = np.sqrt(mean_square(change) / mean_square(waves[1]))
+    assert (
+        true_error / 3.0
+        < coarse_solution.report.displacement
+        < 3.0 * true_error + 3.0 * coarse_solution.report.reduction
+    )
 
 
 # --- orbits by shooting ---------------------------------------------------------------------------
@@ -245,8 +256,7 @@ def test_displacement_error_is_that_of_the_load(light_lips: fc.Structure) -> Non
 
 def test_failure_names_the_closest_residual() -> None:
     """Where residuals get no further."""
-    law = fc.UnilateralPenalty(1.0)
-    solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
+    solution = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), harmonics=5)
     with pytest.raises(fc.ConvergenceError, match=r"closest (0\.0e\+00|\d\.\de-1[2-9])"):
         fc.shoot(oscillator(), solution, tolerance=-1.0)
 
@@ -263,14 +273,14 @@ def test_slow_load_beside_high_modes(omega: float, verdict: str) -> None:
     slow = fc.Structure.from_matrices(
         np.eye(2), np.diag([1.0, 9e8]), gap=[1.0, 1.0], force_cos=[1.0, 1.0], damping=damping
     )
-    found = fc.solve_harmonic_balance(slow, omega, fc.UnilateralPenalty(1.0), tolerance=1e-2)
-    stability = fc.floquet(slow, found)
+    solution = fc.solve_harmonic_balance(slow, omega, fc.UnilateralPenalty(1.0), tolerance=1e-2)
+    stability = fc.floquet(slow, solution)
     assert stability.verdict == verdict
-    assert found.report.total <= 1e-2
+    assert solution.report.total <= 1e-2
     if verdict == "undecided":
         assert "thousand cycles in a period" in stability.reason
         assert "keep fewer modes" in stability.reason
     else:
-        assert fc.shoot(slow, found).residual <= 1e-10
-        product = np.exp(-np.trace(damping) * found.period)  # Liouville
+        assert fc.shoot(slow, solution).residual <= 1e-10
+        product = np.exp(-np.trace(damping) * solution.period)  # Liouville
         assert abs(np.prod(stability.multipliers)) == pytest.approx(product, rel=1e-5)

@@ -32,27 +32,27 @@ def lightly_damped(seed: int) -> tuple[fc.Structure, tuple[float, float], Any]:
         }  # fmt: skip
         study = fc.prepare(fc.Scene.from_text(build_scene_text("new.toml", "", ())).replace(keys))
         structure, law = study.structure, study.contact
-        near = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
+        load_omega = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
     else:
         structure, law = random_chain(seed)
         structure = structure.varied(damping=0.5)
-        near = float(fc.solve_modes(structure, 1).omega[0])
-    near *= float(rng.choice([1.0, 1.0 / 2.0, 1.0 / 3.0, rng.uniform(0.3, 3.0)]))
-    return structure, (0.85 * near, 1.15 * near), law
+        load_omega = float(fc.solve_modes(structure, 1).omega[0])
+    load_omega *= float(rng.choice([1.0, 1.0 / 2.0, 1.0 / 3.0, rng.uniform(0.3, 3.0)]))
+    return structure, (0.85 * load_omega, 1.15 * load_omega), law
 
 
-def off_reference(flow: ReferenceFlow, one: Any) -> float:
+def off_reference(flow: ReferenceFlow, bifurcation: Any) -> float:
     """Distance from the unit circle, or from -1, of the multiplier that a bifurcation has there, on
     the reference's orbit; inf where it has none."""
     # The exact state: Newton's method may lead elsewhere from a solution to 1e-2.
-    parts = np.split(one.orbit.state, 2)
-    state = flow.state(*(one.orbit.flow.modal_model.shapes @ part for part in parts))
+    parts = np.split(bifurcation.orbit.state, 2)
+    state = flow.state(*(bifurcation.orbit.flow.modal_model.shapes @ part for part in parts))
     try:
-        orbit = flow.orbit(state, one.value, 2.0 * np.pi / one.value)
+        orbit = flow.orbit(state, bifurcation.value, 2.0 * np.pi / bifurcation.value)
     except (NoOrbit, np.linalg.LinAlgError):
         return float("inf")
     values = orbit.multipliers
-    if one.kind == "period_doubling":
+    if bifurcation.kind == "period_doubling":
         return float(np.abs(values + 1.0).min())
     return float(np.abs(np.abs(values[np.abs(values.imag) > 1e-9]) - 1.0).min(initial=np.inf))
 
@@ -63,14 +63,19 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
     flow, omega = ReferenceFlow(curve.structure, curve.contact), curve.values
     spacing, shapes = STEP * (span[1] - span[0]) / FINER, curve.orbit(0).flow.modal_model.shapes
     way = np.append(0.0, np.cumsum(np.abs(np.diff(omega))))
-    met = np.arange(spacing, way[-1], spacing)
-    folded = {curve.nearest(one) for one in curve.bifurcations if one.kind == "fold"}
-    wrong, judged = np.zeros(len(met), dtype=bool), 0
-    for number, at in enumerate(met):
-        place = int(np.searchsorted(way, at)) - 1
-        if {place, place + 1} & folded:  # two orbits, of which Newton's method may find the other
+    path_positions = np.arange(spacing, way[-1], spacing)
+    fold_indices = {
+        curve.nearest(bifurcation)
+        for bifurcation in curve.bifurcations
+        if bifurcation.kind == "fold"
+    }
+    is_wrong, n_judged = np.zeros(len(path_positions), dtype=bool), 0
+    for number, position in enumerate(path_positions):
+        place = int(np.searchsorted(way, position)) - 1
+        # At a fold there are two orbits, and Newton's method may find the other.
+        if {place, place + 1} & fold_indices:
             continue
-        share = (at - way[place]) / (way[place + 1] - way[place])
+        share = (position - way[place]) / (way[place + 1] - way[place])
         value = float(omega[place] + share * (omega[place + 1] - omega[place]))
         state = (1.0 - share) * curve.points[place] + share * curve.points[place + 1]
         start = flow.state(*(shapes @ part for part in np.split(state, 2)))
@@ -78,13 +83,13 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
             orbit = flow.orbit(start, value, curve.subharmonic * 2.0 * np.pi / value)
         except (NoOrbit, np.linalg.LinAlgError):
             continue
-        judged += 1
-        wrong[number] = (abs(orbit.multipliers[0]) < 1.0) != stated_stable(curve, place, value)
-    stretches = "".join("x" if one else " " for one in wrong).split()
+        n_judged += 1
+        is_wrong[number] = (abs(orbit.multipliers[0]) < 1.0) != stated_stable(curve, place, value)
+    stretches = "".join("x" if is_false else " " for is_false in is_wrong).split()
     widest = spacing * max(map(len, stretches), default=0)
     longest = float(np.abs(np.diff(omega)).max())
     return {
-        "judged": judged, "of": len(met), "false": float(wrong.mean()),
+        "judged": n_judged, "of": len(path_positions), "false": float(is_wrong.mean()),
         "widest/resolution": widest / curve.resolution,
         "resolution/longest": curve.resolution / longest,
     }  # fmt: skip
@@ -93,11 +98,11 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
 def stated_stable(curve: fc.ResponseCurve, place: int, value: float) -> bool:
     """What a curve states of a value between two points: its verdict changes at the events."""
     ends = curve.values[place], curve.values[place + 1]
-    events = [one.value for one in curve.bifurcations if one.kind != "fold"]
-    inside = sorted(one for one in events if min(ends) < one < max(ends))
-    if not inside:
+    events = [bifurcation.value for bifurcation in curve.bifurcations if bifurcation.kind != "fold"]
+    next_events = sorted(event for event in events if min(ends) < event < max(ends))
+    if not next_events:
         return bool(curve.stable[place])
-    nearer = abs(value - ends[0]) < abs(inside[0] - ends[0])
+    nearer = abs(value - ends[0]) < abs(next_events[0] - ends[0])
     return bool(curve.stable[place if nearer else place + 1])
 
 
@@ -117,19 +122,21 @@ def doubled() -> ResponseCurve:
 def test_a_window_between_two_stable_points(doubled: ResponseCurve) -> None:
     """Both doublings at the default step; by another flow a multiplier is -1 at each, and the
     orbit between them is unstable."""
-    found = doubled.bifurcations
-    assert [one.kind for one in found] == ["period_doubling"] * 2
-    assert [one.value for one in found] == pytest.approx([1.99153, 2.00859], abs=1e-5)
+    doublings = doubled.bifurcations
+    assert [bifurcation.kind for bifurcation in doublings] == ["period_doubling"] * 2
+    assert [bifurcation.value for bifurcation in doublings] == pytest.approx(
+        [1.99153, 2.00859], abs=1e-5
+    )
     flow = ReferenceFlow(doubled.structure, doubled.contact)
-    assert max(off_reference(flow, one) for one in found) < 1e-6
-    between = (found[0].value < doubled.values) & (doubled.values < found[1].value)
-    assert (doubled.verdicts[between] == "unstable").all() and between.sum() >= 3
-    assert (doubled.verdicts[~between] == "stable").all()
+    assert max(off_reference(flow, bifurcation) for bifurcation in doublings) < 1e-6
+    is_between = (doublings[0].value < doubled.values) & (doubled.values < doublings[1].value)
+    assert (doubled.verdicts[is_between] == "unstable").all() and is_between.sum() >= 3
+    assert (doubled.verdicts[~is_between] == "stable").all()
 
 
 def test_resolution_of_a_curve(doubled: ResponseCurve) -> None:
     """A tenth of the longest step in the parameter; nothing of a single point."""
-    steps = [after - before for before, after in pairwise(doubled.values)]
+    steps = [next_omega - omega for omega, next_omega in pairwise(doubled.values)]
     assert doubled.resolution == pytest.approx(0.1 * max(steps))
     assert doubled.part([0]).resolution == 0.0
 
@@ -141,7 +148,9 @@ def test_multipliers_of_a_pair_that_meet(coupling: float, sides: tuple[float, fl
     one leaves the circle where c > d."""
     damping = 0.01
     generators = [np.array([[0.0, coupling + a], [coupling - a, 0.0]]) for a in sides]
-    matrices = -np.exp(-damping) * np.array([scipy.linalg.expm(one) for one in generators])
+    matrices = -np.exp(-damping) * np.array(
+        [scipy.linalg.expm(generator) for generator in generators]
+    )
     assert step_collision_severities(matrices) == pytest.approx([coupling / damping], rel=0.05)
 
 
@@ -149,7 +158,7 @@ def test_multipliers_of_a_pair_that_meet(coupling: float, sides: tuple[float, fl
 def test_a_pair_that_comes_nearer_and_does_not_meet(side: float) -> None:
     """Both matrices have it in the same order along the circle: it has not met in between."""
     generators = [np.array([[0.0, 0.2 + a], [0.2 - a, 0.0]]) for a in (0.3 * side, 0.21 * side)]
-    matrices = -np.exp(-0.01) * np.array([scipy.linalg.expm(one) for one in generators])
+    matrices = -np.exp(-0.01) * np.array([scipy.linalg.expm(generator) for generator in generators])
     assert step_collision_severities(matrices).tolist() == [0.0]
 
 
@@ -157,12 +166,16 @@ def test_a_pair_that_comes_nearer_and_does_not_meet(side: float) -> None:
 def test_two_pairs_that_meet(opposite: bool, expected: float) -> None:
     """On the circle at e^(i); of one signature they pass, of opposite ones they part."""
     damping, coupling = (0.01, 0.04), 0.04
-    back = coupling if opposite else -coupling
+    back_coupling = coupling if opposite else -coupling
     matrices = []
     for a in (0.1, -0.1):
-        generator = np.array([[-damping[0] + 1j * a, coupling], [back, -damping[1] - 1j * a]])
-        one = np.exp(1j) * scipy.linalg.expm(generator)
-        matrices.append(np.block([[one.real, -one.imag], [one.imag, one.real]]))
+        generator = np.array(
+            [[-damping[0] + 1j * a, coupling], [back_coupling, -damping[1] - 1j * a]]
+        )
+        transition = np.exp(1j) * scipy.linalg.expm(generator)
+        matrices.append(
+            np.block([[transition.real, -transition.imag], [transition.imag, transition.real]])
+        )
     assert step_collision_severities(np.array(matrices)) == pytest.approx([expected], abs=0.1)
 
 
@@ -181,10 +194,12 @@ def test_verdicts_between_points(seed: int) -> None:
     false window is wider than the resolution, at most a fifth of the longest step."""
     structure, span, law = lightly_damped(seed)
     curve = fc.continue_frequency(structure, *span, law, tolerance=1e-2)
-    found = false_verdicts(curve, span)
-    assert found["judged"] >= 0.99 * found["of"] > 900
-    assert found["false"] <= 1e-3
-    assert found["widest/resolution"] <= 1.0 and found["resolution/longest"] <= 0.2
+    verdict_counts = false_verdicts(curve, span)
+    assert verdict_counts["judged"] >= 0.99 * verdict_counts["of"] > 900
+    assert verdict_counts["false"] <= 1e-3
+    assert (
+        verdict_counts["widest/resolution"] <= 1.0 and verdict_counts["resolution/longest"] <= 0.2
+    )
 
 
 def test_multipliers_of_rounding() -> None:

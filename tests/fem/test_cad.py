@@ -103,8 +103,7 @@ DRAWN: dict[str, Callable[[Any], Any]] = {
 
 def part(parts: Path, **changes: Any) -> Scene:
     """The scene of the box in a STEP file."""
-    text = TEXT.replace("box.step", str(parts / "box.step"))
-    scene = Scene.from_text(text)
+    scene = Scene.from_text(TEXT.replace("box.step", str(parts / "box.step")))
     return scene.replace({key.replace("__", "."): value for key, value in changes.items()})
 
 
@@ -128,25 +127,29 @@ def first_frequency(scene: Scene) -> float:
 def test_a_box_from_a_file(parts: Path, changes: dict[str, Any], own: dict[str, Any]) -> None:
     """Its frequencies are those of the box that is made here, whose crack is given by its keys."""
     scene = part(parts, mesh__lip_elements=4).replace(changes)
-    lost = dict.fromkeys(f"crack.{key}" for key in ("point", "normal", "direction", "radii"))
+    removed_keys = dict.fromkeys(
+        f"crack.{key}" for key in ("point", "normal", "direction", "radii")
+    )
     keys = {f"crack.{key}": value for key, value in ({"height": 0.03} | own).items()}
-    same = scene.replace(OF_PART | SIDES | lost | {"crack.front": None} | keys)
-    structures = [fc.build_structure(one, MPI.COMM_SELF) for one in (scene, same)]
+    box_scene = scene.replace(OF_PART | SIDES | removed_keys | {"crack.front": None} | keys)
+    structures = [fc.build_structure(variant, MPI.COMM_SELF) for variant in (scene, box_scene)]
     for lips in ("open", "tied"):
-        found, known = (fc.solve_modes(one, 1, lips=lips).omega[0] for one in structures)
-        assert found == pytest.approx(known, rel=5e-4)
+        file_omega, box_omega = (
+            fc.solve_modes(structure, 1, lips=lips).omega[0] for structure in structures
+        )
+        assert file_omega == pytest.approx(box_omega, rel=5e-4)
 
 
 def test_a_file_without_a_unit(parts: Path) -> None:
     """A .brep file in mm and one in inches: all is 25.4 times as large."""
     scene = part(parts, geometry__file=str(parts / "box.brep"), geometry__unit="mm", crack=None)
-    large = {
+    inch_keys = {
         "geometry.unit": "inch", "mesh.size": 25.4 * 0.006,
         "excitation.point": [0.0, 25.4 * 0.09, 25.4 * 0.003],
         "geometry.faces": {"clamp": [[25.4 * 0.015, 0.0, 25.4 * 0.003]]},
     }  # fmt: skip
     scene = scene.replace({"contact": None})
-    assert first_frequency(scene.replace(large)) * 25.4 == pytest.approx(
+    assert first_frequency(scene.replace(inch_keys)) * 25.4 == pytest.approx(
         first_frequency(scene), rel=1e-3
     )
 
@@ -157,33 +160,38 @@ def test_an_inclined_crack_of_a_box(parts: Path) -> None:
     tilt = {"crack.normal": [0.5, 1.0, 0.0], "crack.direction": [1.0, -0.5, 0.0]}
     scene = part(parts).replace(tilt)
     structures = [
-        fc.build_structure(one, MPI.COMM_SELF) for one in (scene, scene.replace(OF_PART | SIDES))
+        fc.build_structure(variant, MPI.COMM_SELF)
+        for variant in (scene, scene.replace(OF_PART | SIDES))
     ]
     for structure in structures:
         assert structure.pair_areas is not None
         area = structure.pair_areas.sum()
         assert area == pytest.approx(0.5 * math.pi * 0.008 * 0.003, rel=0.06)  # of chords
-    first = [fc.solve_modes(structure, 1).omega[0] for structure in structures]
-    assert first[0] == pytest.approx(first[1], rel=5e-4)
+    first_omegas = [fc.solve_modes(structure, 1).omega[0] for structure in structures]
+    assert first_omegas[0] == pytest.approx(first_omegas[1], rel=5e-4)
 
 
 @pytest.mark.nightly
 def test_cracks_in_the_order_of_the_scene(parts: Path) -> None:
     """The upper one first, with a clearance of its own; named faces take loads."""
-    high = {
+    upper_crack = {
         "crack.point": [0.0, 0.06, 0.006],
         "crack.radii": [0.006, 0.003],
         "crack.clearance": 1e-6,
     }
-    low = {"point": [0.03, 0.03, 0.006], "normal": [0.0, 1.0, 0.0], "direction": [1.0, 0.0, 0.0]}
-    low |= {"radii": [0.006, 0.003], "clearance": 2e-6}
+    lower_crack = {
+        "point": [0.03, 0.03, 0.006],
+        "normal": [0.0, 1.0, 0.0],
+        "direction": [1.0, 0.0, 0.0],
+    }
+    lower_crack |= {"radii": [0.006, 0.003], "clearance": 2e-6}
     load = {"edge": "top", "pressure_cos": -1.0}
     scene = part(parts).replace(
-        high | {f"cracks.1.{key}": value for key, value in low.items()}
+        upper_crack | {f"cracks.1.{key}": value for key, value in lower_crack.items()}
         | {f"loads.1.{key}": value for key, value in load.items()}
     )  # fmt: skip
-    for other in (scene, scene.replace(OF_PART | SIDES)):
-        structure = fc.build_structure(other, MPI.COMM_SELF)
+    for variant in (scene, scene.replace(OF_PART | SIDES)):
+        structure = fc.build_structure(variant, MPI.COMM_SELF)
         points = structure.pairs.points
         assert points is not None
         np.testing.assert_array_equal(points[:, 1] > 0.045, structure.clearance < 1.5e-6)
@@ -254,23 +262,25 @@ def test_remarks_before_the_mesh(tmp_path: Path, run_command: RunCommand) -> Non
     """A young's modulus in GPa is remarked on before the part's file turns out to be none."""
     scene = tmp_path / "scene.toml"
     scene.write_text(TEXT.replace("box.step", str(tmp_path / "missing.step")))
-    told = run_command("check", scene, sets=["material.young=210.0"], code=2).err
-    assert told.index("in GPa?") < told.index("No such file")
+    messages = run_command("check", scene, sets=["material.young=210.0"], code=2).err
+    assert messages.index("in GPa?") < messages.index("No such file")
 
 
 def test_a_load_near_the_surface(parts: Path) -> None:
     """It acts on the nearest node, which a remark names; one in the mesh acts where it is."""
     scene = part(parts, excitation__point=[0.0, 0.0902, 0.003], crack=None, contact=None)
     structure = fc.build_structure(scene, MPI.COMM_SELF)
-    remarks = [str(one) for one in remarks_on_scene(scene, structure)]
-    assert any("the force acts on the nearest one, at (0, 0.09, 0.003)" in one for one in remarks)
+    remarks = [str(remark) for remark in remarks_on_scene(scene, structure)]
+    assert any(
+        "the force acts on the nearest one, at (0, 0.09, 0.003)" in remark for remark in remarks
+    )
     assert np.count_nonzero(structure.force[2]) == 1
     with pytest.raises(InputError, match="on the mesh") as caught:
         fc.build_structure(scene.replace({"excitation.point": [0.0, 0.12, 0.003]}))
     assert caught.value.key == "excitation.point"
     scene = scene.replace({"excitation.point": [0.001, 0.0895, 0.003]})
     structure = fc.build_structure(scene, MPI.COMM_SELF)
-    assert not any("nearest" in str(one) for one in remarks_on_scene(scene, structure))
+    assert not any("nearest" in str(remark) for remark in remarks_on_scene(scene, structure))
 
 
 def on_these_ranks(scene: Scene, comm: MPI.Comm) -> np.ndarray:
@@ -282,8 +292,8 @@ def on_these_ranks(scene: Scene, comm: MPI.Comm) -> np.ndarray:
 @pytest.mark.mpi
 def test_two_ranks(on_ranks: Callable[..., Any], parts: Path) -> None:
     """The mesh is made once, and is the same."""
-    alone = on_these_ranks(part(parts), MPI.COMM_SELF)
-    np.testing.assert_allclose(on_ranks(on_these_ranks, part(parts)), alone, rtol=1e-8)
+    serial = on_these_ranks(part(parts), MPI.COMM_SELF)
+    np.testing.assert_allclose(on_ranks(on_these_ranks, part(parts)), serial, rtol=1e-8)
 
 
 def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> None:
@@ -293,13 +303,13 @@ def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> No
     assert (tmp_path / "rod_faces.png").stat().st_size > 1000
     text = scene.read_text()
     assert "# face_3 = " in text and "# face_4 = " not in text
-    coarse = ["mesh.error=false", "mesh.lip_elements=2", "mesh.size=0.02"]
-    checked = run_command("check", scene, sets=coarse).out
-    [clamp] = [line for line in checked.splitlines() if line.startswith("face clamp")]
+    coarse_settings = ["mesh.error=false", "mesh.lip_elements=2", "mesh.size=0.02"]
+    report = run_command("check", scene, sets=coarse_settings).out
+    [clamp] = [line for line in report.splitlines() if line.startswith("face clamp")]
     assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
-    [crack] = [line for line in checked.splitlines() if line.startswith("the crack front")]
+    [crack] = [line for line in report.splitlines() if line.startswith("the crack front")]
     assert "mm deep" in crack and "from the surface straight ahead" in crack
-    assert "crack.point" in checked
+    assert "crack.point" in report
 
 
 def environment() -> dict[str, str]:
@@ -335,7 +345,7 @@ def children(process: int) -> list[int]:
         lines = Path(f"/proc/{process}/task/{process}/children").read_text()
     except OSError:
         return []
-    return [int(one) for one in lines.split()]
+    return [int(number) for number in lines.split()]
 
 
 def is_running(process: int) -> bool:
@@ -359,16 +369,17 @@ def test_cells_near_a_front_are_straight() -> None:
         contents = collect_groups([(3, 1, "solid", [1])])
         front = {"points": [[3.0, 0.0, 1.0]], "shortest": 0.2, "length": 0.0}
         positions, count = straighten_edges(contents, [front])
-    before = contents["positions"]
+    positions_before = contents["positions"]
     order = np.argsort(contents["numbers"])
     cells = order[np.searchsorted(contents["numbers"], contents["nodes"], sorter=order)]
     cells = cells.reshape(-1, 10)
-    centres = before[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
-    distances = np.linalg.norm(before[cells[:, :4]] - front["points"][0], axis=2).min(axis=1)
-    near = distances < STRAIGHT_CELL_DISTANCE_RATIO * 0.2
-    is_curved = np.abs(before[cells[:, 4:]] - centres).max(axis=(1, 2)) > 1e-9
-    assert count == np.sum(near & is_curved) and 0 < count < np.sum(is_curved)
-    assert np.allclose(positions[cells[near, 4:]], centres[near], atol=1e-12)
-    touched = np.unique(cells[near, 4:])
-    unmoved = np.setdiff1d(np.arange(len(before)), touched)
-    assert np.array_equal(positions[unmoved], before[unmoved])
+    centres = positions_before[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
+    distances = np.linalg.norm(positions_before[cells[:, :4]] - front["points"][0], axis=2).min(
+        axis=1
+    )
+    is_near = distances < STRAIGHT_CELL_DISTANCE_RATIO * 0.2
+    is_curved = np.abs(positions_before[cells[:, 4:]] - centres).max(axis=(1, 2)) > 1e-9
+    assert count == np.sum(is_near & is_curved) and 0 < count < np.sum(is_curved)
+    assert np.allclose(positions[cells[is_near, 4:]], centres[is_near], atol=1e-12)
+    far_nodes = np.setdiff1d(np.arange(len(positions_before)), np.unique(cells[is_near, 4:]))
+    assert np.array_equal(positions[far_nodes], positions_before[far_nodes])

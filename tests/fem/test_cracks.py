@@ -52,9 +52,9 @@ def plate(cracks: list[dict[str, Any]], layout: str = "graded", **changes: Any) 
 
 def mirrored(cracks: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The cracks with left and right exchanged."""
-    other = {"left": "right", "right": "left"}
+    opposite_edge = {"left": "right", "right": "left"}
     return [
-        crack | ({"edge": other[crack["edge"]]} if "edge" in crack else
+        crack | ({"edge": opposite_edge[crack["edge"]]} if "edge" in crack else
                  {"center": WIDTH - crack["center"]})
         for crack in cracks
     ]  # fmt: skip
@@ -64,8 +64,7 @@ def static(structure: Structure, force: np.ndarray) -> np.ndarray:
     """Displacement under a static force, with open lips."""
     starts, columns, values = structure.stiffness.getValuesCSR()
     matrix = sparse.csr_matrix((values, columns, starts), structure.stiffness.size)
-    found: np.ndarray = scipy.sparse.linalg.spsolve(matrix.tocsc(), force)
-    return found
+    return scipy.sparse.linalg.spsolve(matrix.tocsc(), force)
 
 
 # --- meshes and pairs -----------------------------------------------------------------------------
@@ -79,27 +78,27 @@ def test_pairs_crack_by_crack(layout: str, cells: str, cracks: list[dict[str, An
     structure = build_structure(scene)
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
     points, positions = structure.pair_points, structure.pairs.positions
-    lower, upper, normals = pair_nodes(structure)
+    lower_nodes, upper_nodes, normals = pair_nodes(structure)
     np.testing.assert_allclose(normals, np.tile([0.0, 1.0], (len(points), 1)), atol=1e-12)
-    for side in (lower, upper):
+    for side in (lower_nodes, upper_nodes):
         np.testing.assert_allclose(structure.nodes.points[side], points, atol=1e-12)
     for number, crack in enumerate(scene.all_cracks.values()):
-        own = structure.pairs.cracks == number
+        is_own = structure.pairs.cracks == number
         start, stop = crack.span(WIDTH)
         if crack.edge == "right":
             start, stop = stop, start
-        distance = np.abs(points[own, 0] - start)
-        np.testing.assert_allclose(positions[own], distance, atol=1e-12)
+        distance = np.abs(points[is_own, 0] - start)
+        np.testing.assert_allclose(positions[is_own], distance, atol=1e-12)
         assert np.all(np.diff(distance) > 0.0) and distance[-1] < abs(stop - start)
         assert (distance[0] < 1e-12) == (crack.edge is not None)
-        np.testing.assert_allclose(points[own, 1], crack.height, atol=1e-12)
+        np.testing.assert_allclose(points[is_own, 1], crack.height, atol=1e-12)
         elements = round(abs(stop - start) / WIDTH * 20) if layout == "grid" else 6
         tips = 2 if crack.edge is None else 1
-        assert np.sum(own) >= elements * order + 1 - tips
+        assert np.sum(is_own) >= elements * order + 1 - tips
         if layout == "grid":
-            assert np.sum(own) == elements * order + 1 - tips
-        below = nodes_of_side(structure, (0.0, crack.height), (0.0, -1.0))
-        assert np.all(below[lower[own]]) and not np.any(below[upper[own]])
+            assert np.sum(is_own) == elements * order + 1 - tips
+        is_below = nodes_of_side(structure, (0.0, crack.height), (0.0, -1.0))
+        assert np.all(is_below[lower_nodes[is_own]]) and not np.any(is_below[upper_nodes[is_own]])
     with pytest.raises(InputError, match="cracks may not touch"):
         scene.replace({"cracks.1.height": scene.crack.height, "cracks.1.length": 0.24,
                        "cracks.1.center": 0.15})  # type: ignore[union-attr]  # fmt: skip
@@ -149,8 +148,8 @@ def test_a_crack_near_the_edge_of_a_strip() -> None:
 def test_one_pair_of_each_crack() -> None:
     """pairs = 'mouth': those at the mouths, and the middle of a crack inside."""
     structure = build_structure(plate(THREE, **{"contact.pairs": "mouth"}))
-    expected = [(WIDTH, 0.05), (0.12, 0.1), (0.0, 0.15)]
-    np.testing.assert_allclose(structure.pair_points, expected, atol=1e-12)
+    exact_points = [(WIDTH, 0.05), (0.12, 0.1), (0.0, 0.15)]
+    np.testing.assert_allclose(structure.pair_points, exact_points, atol=1e-12)
     assert structure.watched_pairs == {
         "the mouth of crack 1": 0, "the middle of crack 2": 1, "the mouth of crack 3": 2,
     }  # fmt: skip
@@ -161,8 +160,8 @@ def test_each_crack_has_its_clearance() -> None:
     """In the order of the scene, also in a varied structure of a sweep."""
     scene = plate(THREE, **{"crack.clearance": 1e-6, "cracks.2.clearance": -2e-6})
     structure = build_structure(scene)
-    expected = np.array([1e-6, 0.0, -2e-6])[structure.pairs.cracks]
-    np.testing.assert_array_equal(structure.clearance, expected)
+    exact_clearance = np.array([1e-6, 0.0, -2e-6])[structure.pairs.cracks]
+    np.testing.assert_array_equal(structure.clearance, exact_clearance)
 
 
 def test_sides_have_names() -> None:
@@ -182,12 +181,16 @@ def test_sides_have_names() -> None:
 
 def test_length_of_a_crack_inside_from_a_frequency() -> None:
     """``first_omega`` finds it; with another crack it is refused."""
-    inside = {"center": 0.12, "height": 0.06, "length": 0.09}
-    omega = float(fc.solve_modes(build_structure(plate([inside])), 1).omega[0])
-    asked = plate([inside], **{"crack.length": None, "crack.first_omega": omega})
-    assert fc.find_crack_length(asked, MPI.COMM_SELF) == pytest.approx(0.09, abs=1e-5 * WIDTH)
+    inner_crack = {"center": 0.12, "height": 0.06, "length": 0.09}
+    omega = float(fc.solve_modes(build_structure(plate([inner_crack])), 1).omega[0])
+    scene_by_frequency = plate([inner_crack], **{"crack.length": None, "crack.first_omega": omega})
+    assert fc.find_crack_length(scene_by_frequency, MPI.COMM_SELF) == pytest.approx(
+        0.09, abs=1e-5 * WIDTH
+    )
     with pytest.raises(InputError, match="several cracks"):
-        asked.replace({"cracks.1.edge": "left", "cracks.1.height": 0.15, "cracks.1.length": 0.1})
+        scene_by_frequency.replace(
+            {"cracks.1.edge": "left", "cracks.1.height": 0.15, "cracks.1.length": 0.1}
+        )
 
 
 # --- mirror images --------------------------------------------------------------------------------
@@ -195,18 +198,22 @@ def test_length_of_a_crack_inside_from_a_frequency() -> None:
 @pytest.mark.parametrize("layout", ["grid", "graded"])
 def test_mirrored_plates(layout: str, cracks: list[dict[str, Any]]) -> None:
     """Natural frequencies are the same, and so are static gaps, crack by crack."""
-    one = build_structure(plate(cracks, layout))
-    other = build_structure(plate(mirrored(cracks), layout))
-    assert (one.n_dofs, one.n_pairs) == (other.n_dofs, other.n_pairs)
-    omegas = [fc.solve_modes(structure, 4).omega for structure in (one, other)]
+    original = build_structure(plate(cracks, layout))
+    mirrored_plate = build_structure(plate(mirrored(cracks), layout))
+    assert (original.n_dofs, original.n_pairs) == (mirrored_plate.n_dofs, mirrored_plate.n_pairs)
+    omegas = [fc.solve_modes(structure, 4).omega for structure in (original, mirrored_plate)]
     np.testing.assert_allclose(*omegas, rtol=1e-8)
-    found = []
-    for structure in (one, other):
+    mode_shapes = []
+    for structure in (original, mirrored_plate):
         gap = structure.apply_bt(static(structure, structure.force[2])[None])[0]
-        x = structure.pair_points[:, 0] if structure is one else WIDTH - structure.pair_points[:, 0]
+        x = (
+            structure.pair_points[:, 0]
+            if structure is original
+            else WIDTH - structure.pair_points[:, 0]
+        )
         order = np.lexsort((x.round(9), structure.pairs.cracks))
-        found.append(np.array([x[order] / WIDTH, gap[order] / np.abs(gap).max()]))
-    np.testing.assert_allclose(*found, atol=1e-8)
+        mode_shapes.append(np.array([x[order] / WIDTH, gap[order] / np.abs(gap).max()]))
+    np.testing.assert_allclose(*mode_shapes, atol=1e-8)
 
 
 def test_symmetric_cracks_open_alike() -> None:
@@ -224,10 +231,10 @@ def test_contact_of_two_cracks_and_its_mirror_image(law: str) -> None:
     """The balance converges, both cracks close and open, and the mirrored plate does the same."""
     contact = {"contact.law": law, "contact.stiffness": None if law == "unilateral" else 1e8}
     cracks = [THREE[0], THREE[1]]
-    found = []
-    for placed, load in ((cracks, 1.0), (mirrored(cracks), -1.0)):
+    gaps = []
+    for placed_cracks, load in ((cracks, 1.0), (mirrored(cracks), -1.0)):
         force = {"excitation.force_sin": (load * 100.0, 300.0), "reduction.modes": 20}
-        study = fc.prepare(plate(placed, **contact, **force), MPI.COMM_SELF)
+        study = fc.prepare(plate(placed_cracks, **contact, **force), MPI.COMM_SELF)
         omega = 0.7 * float(fc.solve_modes(study.structure.whole, 1).omega[0])
         solution = fc.solve_harmonic_balance(
             study.structure, omega, study.contact, harmonics=7, throw=True
@@ -235,13 +242,12 @@ def test_contact_of_two_cracks_and_its_mirror_image(law: str) -> None:
         assert solution.converged
         gap = solution.gap(np.linspace(0.0, solution.period, 64))
         for number in (0, 1):
-            own = gap[:, study.structure.pairs.cracks == number]
-            assert own.min() < 0.0
+            assert gap[:, study.structure.pairs.cracks == number].min() < 0.0
             assert np.any(solution.contact_force(np.linspace(0.0, solution.period, 64)) > 0.0)
         x = study.structure.pair_points[:, 0]
         x = WIDTH - x if load < 0.0 else x
-        found.append(gap[:, np.lexsort((x.round(9), study.structure.pairs.cracks))])
-    np.testing.assert_allclose(*found, atol=1e-5 * np.abs(found[0]).max())
+        gaps.append(gap[:, np.lexsort((x.round(9), study.structure.pairs.cracks))])
+    np.testing.assert_allclose(*gaps, atol=1e-5 * np.abs(gaps[0]).max())
 
 
 # --- several ranks --------------------------------------------------------------------------------
@@ -251,11 +257,11 @@ def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     points = structure.nodes.points
     linear = points @ np.array([[0.3, 1.7], [-0.4, 0.9]])
     for number, crack in enumerate(scene.all_cracks.values()):
-        above = nodes_of_side(structure, (0.0, crack.height), (0.0, 1.0))
-        linear[above] *= 1.5 + number
-    moved = np.zeros((1, structure.n_local))
-    free = structure.nodes.dofs >= 0
-    moved[0, structure.nodes.dofs[free] - structure.first_dof] = linear[free]
+        is_above = nodes_of_side(structure, (0.0, crack.height), (0.0, 1.0))
+        linear[is_above] *= 1.5 + number
+    displacement = np.zeros((1, structure.n_local))
+    is_free = structure.nodes.dofs >= 0
+    displacement[0, structure.nodes.dofs[is_free] - structure.first_dof] = linear[is_free]
     nodes = gather_rows(comm, points)
     return {
         "dofs": structure.n_dofs,
@@ -265,7 +271,7 @@ def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
         "cracks": structure.pairs.cracks,
         "positions": structure.pairs.positions,
         "clearance": structure.clearance,
-        "closing": structure.apply_bt(moved),
+        "closing": structure.apply_bt(displacement),
         "omega": fc.solve_modes(structure, 3).omega,
     }
 
@@ -278,7 +284,7 @@ def test_two_ranks_build_the_same_cracks(
     """Nodes, pairs, their cracks, closings and natural frequencies are the serial ones on two
     ranks."""
     scene = plate(THREE, layout, **{"mesh.order": order, "cracks.1.clearance": 1e-6})
-    parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
-    assert parallel.keys() == alone.keys()
-    for name, value in alone.items():
+    parallel, serial = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
+    assert parallel.keys() == serial.keys()
+    for name, value in serial.items():
         np.testing.assert_allclose(parallel[name], value, rtol=1e-8, atol=1e-12, err_msg=name)

@@ -14,15 +14,17 @@ import fenics_crack as fc
 
 def test_a_length_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another frequency is another length; of the same one no mesh is made again."""
-    coarse = {"mesh.size": 0.031, "mesh.lip_elements": 3, "mesh.order": 1}
-    scene = fc.Scene.load(DEMOS / "breathing_plate.toml").replace(coarse)
-    made, generate = list[Any](), gmsh.model.mesh.generate
+    coarse_settings = {"mesh.size": 0.031, "mesh.lip_elements": 3, "mesh.order": 1}
+    scene = fc.Scene.load(DEMOS / "breathing_plate.toml").replace(coarse_settings)
+    mesh_calls, generate = list[Any](), gmsh.model.mesh.generate
     monkeypatch.setattr(
-        gmsh.model.mesh, "generate", lambda dimension: made.append(1) or generate(dimension)
+        gmsh.model.mesh, "generate", lambda dimension: mesh_calls.append(1) or generate(dimension)
     )
-    first = fc.find_crack_length(scene, MPI.COMM_SELF)
-    assert len(made) > 3
-    made.clear()
-    assert fc.find_crack_length(scene, MPI.COMM_SELF) == first and not made
-    longer = fc.find_crack_length(scene.replace({"crack.first_omega": 2250.0}), MPI.COMM_SELF)
-    assert longer > first and made
+    length = fc.find_crack_length(scene, MPI.COMM_SELF)
+    assert len(mesh_calls) > 3
+    mesh_calls.clear()
+    assert fc.find_crack_length(scene, MPI.COMM_SELF) == length and not mesh_calls
+    second_length = fc.find_crack_length(
+        scene.replace({"crack.first_omega": 2250.0}), MPI.COMM_SELF
+    )
+    assert second_length > length and mesh_calls

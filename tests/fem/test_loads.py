@@ -46,8 +46,8 @@ def test_resonance_of_a_shaken_cantilever() -> None:
     )
     run = fc.solve(scene.replace({"excitation.omega": omega, "reduction": "off"}), MPI.COMM_SELF)
     assert run.watched_name.startswith("x displacement at ") and ", 0.4)" in run.watched_name
-    expected = 2.0 * 0.782992 * 3.0 / (2.0 * 0.01 * omega**2)
-    assert run.result.amplitude(run.watched_dof) == pytest.approx(expected, rel=5e-3)
+    exact_amplitude = 2.0 * 0.782992 * 3.0 / (2.0 * 0.01 * omega**2)
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(exact_amplitude, rel=5e-3)
 
 
 @pytest.mark.parametrize("way", ["sin", "cos"])
@@ -58,19 +58,21 @@ def test_far_above_all_resonances_the_plate_stands_still(way: str) -> None:
     shaken = [-1e18 * part for part in motion]
     scene = strip(base={f"acceleration_{way}": shaken}, excitation={"omega": 1e9})
     structure = fc.build_structure(scene)
-    found = fc.solve_linear(structure, 1e9).displacement_coefficients[2 if way == "sin" else 1]
+    displacement = fc.solve_linear(structure, 1e9).displacement_coefficients[
+        2 if way == "sin" else 1
+    ]
     points, dofs = structure.nodes.points, structure.nodes.dofs  # type: ignore[union-attr]
-    far = points[:, 1] > 0.5 * HEIGHT
-    moved = found[dofs[far]]
-    np.testing.assert_allclose(moved, np.tile(motion, (len(moved), 1)) * -1.0, rtol=1e-6)
+    is_far = points[:, 1] > 0.5 * HEIGHT
+    top_motion = displacement[dofs[is_far]]
+    np.testing.assert_allclose(top_motion, np.tile(motion, (len(top_motion), 1)) * -1.0, rtol=1e-6)
 
 
 def test_slowly_shaken_it_bends_under_its_weight() -> None:
     """Far below resonance a constant acceleration is a weight: w = rho A a L^4 / (8 E I)."""
     scene = strip(base={"acceleration_sin": [5.0, 0.0]}, excitation={"omega": 1e-3})
     run = fc.solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
-    bent = DENSITY * 5.0 * HEIGHT**4 * 12.0 / (8.0 * 2.1e11 * WIDTH**2)
-    assert run.result.amplitude(run.watched_dof) == pytest.approx(bent, rel=5e-3)
+    deflection = DENSITY * 5.0 * HEIGHT**4 * 12.0 / (8.0 * 2.1e11 * WIDTH**2)
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(deflection, rel=5e-3)
 
 
 def test_the_whole_plate_is_accelerated() -> None:
@@ -80,8 +82,8 @@ def test_the_whole_plate_is_accelerated() -> None:
     structure = fc.build_structure(strip(mesh=mesh, base={"acceleration_cos": [2.0, 3.0]}))
     mass = DENSITY * WIDTH * HEIGHT * THICKNESS * (1.0 - 0.5 / 5)
     dofs = structure.nodes.dofs  # type: ignore[union-attr]
-    free = dofs[dofs[:, 0] >= 0]
-    assert structure.force[1][free].sum(axis=0) == pytest.approx([-2.0 * mass, -3.0 * mass])
+    free_dofs = dofs[dofs[:, 0] >= 0]
+    assert structure.force[1][free_dofs].sum(axis=0) == pytest.approx([-2.0 * mass, -3.0 * mass])
     assert not structure.force[[0, 2]].any()
 
 
@@ -132,8 +134,8 @@ def test_pressures_and_tractions_add_up() -> None:
         {"point": [0.0, HEIGHT], "force_cos": [7.0, 1.0]},
     ]
     structure = fc.build_structure(strip(loads=loads, mesh=PLAIN))
-    top, left = WIDTH * THICKNESS, (HEIGHT - HEIGHT / 40 / 6) * THICKNESS
-    assert total(structure, 0) == pytest.approx([5e4 * left, 0.0], abs=1e-9)
+    top, left_area = WIDTH * THICKNESS, (HEIGHT - HEIGHT / 40 / 6) * THICKNESS
+    assert total(structure, 0) == pytest.approx([5e4 * left_area, 0.0], abs=1e-9)
     assert total(structure, 1) == pytest.approx([7.0, 1.0 - 2e5 * top], abs=1e-9)
     assert total(structure, 2) == pytest.approx([1e4 * top, 3e4 * top], abs=1e-9)
 
@@ -150,27 +152,31 @@ def test_a_bar_in_tension_and_a_beam_under_pressure() -> None:
     scene = scene.replace({"damping.modes": 6, "reduction": "off"})
     run = fc.solve(scene, MPI.COMM_SELF)
     dof = run.structure.find_dof((0.5 * WIDTH, HEIGHT), "y")
-    stretched = stress * HEIGHT / young
-    found = run.result.displacement_coefficients[1, dof]
-    assert found == pytest.approx(stretched, rel=2e-3)
+    exact_elongation = stress * HEIGHT / young
+    elongation = run.result.displacement_coefficients[1, dof]
+    assert elongation == pytest.approx(exact_elongation, rel=2e-3)
     assert run.watched_dof == dof  # the middle of the first load's edge
-    across = run.structure.find_dof((0.5 * WIDTH, HEIGHT), "x")
-    bent = pressure * THICKNESS * HEIGHT**4 * 12.0 / (8.0 * young * WIDTH**3 * THICKNESS)
-    assert run.result.displacement_coefficients[2, across] == pytest.approx(-bent, rel=1e-2)
+    transverse_dof = run.structure.find_dof((0.5 * WIDTH, HEIGHT), "x")
+    deflection = pressure * THICKNESS * HEIGHT**4 * 12.0 / (8.0 * young * WIDTH**3 * THICKNESS)
+    assert run.result.displacement_coefficients[2, transverse_dof] == pytest.approx(
+        -deflection, rel=1e-2
+    )
 
 
 def test_two_point_loads_are_one() -> None:
     """Two halves of a force at the same point are the force, also in a sweep's response, whose
     unit loads they take the place of."""
-    whole = strip(**CRACKED | {"excitation": {
+    single_scene = strip(**CRACKED | {"excitation": {
         "omega": 200.0, "point": [0.0, HEIGHT], "force_sin": [2.0, 0.0], "force_mean": [0.1, 0.0],
     }})  # fmt: skip
     half = {"point": [0.0, HEIGHT], "force_sin": [1.0, 0.0], "force_mean": [0.05, 0.0]}
     halves = strip(loads=[half, half], **CRACKED | {"excitation": {"omega": 200.0}})
-    mixed = whole.replace({"excitation.force_sin": [1.0, 0.0], "excitation.force_mean": [0.05, 0],
-                           "loads.1.point": [0.0, HEIGHT], "loads.1.force_sin": [1.0, 0.0],
-                           "loads.1.force_mean": [0.05, 0.0]})  # fmt: skip
-    runs = [fc.solve(scene, MPI.COMM_SELF) for scene in (whole, halves, mixed)]
+    mixed_scene = single_scene.replace({
+        "excitation.force_sin": [1.0, 0.0], "excitation.force_mean": [0.05, 0],
+        "loads.1.point": [0.0, HEIGHT], "loads.1.force_sin": [1.0, 0.0],
+        "loads.1.force_mean": [0.05, 0.0],
+    })  # fmt: skip
+    runs = [fc.solve(scene, MPI.COMM_SELF) for scene in (single_scene, halves, mixed_scene)]
     for run in runs[1:]:
         assert run.watched_dof == runs[0].watched_dof
         np.testing.assert_allclose(
@@ -187,19 +193,19 @@ def test_without_a_load_its_point_is_watched() -> None:
 def test_sweeps_over_loads(tmp_path: Path) -> None:
     """Keys are counted from 1; the response is the displacement of the excitation's point if it
     has a force, in its direction, else of the first load's."""
-    first = {"omega": 200.0, "point": [0.0, HEIGHT], "force_sin": [1.0, 0.0]}
+    first_load = {"omega": 200.0, "point": [0.0, HEIGHT], "force_sin": [1.0, 0.0]}
     second = {"point": [WIDTH, 0.3], "force_sin": [0.5, 0.0], "force_cos": [0.0, 0.2]}
-    scene = strip(loads=[second], **CRACKED | {"excitation": first})
+    scene = strip(loads=[second], **CRACKED | {"excitation": first_load})
     values = [[0.5, 0.0], [2.0, 0.0]]
-    over = {"loads.1.force_sin": values, "excitation.force_sin": [[1.0, 0.0], [0.0, 0.0]]}
-    found = run_sweep(
-        scene.replace({"sweep.over": over}),
+    sweep_axes = {"loads.1.force_sin": values, "excitation.force_sin": [[1.0, 0.0], [0.0, 0.0]]}
+    sweep = run_sweep(
+        scene.replace({"sweep.over": sweep_axes}),
         tmp_path / "s.h5",
         MPI.COMM_SELF,
         verdicts=False,
         judged=False,
     )
-    assert found.converged.all()
+    assert sweep.converged.all()
     for i, value in enumerate(values):
         for j, (force, point) in enumerate(
             [([1.0, 0.0], (0.0, HEIGHT)), ([0.0, 0.0], (WIDTH, 0.3))]
@@ -207,9 +213,9 @@ def test_sweeps_over_loads(tmp_path: Path) -> None:
             changes = {"loads.1.force_sin": value, "excitation.force_sin": force}
             run = fc.solve(scene.replace(changes), MPI.COMM_SELF)
             dof = run.structure.whole.find_dof(point, "x")
-            expected = run.result.amplitude(dof)
+            amplitude = run.result.amplitude(dof)
             assert run.watched_dof == dof
-            assert found["response"][i, j] == pytest.approx(expected, rel=1e-5)
+            assert sweep["response"][i, j] == pytest.approx(amplitude, rel=1e-5)
 
 
 def test_a_named_curve_of_a_mesh_file(tmp_path: Path) -> None:
@@ -219,21 +225,25 @@ def test_a_named_curve_of_a_mesh_file(tmp_path: Path) -> None:
     fc.write_msh(plate, tmp_path / "strip.msh")
     tables = STRIP | {"loads": loads, "geometry": {"thickness": THICKNESS}}
     tables["mesh"] = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
-    read, made = (fc.build_structure(one) for one in (Scene.from_mapping(tables), plate))
+    file_plate_structure, built_plate = (
+        fc.build_structure(source) for source in (Scene.from_mapping(tables), plate)
+    )
     for part in range(3):
-        assert total(read, part) == pytest.approx(total(made, part), abs=1e-9)
+        assert total(file_plate_structure, part) == pytest.approx(
+            total(built_plate, part), abs=1e-9
+        )
 
 
 def test_every_part_of_the_load_is_drawn() -> None:
     """Each in a colour and under a name of its own."""
     loads = [{"edge": "top", "pressure_cos": 2e5}, {"edge": "right", "traction_mean": [1.0, 2.0]}]
     panel = fc.draw_mesh(fc.build_structure(strip(loads=loads, mesh=PLAIN))).axes[0]
-    shown = panel.get_legend_handles_labels()[1]
-    assert shown == ["clamped", "load, mean", "load, cosine part"]
+    labels = panel.get_legend_handles_labels()[1]
+    assert labels == ["clamped", "load, mean", "load, cosine part"]
     loads[1]["harmonics"] = [{"order": 2, "cos": [1.0, 0.0]}, {"order": 5, "sin": [9.0, 0.0]}]
     panel = fc.draw_mesh(fc.build_structure(strip(loads=loads, mesh=PLAIN))).axes[0]
-    shown = panel.get_legend_handles_labels()[1]
-    assert shown[-1] == "load, largest further harmonic" and len(shown) == 4
+    labels = panel.get_legend_handles_labels()[1]
+    assert labels[-1] == "load, largest further harmonic" and len(labels) == 4
 
 
 def test_loads_are_written_and_read() -> None:
@@ -281,9 +291,12 @@ def test_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """The same forces and the same watched dof, however the mesh is shared."""
     loads = [{"edge": "left", "pressure_cos": 2e5}, {"point": [WIDTH, 0.3], "force_sin": [7, 1]}]
     text = strip(loads=loads, mesh=PLAIN, base={"acceleration_sin": [1.0, 2.0]}).as_toml()
-    (shared, name), (alone, same) = on_ranks(loads_on, text), loads_on(text, MPI.COMM_SELF)
-    assert name == same
-    assert shared == pytest.approx(alone, rel=1e-10, abs=1e-12)
+    (parallel_totals, name), (serial_totals, serial_name) = (
+        on_ranks(loads_on, text),
+        loads_on(text, MPI.COMM_SELF),
+    )
+    assert name == serial_name
+    assert parallel_totals == pytest.approx(serial_totals, rel=1e-10, abs=1e-12)
 
 
 @pytest.mark.parametrize("place", ["excitation", "loads.1"])
@@ -295,36 +308,33 @@ def test_on_a_crack_there_are_two_lips(place: str) -> None:
     with pytest.raises(InputError, match=r"lower one.*upper one") as caught:
         fc.build_structure(scene.replace(changes))
     assert caught.value.key == f"{place}.point"
-    low, high = ([0.01, y] for y in (0.14997, 0.15003))
-    assert f"{low} on the lower one, {high} on the upper one" in caught.value.allowed
-    forces = []
-    for point in (low, high, [0.03, 0.15]):
-        forces.append(fc.build_structure(scene.replace(changes | {f"{place}.point": point})).force)
+    lower_point, upper_point = ([0.01, y] for y in (0.14997, 0.15003))
+    assert f"{lower_point} on the lower one, {upper_point} on the upper one" in caught.value.allowed
     openings = []
-    for force, point in zip(forces, (low, high), strict=False):
+    for point in (lower_point, upper_point, [0.03, 0.15]):
         structure = fc.build_structure(scene.replace(changes | {f"{place}.point": point}))
-        openings.append(structure.apply_bt(force[2:])[0].sum())
+        openings.append(structure.apply_bt(structure.force[2:])[0].sum())
     assert openings[0] > 0.0 > openings[1]  # B^T f: a push up at the lower lip closes
 
 
 def test_on_a_crack_that_slopes_or_lies_inside() -> None:
     """By the lips of the mesh; both ends of a crack inside are tips."""
-    inside = Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
+    inner_crack_scene = Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
         {"crack.edge": None, "crack.center": 0.05, "mesh.size": 0.05}
     )
-    for x, taken in ((0.035, True), (0.0351, False), (0.05, False), (0.065, True)):
-        scene = inside.replace({"excitation.point": [x, 0.15]})
-        if taken:
+    for x, is_accepted in ((0.035, True), (0.0351, False), (0.05, False), (0.065, True)):
+        scene = inner_crack_scene.replace({"excitation.point": [x, 0.15]})
+        if is_accepted:
             fc.build_structure(scene)
         else:
             with pytest.raises(InputError, match="two crack faces"):
                 fc.build_structure(scene)
-    sloping = Scene.load(DEMOS / "inclined_crack.toml")
-    points = fc.build_structure(sloping).pair_points
+    sloping_scene = Scene.load(DEMOS / "inclined_crack.toml")
+    points = fc.build_structure(sloping_scene).pair_points
     middle = 0.5 * (points[0] + points[1])
     with pytest.raises(InputError, match="two crack faces") as caught:
-        fc.build_structure(sloping.replace({"excitation.point": middle.tolist()}))
+        fc.build_structure(sloping_scene.replace({"excitation.point": middle.tolist()}))
     places = re.findall(r"\[([-\d.e]+), ([-\d.e]+)\] on the", caught.value.allowed)
-    low, high = np.array(places, dtype=float)
-    across = np.array([points[0][1] - points[1][1], points[1][0] - points[0][0]])
-    assert (low - middle) @ across < 0.0 < (high - middle) @ across
+    lower_point, upper_point = np.array(places, dtype=float)
+    crack_normal = np.array([points[0][1] - points[1][1], points[1][0] - points[0][0]])
+    assert (lower_point - middle) @ crack_normal < 0.0 < (upper_point - middle) @ crack_normal

@@ -81,9 +81,9 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray:
 
 def field(structure: Structure, values: np.ndarray) -> np.ndarray:
     """Displacement (1, n_local) that takes the values (n_nodes, 2) at this rank's nodes."""
-    free = structure.nodes.dofs >= 0
+    is_free = structure.nodes.dofs >= 0
     displacement = np.zeros((1, structure.n_local))
-    displacement[0, structure.nodes.dofs[free] - structure.first_dof] = values[free]
+    displacement[0, structure.nodes.dofs[is_free] - structure.first_dof] = values[is_free]
     return displacement
 
 
@@ -93,20 +93,22 @@ def pair_nodes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray
     The lower node is the one with positive entries along y.
     """
     gap = structure.gap.toarray()
-    padded = np.concatenate([gap, np.zeros((1, gap.shape[1]))])  # clamped dofs are number -1
-    nodal = padded[structure.nodes.dofs]  # (n_nodes, 2, n_pairs)
-    lower, upper, normals = [], [], []
+    rows_with_clamp = np.concatenate(
+        [gap, np.zeros((1, gap.shape[1]))]
+    )  # clamped dofs are number -1
+    nodal = rows_with_clamp[structure.nodes.dofs]  # (n_nodes, 2, n_pairs)
+    lower_nodes, upper_nodes, normals = [], [], []
     for pair in range(structure.n_pairs):
-        touched = np.flatnonzero(np.any(nodal[:, :, pair] != 0.0, axis=1))
-        assert len(touched) == 2
-        first, second = sorted(touched, key=lambda node: -nodal[node, 1, pair])
+        touched_nodes = np.flatnonzero(np.any(nodal[:, :, pair] != 0.0, axis=1))
+        assert len(touched_nodes) == 2
+        upper_node, lower_node = sorted(touched_nodes, key=lambda node: -nodal[node, 1, pair])
         np.testing.assert_allclose(
-            nodal[first, :, pair], -nodal[second, :, pair], rtol=1e-12, atol=1e-14
+            nodal[upper_node, :, pair], -nodal[lower_node, :, pair], rtol=1e-12, atol=1e-14
         )
-        lower.append(first)
-        upper.append(second)
-        normals.append(nodal[first, :, pair])
-    return np.array(lower), np.array(upper), np.array(normals)
+        lower_nodes.append(upper_node)
+        upper_nodes.append(lower_node)
+        normals.append(nodal[upper_node, :, pair])
+    return np.array(lower_nodes), np.array(upper_nodes), np.array(normals)
 
 
 def nodes_of_side(structure: Structure, origin: Any, direction: Any) -> np.ndarray:
@@ -116,10 +118,10 @@ def nodes_of_side(structure: Structure, origin: Any, direction: Any) -> np.ndarr
     """
     points = gather_rows(structure.comm, structure.nodes.points)
     cells = gather_rows(structure.comm, structure.nodes.cells)
-    kept = cells[(points[cells].mean(axis=1) - origin) @ direction > 0.0]
+    kept_cells = cells[(points[cells].mean(axis=1) - origin) @ direction > 0.0]
     n_nodes = len(structure.nodes.points)
-    first = structure.comm.exscan(n_nodes) or 0
-    return np.isin(np.arange(first, first + n_nodes), kept)
+    first_index = structure.comm.exscan(n_nodes) or 0
+    return np.isin(np.arange(first_index, first_index + n_nodes), kept_cells)
 
 
 # --- plates made by the package -------------------------------------------------------------------
@@ -132,21 +134,20 @@ def test_lips_pair_one_to_one(layout: str, cells: str, order: int) -> None:
     for edge, length, height in sizes:
         structure = build_structure(plate(layout, cells, order, edge, length, height))
         np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
-        elements = round(20 * length) if layout == "grid" else 5
-        assert structure.n_pairs == elements * order
+        assert structure.n_pairs == (round(20 * length) if layout == "grid" else 5) * order
 
-        lower, upper, normals = pair_nodes(structure)
-        assert not set(lower) & set(upper)
+        lower_nodes, upper_nodes, normals = pair_nodes(structure)
+        assert not set(lower_nodes) & set(upper_nodes)
         np.testing.assert_array_equal(normals[:, 0].round(12), 0.0)
         np.testing.assert_allclose(normals[:, 1], 1.0, rtol=1e-12)
-        for side in (lower, upper):
+        for side in (lower_nodes, upper_nodes):
             np.testing.assert_allclose(
                 structure.nodes.points[side], structure.pair_points, atol=1e-12
             )
-        below = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, -1.0))
-        above = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, 1.0))
-        assert np.all(below[lower] & ~above[lower])
-        assert np.all(above[upper] & ~below[upper])
+        is_below = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, -1.0))
+        is_above = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, 1.0))
+        assert np.all(is_below[lower_nodes] & ~is_above[lower_nodes])
+        assert np.all(is_above[upper_nodes] & ~is_below[upper_nodes])
 
         np.testing.assert_allclose(structure.pair_points[:, 1], height * HEIGHT, rtol=1e-12)
         from_mouth = structure.pair_points[:, 0]
@@ -163,8 +164,7 @@ def test_lips_pair_one_to_one(layout: str, cells: str, order: int) -> None:
 @pytest.mark.parametrize("height", [0.03, 0.5, 0.97])
 def test_graded_meshes_of_any_crack(cells: str, length: float, height: float) -> None:
     """Cracks of 1 % to 95 % of the width, close to either end too, are meshed without overlap."""
-    scene = plate("graded", cells, 1, "left", length, height)
-    structure = build_structure(scene)
+    structure = build_structure(plate("graded", cells, 1, "left", length, height))
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
     assert structure.n_pairs == 5
 
@@ -173,15 +173,16 @@ def test_elements_are_no_larger_than_the_size_asked_for() -> None:
     """Even where the lips' own elements are larger than that."""
     scene = plate("graded", "quadrilateral", 1).replace({"mesh.size": 0.005})
     coarse_lips = scene.replace({"mesh.lip_elements": 2, "mesh.grading": 1.0})
-    above = 0.5 * HEIGHT / 0.005 * (0.6 * WIDTH / 0.005)  # beyond the tip alone, on either side
-    assert build_structure(coarse_lips).n_dofs > 2 * 2 * above
+    n_elements_above = (
+        0.5 * HEIGHT / 0.005 * (0.6 * WIDTH / 0.005)
+    )  # beyond the tip alone, on either side
+    assert build_structure(coarse_lips).n_dofs > 2 * 2 * n_elements_above
 
 
 def test_grading_shortens_the_elements_at_the_tip() -> None:
     """The lip's element at the tip is `grading` times shorter than the one at the mouth."""
     structure = build_structure(plate("graded", "quadrilateral", 1))
-    ends = np.append(structure.pair_points[:, 0], 0.4 * WIDTH)
-    lengths = np.diff(ends)
+    lengths = np.diff(np.append(structure.pair_points[:, 0], 0.4 * WIDTH))
     np.testing.assert_allclose(lengths[0] / lengths[-1], 3.0, rtol=1e-6)
 
 
@@ -190,27 +191,26 @@ def test_grading_shortens_the_elements_at_the_tip() -> None:
 def test_uncracked_plate(cells: str, order: int) -> None:
     """Without the crack the same grid has no pairs and no duplicated dofs."""
     scene = plate("grid", cells, order)
-    cracked = build_structure(scene)
-    whole = build_structure(scene.replace({"crack": None, "contact": None}))
+    cracked_structure = build_structure(scene)
+    full_structure = build_structure(scene.replace({"crack": None, "contact": None}))
     nodes = (20 * order + 1) * (4 * order)  # all rows but the clamped one
-    assert whole.n_pairs == 0
-    assert whole.n_dofs == 2 * nodes
-    assert cracked.n_dofs == whole.n_dofs + 2 * cracked.n_pairs
-    np.testing.assert_allclose(area(whole), WIDTH * HEIGHT, rtol=1e-12)
+    assert full_structure.n_pairs == 0
+    assert full_structure.n_dofs == 2 * nodes
+    assert cracked_structure.n_dofs == full_structure.n_dofs + 2 * cracked_structure.n_pairs
+    np.testing.assert_allclose(area(full_structure), WIDTH * HEIGHT, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
 def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
     """A translation closes nothing; lifting the part above the crack by 1 opens every pair by 1."""
-    scene = plate(layout, cells, order)
-    structure = build_structure(scene)
+    structure = build_structure(plate(layout, cells, order))
     everywhere = np.ones((len(structure.nodes.points), 1))
     for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
         shift = field(structure, everywhere * direction)
         np.testing.assert_allclose(structure.apply_bt(shift), 0.0, atol=1e-13)
-    lifted = np.zeros((len(everywhere), 2))
-    lifted[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0)), 1] = 1.0
-    np.testing.assert_allclose(structure.apply_bt(field(structure, lifted)), -1.0, rtol=1e-12)
+    displacement = np.zeros((len(everywhere), 2))
+    displacement[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0)), 1] = 1.0
+    np.testing.assert_allclose(structure.apply_bt(field(structure, displacement)), -1.0, rtol=1e-12)
 
 
 def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
@@ -218,12 +218,16 @@ def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
     scene = plate("graded", "quadrilateral", 1)
     path = tmp_path / "plate.msh"
     write_msh(scene, path)
-    first = build_structure(scene)
-    second = build_structure(file_plate(path, **{"excitation.force_sin": [1.0, 0.0]}))
-    np.testing.assert_allclose(second.pair_points, first.pair_points, atol=1e-12)
-    assert first.stiffness.norm() == pytest.approx(second.stiffness.norm(), rel=1e-12)
-    assert first.mass.norm() == pytest.approx(second.mass.norm(), rel=1e-12)
-    np.testing.assert_allclose(second.force.sum(axis=1), first.force.sum(axis=1), atol=1e-12)
+    built_structure = build_structure(scene)
+    read_structure = build_structure(file_plate(path, **{"excitation.force_sin": [1.0, 0.0]}))
+    np.testing.assert_allclose(read_structure.pair_points, built_structure.pair_points, atol=1e-12)
+    assert built_structure.stiffness.norm() == pytest.approx(
+        read_structure.stiffness.norm(), rel=1e-12
+    )
+    assert built_structure.mass.norm() == pytest.approx(read_structure.mass.norm(), rel=1e-12)
+    np.testing.assert_allclose(
+        read_structure.force.sum(axis=1), built_structure.force.sum(axis=1), atol=1e-12
+    )
 
 
 # --- point load -----------------------------------------------------------------------------------
@@ -255,8 +259,8 @@ def test_point_load_does_its_work(
         offset = rng.standard_normal(2)
         linear = field(structure, offset + structure.nodes.points @ gradient.T)
         work = structure.force @ linear[0]
-        expected = np.array(list(parts.values())) @ (offset + gradient @ point)
-        np.testing.assert_allclose(work, expected, rtol=1e-9, atol=1e-9)
+        exact_work = np.array(list(parts.values())) @ (offset + gradient @ point)
+        np.testing.assert_allclose(work, exact_work, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -317,14 +321,14 @@ def msh(tmp_path: Path) -> Callable[..., Path]:
                 if recombine:
                     geo.mesh.setRecombine(2, surface)
             geo.synchronize()
-            named = {
+            group_entities = {
                 "clamp": (1, line["sw", "se"]), "lower_lip": (1, lips[0]),
                 "upper_lip": (1, lips[0 if one_curve else 1]), "load": (0, point["ne"]),
             }  # fmt: skip
             if groups:
                 model.setPhysicalName(2, model.addPhysicalGroup(2, surfaces), "any")
                 for name in names:
-                    dimension, tag = named[name]
+                    dimension, tag = group_entities[name]
                     group = model.addPhysicalGroup(dimension, [tag])
                     model.setPhysicalName(dimension, group, name)
             model.mesh.generate(2)
@@ -344,18 +348,21 @@ def test_inclined_crack_from_a_file(msh: Callable[..., Path], recombined: bool, 
     np.testing.assert_allclose(area(structure), 2.0, rtol=1e-12)
     assert structure.n_pairs == 4 * order
     np.testing.assert_array_equal(structure.clearance, np.full(4 * order, 1e-6))
-    lower, upper, normals = pair_nodes(structure)
-    along = (TIP - MOUTH) / np.linalg.norm(TIP - MOUTH)
-    np.testing.assert_allclose(normals, np.tile([-along[1], along[0]], (4 * order, 1)), atol=1e-9)
+    lower_nodes, upper_nodes, normals = pair_nodes(structure)
+    crack_direction = (TIP - MOUTH) / np.linalg.norm(TIP - MOUTH)
+    np.testing.assert_allclose(
+        normals, np.tile([-crack_direction[1], crack_direction[0]], (4 * order, 1)), atol=1e-9
+    )
     parts = np.arange(4 * order)[:, None] / (4 * order)
-    expected = MOUTH + parts * (TIP - MOUTH)
+    exact_points = MOUTH + parts * (TIP - MOUTH)
     for points in (
-        structure.pair_points, structure.nodes.points[lower], structure.nodes.points[upper]
+        structure.pair_points, structure.nodes.points[lower_nodes],
+        structure.nodes.points[upper_nodes],
     ):  # fmt: skip
-        np.testing.assert_allclose(points, expected, atol=1e-9)
-    above = nodes_of_side(structure, MOUTH, (-along[1], along[0]))
-    assert np.all(above[upper])
-    assert not np.any(above[lower])
+        np.testing.assert_allclose(points, exact_points, atol=1e-9)
+    is_above = nodes_of_side(structure, MOUTH, (-crack_direction[1], crack_direction[0]))
+    assert np.all(is_above[upper_nodes])
+    assert not np.any(is_above[lower_nodes])
 
 
 def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
@@ -365,8 +372,10 @@ def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
     for component, value in ((0, 3.0), (1, 4.0)):
         dof = structure.find_dof((2.0, 1.0), component)
         assert structure.force[2, dof] == pytest.approx(value, rel=1e-9)
-    moved = build_structure(file_plate(path, **{"excitation.point": (2.0, 0.5)}))
-    assert moved.force[2, moved.find_dof((2.0, 0.5), 0)] == pytest.approx(3.0, rel=1e-9)
+    structure_with_point = build_structure(file_plate(path, **{"excitation.point": (2.0, 0.5)}))
+    assert structure_with_point.force[
+        2, structure_with_point.find_dof((2.0, 0.5), 0)
+    ] == pytest.approx(3.0, rel=1e-9)
 
 
 def test_file_without_lips_is_an_uncracked_plate(tmp_path: Path) -> None:
@@ -471,8 +480,7 @@ def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
     points = [(i * WIDTH / 10, 0.75 * HEIGHT) for i in range(11)]
     points += [(0.5 * WIDTH, j * HEIGHT / 4) for j in range(1, 5)]
     scene = plate("grid", "quadrilateral", 1).replace({"mesh.columns": 10})
-    found = on_ranks(totals, scene, points)
-    np.testing.assert_allclose(found, np.ones(len(points)), rtol=1e-9)
+    np.testing.assert_allclose(on_ranks(totals, scene, points), np.ones(len(points)), rtol=1e-9)
 
 
 def refusals(scene: Scene, comm: MPI.Comm) -> list[str]:

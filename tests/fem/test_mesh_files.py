@@ -76,7 +76,9 @@ def plugin(tmp_path: Path) -> Callable[..., Path]:
                     pairs = itertools.pairwise(ends)
                     curves[name] = [geo.addLine(a, b) for a, b in pairs]
             geo.synchronize()
-            model.mesh.embed(1, [c for own in curves.values() for c in own], 2, surface)
+            model.mesh.embed(
+                1, [c for crack_curves in curves.values() for c in crack_curves], 2, surface
+            )
             if quadrilaterals:
                 model.mesh.setRecombine(2, surface)
             _name(model, 2, [surface], 1, "plate")
@@ -85,11 +87,13 @@ def plugin(tmp_path: Path) -> Callable[..., Path]:
                 _name(model, 1, sides, 4, "outline")
             _name(model, 0, [place[2.0, 1.0]], 3, "load")
             if one_group:
-                groups = {"crack": [c for own in curves.values() for c in own]}
+                groups = {"crack": [c for crack_curves in curves.values() for c in crack_curves]}
             else:
-                groups = {f"crack {n}": own for n, own in enumerate(curves.values(), 1)}
-            for tag, (name, own) in enumerate(groups.items(), 10):
-                _name(model, 1, own, tag, name)
+                groups = {
+                    f"crack {n}": crack_curves for n, crack_curves in enumerate(curves.values(), 1)
+                }
+            for tag, (name, crack_curves) in enumerate(groups.items(), 10):
+                _name(model, 1, crack_curves, tag, name)
             if mouths:
                 _name(model, 0, [place[xy] for xy in mouths], 5, "mouth")
             model.mesh.generate(2)
@@ -97,8 +101,8 @@ def plugin(tmp_path: Path) -> Callable[..., Path]:
             for tag in range(10, 10 + len(groups)) if run else ():
                 gmsh.plugin.setNumber("Crack", "Dimension", 1)
                 gmsh.plugin.setNumber("Crack", "PhysicalGroup", tag)
-                opened = 5 if mouths and mouth else 0
-                gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", opened)
+                opened_group = 5 if mouths and mouth else 0
+                gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", opened_group)
                 gmsh.plugin.run("Crack")
             gmsh.write(str(path))
         return path
@@ -139,8 +143,8 @@ def test_lips_of_the_plugin(
     corners = np.array(CURVES[name])
     scene = file_plate(path, **{"mesh.order": order})
     structure = build_structure(scene)
-    rough = 1e-3 if name == "arc" else 1e-9
-    np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=rough)
+    rtol = 1e-3 if name == "arc" else 1e-9
+    np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=rtol)
     [lip] = build_mesh(scene, MPI.COMM_SELF).crack_paths_or_surfaces
     assert lip.has_mouth == _on_edge(*CURVES[name][0])
     elements = len(lip.points) - 1
@@ -154,18 +158,20 @@ def test_lips_of_the_plugin(
         assert np.all(np.sum(normals * radial, axis=1) > 0.99)
         np.testing.assert_allclose(positions[-1], 0.4 * np.pi, rtol=0.2)
         return
-    first = corners[0]
-    if not lip.has_mouth and tuple(corners[-1]) < tuple(first):
-        first = corners[-1]
+    start_point = corners[0]
+    if not lip.has_mouth and tuple(corners[-1]) < tuple(start_point):
+        start_point = corners[-1]
     if len(corners) == 2:
-        np.testing.assert_allclose(np.linalg.norm(points - first, axis=1), positions, atol=1e-9)
-        along = corners[1] - corners[0]
-        normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+        np.testing.assert_allclose(
+            np.linalg.norm(points - start_point, axis=1), positions, atol=1e-9
+        )
+        first_edge = corners[1] - corners[0]
+        normal = np.array([-first_edge[1], first_edge[0]]) / np.linalg.norm(first_edge)
         upright = name in ("vertical", "upright")
         normal *= np.sign(normal[0] if upright else normal[1])
         gap = structure.gap.toarray()
-        padded = np.concatenate([gap, np.zeros((1, gap.shape[1]))])
-        nodal = padded[structure.nodes.dofs]
+        rows_with_clamp = np.concatenate([gap, np.zeros((1, gap.shape[1]))])
+        nodal = rows_with_clamp[structure.nodes.dofs]
         for pair in range(structure.n_pairs):
             for node in np.flatnonzero(np.any(nodal[:, :, pair] != 0.0, axis=1)):
                 np.testing.assert_allclose(structure.nodes.points[node], points[pair], atol=1e-9)
@@ -176,15 +182,15 @@ def test_lips_of_the_plugin(
 def test_several_cracks_of_the_plugin(plugin: Callable[..., Path]) -> None:
     """Two groups or one: the same cracks, from bottom to top; a clearance for each."""
     two = build_structure(file_plate(plugin("vertical", "upright")))
-    one = build_structure(file_plate(plugin("vertical", "upright", one_group=True)))
-    np.testing.assert_allclose(one.pair_points, two.pair_points, atol=1e-12)
+    one_group_structure = build_structure(file_plate(plugin("vertical", "upright", one_group=True)))
+    np.testing.assert_allclose(one_group_structure.pair_points, two.pair_points, atol=1e-12)
     assert list(two.watched_pairs) == ["the middle of crack 1", "the mouth of crack 2"]
     np.testing.assert_allclose(two.pair_points[list(two.watched_pairs.values())[1]], [1.0, 1.0])
-    both = {"crack.clearance": 1e-6, "cracks.1.clearance": 2e-6}
-    scene = file_plate(plugin("vertical", "upright"), **both)
+    clearances = {"crack.clearance": 1e-6, "cracks.1.clearance": 2e-6}
+    scene = file_plate(plugin("vertical", "upright"), **clearances)
     structure = build_structure(scene)
-    expected = np.where(structure.pairs.cracks == 0, 1e-6, 2e-6)
-    np.testing.assert_array_equal(structure.clearance, expected)
+    exact_clearance = np.where(structure.pairs.cracks == 0, 1e-6, 2e-6)
+    np.testing.assert_array_equal(structure.clearance, exact_clearance)
     with pytest.raises(InputError, match="each of the 2 cracks of the mesh file"):
         build_structure(scene.replace({"cracks.2.clearance": 0.0}))
 
@@ -196,14 +202,18 @@ def test_nodes_that_exist_once(
     plugin: Callable[..., Path], name: str, order: int, how: dict[str, Any]
 ) -> None:
     """All of them, or that of the mouth: the same cracks as where the plugin has doubled them."""
-    doubled, once = (
+    doubled_structure, merged_structure = (
         build_structure(file_plate(plugin(name, order=order, **how), **{"mesh.order": order}))
         for how in ({}, how)
     )
-    assert doubled.watched_pairs == once.watched_pairs
-    np.testing.assert_allclose(once.pair_points, doubled.pair_points, atol=1e-12)
-    np.testing.assert_allclose(once.pairs.positions, doubled.pairs.positions, atol=1e-12)
-    omega = [solve_modes(one, 4).omega for one in (doubled, once)]
+    assert doubled_structure.watched_pairs == merged_structure.watched_pairs
+    np.testing.assert_allclose(
+        merged_structure.pair_points, doubled_structure.pair_points, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        merged_structure.pairs.positions, doubled_structure.pairs.positions, atol=1e-12
+    )
+    omega = [solve_modes(structure, 4).omega for structure in (doubled_structure, merged_structure)]
     np.testing.assert_allclose(omega[1], omega[0], rtol=1e-9)
 
 
@@ -211,10 +221,10 @@ def test_curves_that_are_no_cracks() -> None:
     """On the boundary, branching, crossing, closed, or of one edge inside."""
     cells, places, clamp = grid()
     ring = [node(2, 2), node(3, 2), node(3, 3), node(2, 3), node(2, 2)]
-    line, across = [node(x, 3) for x in range(1, 6)], [node(3, y) for y in range(3, 6)]
+    line, crossing_line = [node(x, 3) for x in range(1, 6)], [node(3, y) for y in range(3, 6)]
     for curve, words in (
         (clamp, "6 of the 6 edges of cracks not between cells"),
-        (edges(line) + edges(across), "neither branch nor cross"),
+        (edges(line) + edges(crossing_line), "neither branch nor cross"),
         (edges(line) + edges([node(3, y) for y in range(1, 6)]), "neither branch nor cross"),
         (edges(line[:2]), "all nodes of a crack on its front"),
         (edges(ring), "a closed curve"),
@@ -227,19 +237,22 @@ def test_a_mouth_that_is_closed() -> None:
     """Of lips with names of their own; a crack's is opened."""
     cells, places, clamp = grid()
     line = [node(x, 3) for x in range(4)]
-    cells, places, low, high = doubled(cells, places, line[1:3])
-    lower, upper = (edges([line[0], *own, line[3]]) for own in (low, high))
+    cells, places, lower_nodes, upper_nodes = doubled(cells, places, line[1:3])
+    lower_edges, upper_edges = (
+        edges([line[0], *inner_nodes, line[3]]) for inner_nodes in (lower_nodes, upper_nodes)
+    )
     with pytest.raises(InputError, match=r"a mouth at \(0, 3\) that is closed.*named 'crack'"):
-        put_lips(cells, places, clamp, lower_lip=lower, upper_lip=upper)
-    [lip] = put_lips(cells, places, clamp, crack=upper)
+        put_lips(cells, places, clamp, lower_lip=lower_edges, upper_lip=upper_edges)
+    [lip] = put_lips(cells, places, clamp, crack=upper_edges)
     assert lip.has_mouth and lip.points.tolist() == [[x, 3.0] for x in range(4)]
 
 
 def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edges) -> Any:
     """The lips of a plate of triangles."""
-    groups = [(2, 1, "plate", TRIANGLE, cells.ravel())]
-    for tag, (name, own) in enumerate({"clamp": clamp, **curves}.items(), 1):
-        groups.append((1, tag, name, 1, np.ravel(own)))
+    groups = [(2, 1, "plate", TRIANGLE, cells.ravel())] + [
+        (1, tag, name, 1, np.ravel(group_edges))
+        for tag, (name, group_edges) in enumerate({"clamp": clamp, **curves}.items(), 1)
+    ]
     with gmsh_model():
         spatial = np.column_stack([places, np.zeros(len(places))])
         return load_mesh_into_gmsh((np.arange(len(places)), spatial, groups), 2)[1]
@@ -261,13 +274,13 @@ def test_text_of_the_documentation(tmp_path: Path) -> None:
 
 def test_named_points_and_curves(plugin: Callable[..., Path]) -> None:
     """All of them, and curves that share edges too; a clamp may also be part of an outline."""
-    made = build_mesh(file_plate(plugin("edge")), MPI.COMM_SELF)
-    assert made.points == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
-    assert made.groups.keys() == {"clamp", "lower_lip", "upper_lip"}
-    made = build_mesh(file_plate(plugin("edge", outline=True)), MPI.COMM_SELF)
-    counts = {name: len(made.facets(name)) for name in made.groups}
+    mesh = build_mesh(file_plate(plugin("edge")), MPI.COMM_SELF)
+    assert mesh.points == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
+    assert mesh.groups.keys() == {"clamp", "lower_lip", "upper_lip"}
+    mesh = build_mesh(file_plate(plugin("edge", outline=True)), MPI.COMM_SELF)
+    counts = {name: len(mesh.facets(name)) for name in mesh.groups}
     assert counts["outline"] > counts["clamp"] > 0
-    assert set(made.facets("clamp")) < set(made.facets("outline"))
+    assert set(mesh.facets("clamp")) < set(mesh.facets("outline"))
     assert build_structure(file_plate(plugin("edge", outline=True))).n_pairs > 0
 
 
@@ -319,11 +332,11 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
     """Check cells (n, k) and places (m, 2), with the edges of curves by their names."""
     lips = [edge for name in ("lower_lip", "upper_lip") for edge in curves.get(name, ())]
     with gmsh_model():
-        made = cells_of_kind(kind, np.array(cells))
-        check_cells(kind, made, places)
-        both = [np.reshape(lips, (-1, 2)).astype(int)]
-        check_parts(made, places, np.unique(curves["clamp"]), both)
-        check_boundary(kind, made, np.array(places), both)
+        typed_cells = cells_of_kind(kind, np.array(cells))
+        check_cells(kind, typed_cells, places)
+        lip_edges = [np.reshape(lips, (-1, 2)).astype(int)]
+        check_parts(typed_cells, places, np.unique(curves["clamp"]), lip_edges)
+        check_boundary(kind, typed_cells, np.array(places), lip_edges)
 
 
 def refused(words: str, *mesh: Any, **curves: Any) -> np.ndarray:
@@ -363,9 +376,13 @@ def test_a_file_is_checked(tmp_path: Path) -> None:
     thrown[node(3, 3)] = 4.4, 3.2
     with pytest.raises(InputError, match=r"^mesh.file = '.*cells.msh \(cells that overlap at "):
         read(cells, thrown, clamp)
-    more, there, _ = grid(2, 2, (8.0, 1.0))
+    further_cells, further_places, _ = grid(2, 2, (8.0, 1.0))
     with pytest.raises(InputError, match=r"a part without a clamp at \(9, 2\)"):
-        read(np.concatenate([cells, more + 49]), np.concatenate([places, there]), clamp)
+        read(
+            np.concatenate([cells, further_cells + 49]),
+            np.concatenate([places, further_places]),
+            clamp,
+        )
     with pytest.raises(InputError, match=r"touch .* at \(.\.5, 3\)"):
         read(*doubled(cells, places, [node(3, 3)])[:2], clamp)
 
@@ -408,18 +425,24 @@ def test_cells_may_be_numbered_either_way_round() -> None:
 def test_a_part_that_nothing_holds() -> None:
     """A second part connected to nothing; with a clamp of its own it may be there."""
     cells, places, clamp = grid()
-    more, there, other = grid(2, 2, (8.0, 1.0))
-    both = np.concatenate([cells, more + len(places)]), np.concatenate([places, there])
-    assert tuple(refused("a part without a clamp at", *both, clamp=clamp)) == (9.0, 2.0)
-    own = [(one + len(places), two + len(places)) for one, two in other]
-    check(*both, clamp=clamp + own)
+    further_cells, further_places, further_clamp = grid(2, 2, (8.0, 1.0))
+    joint_mesh = (
+        np.concatenate([cells, further_cells + len(places)]),
+        np.concatenate([places, further_places]),
+    )
+    assert tuple(refused("a part without a clamp at", *joint_mesh, clamp=clamp)) == (9.0, 2.0)
+    shifted_clamp = [
+        (first_node + len(places), second_node + len(places))
+        for first_node, second_node in further_clamp
+    ]
+    check(*joint_mesh, clamp=clamp + shifted_clamp)
 
 
 def test_a_part_held_by_contact_alone() -> None:
     """A plate that its crack cuts through: the upper part is held by nothing that pulls."""
     cells, places, clamp = grid()
-    cells, places, low, high = doubled(cells, places, [node(x, 3) for x in range(7)])
-    curves = {"lower_lip": edges(low), "upper_lip": edges(high)}
+    cells, places, lower_nodes, upper_nodes = doubled(cells, places, [node(x, 3) for x in range(7)])
+    curves = {"lower_lip": edges(lower_nodes), "upper_lip": edges(upper_nodes)}
     words = "a part held by contact alone at"
     assert refused(words, cells, places, clamp=clamp, **curves)[1] > 3.0
 
@@ -429,11 +452,11 @@ def doubled(
 ) -> tuple[np.ndarray, np.ndarray, list[int], list[int]]:
     """Give nodes along a level line twins, of which the cells above are made."""
     twins = [len(places) + k for k in range(len(line))]
-    above = places[cells].mean(axis=1)[:, 1] > places[line[0], 1]
+    is_above = places[cells].mean(axis=1)[:, 1] > places[line[0], 1]
     swap = np.arange(len(places))
     swap[line] = twins
-    found = np.where(above[:, None], swap[cells], cells)
-    return found, np.concatenate([places, places[line]]), line, twins
+    doubled_cells = np.where(is_above[:, None], swap[cells], cells)
+    return doubled_cells, np.concatenate([places, places[line]]), line, twins
 
 
 def edges(line: list[int]) -> Edges:
@@ -443,13 +466,13 @@ def edges(line: list[int]) -> Edges:
 def test_a_node_doubled_by_accident() -> None:
     """An unnamed slit is refused; the same with names is a crack inside."""
     cells, places, clamp = grid()
-    cells, places, low, high = doubled(cells, places, [node(3, 3)])
+    cells, places, lower_nodes, upper_nodes = doubled(cells, places, [node(3, 3)])
     place = refused("touch .* at .* share their nodes", cells, places, clamp=clamp)
     assert tuple(place) in ((2.5, 3.0), (3.5, 3.0))
     ends = node(2, 3), node(4, 3)
     lips = {
-        name: edges([ends[0], *own, ends[1]])
-        for name, own in (("lower_lip", low), ("upper_lip", high))
+        name: edges([ends[0], *inner_nodes, ends[1]])
+        for name, inner_nodes in (("lower_lip", lower_nodes), ("upper_lip", upper_nodes))
     }
     check(cells, places, clamp=clamp, **lips)
 
@@ -457,23 +480,37 @@ def test_a_node_doubled_by_accident() -> None:
 def test_surfaces_that_share_a_line_and_no_node() -> None:
     """Divided differently there: hanging nodes."""
     cells, places, clamp = grid()
-    more, there, other = grid(3, 3)
-    there = 2.0 * there + [6.0, 0.0]
-    both = np.concatenate([cells, more + len(places)]), np.concatenate([places, there])
-    own = [(one + len(places), two + len(places)) for one, two in other]
-    assert refused("touch without a node of both", *both, clamp=clamp + own)[0] == 6.0
-    both[1][len(places) :, 0] += 0.01
-    check(*both, clamp=clamp + own)
+    further_cells, further_places, further_clamp = grid(3, 3)
+    further_places = 2.0 * further_places + [6.0, 0.0]
+    joint_mesh = (
+        np.concatenate([cells, further_cells + len(places)]),
+        np.concatenate([places, further_places]),
+    )
+    shifted_clamp = [
+        (first_node + len(places), second_node + len(places))
+        for first_node, second_node in further_clamp
+    ]
+    assert (
+        refused("touch without a node of both", *joint_mesh, clamp=clamp + shifted_clamp)[0] == 6.0
+    )
+    joint_mesh[1][len(places) :, 0] += 0.01
+    check(*joint_mesh, clamp=clamp + shifted_clamp)
 
 
 @pytest.mark.parametrize("origin", [(1.2, 1.3), (3.3, 2.2), (4.5, 4.5)], ids=str)
 def test_parts_on_one_another(origin: tuple[float, float]) -> None:
     """Inside one another, or across an edge of the boundary."""
     cells, places, clamp = grid()
-    more, there, other = grid(2, 2, origin)
-    own = [(one + len(places), two + len(places)) for one, two in other]
-    both = np.concatenate([cells, more + len(places)]), np.concatenate([places, there])
-    refused("cells that overlap", *both, clamp=clamp + own)
+    further_cells, further_places, further_clamp = grid(2, 2, origin)
+    shifted_clamp = [
+        (first_node + len(places), second_node + len(places))
+        for first_node, second_node in further_clamp
+    ]
+    joint_mesh = (
+        np.concatenate([cells, further_cells + len(places)]),
+        np.concatenate([places, further_places]),
+    )
+    refused("cells that overlap", *joint_mesh, clamp=clamp + shifted_clamp)
 
 
 @pytest.mark.parametrize("turn", [0.5, 1.0, 1.5])
@@ -483,10 +520,10 @@ def test_strips_that_cross(shift: tuple[float, float], turn: float) -> None:
     cells, places, clamp = grid(6, 1)
     places = (places - [3.0, 0.5]) * [2.0, 1.0]
     cosine, sine = np.cos(turn), np.sin(turn)
-    turned = places @ [[cosine, sine], [-sine, cosine]] + shift
-    both = np.concatenate([cells, cells + 14]), np.concatenate([places, turned])
-    own = [(one + 14, two + 14) for one, two in clamp]
-    refused("cells that overlap", *both, clamp=clamp + own)
+    turned_places = places @ [[cosine, sine], [-sine, cosine]] + shift
+    joint_mesh = np.concatenate([cells, cells + 14]), np.concatenate([places, turned_places])
+    shifted_clamp = [(first_node + 14, second_node + 14) for first_node, second_node in clamp]
+    refused("cells that overlap", *joint_mesh, clamp=clamp + shifted_clamp)
 
 
 def test_two_cells_on_one_side_of_their_edge() -> None:
@@ -513,8 +550,7 @@ def test_a_strip_wound_onto_itself() -> None:
     radius = 1.0 + 0.3 * places[:, 1:] + 0.1 * turns
     angle = 2.0 * np.pi * turns
     places = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    words = "cells that overlap, or touch"
-    refused(words, cells, places, clamp=[(0, 41)])
+    refused("cells that overlap, or touch", cells, places, clamp=[(0, 41)])
 
 
 def test_a_fan_that_goes_round_twice() -> None:
@@ -522,8 +558,7 @@ def test_a_fan_that_goes_round_twice() -> None:
     angles = np.arange(16) * np.pi / 4.0
     ring = np.column_stack([np.cos(angles), np.sin(angles)]) * (1.0 + 0.01 * np.arange(16)[:, None])
     cells = [(0, 1 + k, 1 + (k + 1) % 16) for k in range(16)]
-    places = np.concatenate([[[0.0, 0.0]], ring])
-    refused("cells that overlap", cells, places, clamp=[(1, 2)])
+    refused("cells that overlap", cells, np.concatenate([[[0.0, 0.0]], ring]), clamp=[(1, 2)])
 
 
 def test_quadrilaterals_are_convex() -> None:

@@ -50,14 +50,16 @@ def test_gaps_are_means_by_hats(order: int) -> None:
     hats = 0.5 * (np.append(0.0, length[:-1]) + np.append(length[:-1], 2.0 * length[-1]))
     assert areas == pytest.approx(0.01 * hats, rel=1e-10)
     # Integrals of psi (0.06 - x): a half hat's centre is a third from its middle.
-    below = np.append(0.0, length[:-1] / 2.0 * (0.06 - x[1:-1] + length[:-1] / 3.0))
-    above = np.append(length[:-1] / 2.0 * (0.06 - x[:-2] - length[:-1] / 3.0), length[-1] ** 2 / 2)
-    upper = nodes_of_side(structure, (0.0, 0.08), (0.0, 1.0))[:, None]
-    opening = np.where(upper, np.maximum(0.06 - structure.nodes.points[:, :1], 0.0), 0.0)
-    opened = structure.apply_bt(field(structure, opening * [0.0, 1.0]))[0]
-    assert -opened == pytest.approx((below + above) / hats, rel=1e-9)
+    lower_parts = np.append(0.0, length[:-1] / 2.0 * (0.06 - x[1:-1] + length[:-1] / 3.0))
+    upper_parts = np.append(
+        length[:-1] / 2.0 * (0.06 - x[:-2] - length[:-1] / 3.0), length[-1] ** 2 / 2
+    )
+    is_upper = nodes_of_side(structure, (0.0, 0.08), (0.0, 1.0))[:, None]
+    opening = np.where(is_upper, np.maximum(0.06 - structure.nodes.points[:, :1], 0.0), 0.0)
+    gap = structure.apply_bt(field(structure, opening * [0.0, 1.0]))[0]
+    assert -gap == pytest.approx((lower_parts + upper_parts) / hats, rel=1e-9)
     slid = structure.apply_tangential(field(structure, opening * [1.0, 0.0]))
-    assert slid is not None and np.abs(slid[0]) == pytest.approx(-opened, rel=1e-12)
+    assert slid is not None and np.abs(slid[0]) == pytest.approx(-gap, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -76,11 +78,11 @@ def test_a_uniform_pressure_goes_through(order: int, patches: int | None, cells:
 
 def pressed(structure: fc.Structure, young: float, stress: float) -> None:
     """Compare the static state with that without a crack."""
-    moved, forces = static_state(structure, structure.force[0], np.zeros(structure.n_pairs))
+    displacement, forces = static_state(structure, structure.force[0], np.zeros(structure.n_pairs))
     assert forces == pytest.approx(stress * structure.pair_areas, rel=1e-9)
-    along = np.eye(structure.nodes.points.shape[1])[1]
-    exact = field(structure, -stress / young * structure.nodes.points[:, 1:2] * along)[0]
-    np.testing.assert_allclose(moved, exact, atol=1e-9 * np.abs(exact).max())
+    y_direction = np.eye(structure.nodes.points.shape[1])[1]
+    exact = field(structure, -stress / young * structure.nodes.points[:, 1:2] * y_direction)[0]
+    np.testing.assert_allclose(displacement, exact, atol=1e-9 * np.abs(exact).max())
 
 
 def solid_column(patches: int | None, **crack: Any) -> Scene:
@@ -116,13 +118,15 @@ def test_pressures_are_drawn_between_middles(scene: Scene) -> None:
     solution = fc.solve_harmonic_balance(study.structure, 3500.0, law, harmonics=1)
     fields = PeriodFields(solution, 1)
     grid = pyvista.wrap(fields.make_frame_grid(0))
-    shown = np.flatnonzero(grid["contact state"] >= 0.0)
-    whole = shown[fields.pressure_weights[shown].sum(axis=1) > 0.9]  # next to the front half of it
-    assert grid["contact pressure"][whole] == pytest.approx(STRESS, rel=1e-4)
-    assert np.all(grid["contact state"][shown] == 1.0)
-    places = fields.mesh.points[shown]
+    shown_cells = np.flatnonzero(grid["contact state"] >= 0.0)
+    full_cells = shown_cells[
+        fields.pressure_weights[shown_cells].sum(axis=1) > 0.9
+    ]  # next to the front half of it
+    assert grid["contact pressure"][full_cells] == pytest.approx(STRESS, rel=1e-4)
+    assert np.all(grid["contact state"][shown_cells] == 1.0)
+    places = fields.mesh.points[shown_cells]
     assert places[:, 1] == pytest.approx(scene.crack.height)  # type: ignore[union-attr]
-    assert len(shown) == 2 * 24 if scene.dimension == 2 else len(whole) > 2 * 4
+    assert len(shown_cells) == 2 * 24 if scene.dimension == 2 else len(full_cells) > 2 * 4
     grid = fields.nodal_pair_forces.sum(axis=0)
     assert grid[:-1] == pytest.approx(2.0) and 1.0 < grid[-1] <= 2.0  # without the tip's part
     values = [np.max(x.get_array()) for x in fc.draw_contact_map(solution).axes[0].collections]
@@ -154,10 +158,10 @@ def test_few_patches_are_as_good_as_nodes(elements: int, order: int, patches: in
     """A quarter of the pairs moves the tip by less than 1e-4, the second harmonic by 1 %."""
     scene = column(lip_elements=elements, order=order).replace(BENDING)
     omega = 0.8 * float(fc.bilinear_frequencies(fc.build_structure(scene)).omega_bilinear[0])
-    nodes, few = (answers(scene, omega, count) for count in (None, patches))
-    assert few[1] == pytest.approx(nodes[1], rel=1e-4)
-    assert few[[0, 2]] == pytest.approx(nodes[[0, 2]], rel=1e-2)
-    assert few[1] != nodes[1]
+    node_answers, patch_answers = (answers(scene, omega, count) for count in (None, patches))
+    assert patch_answers[1] == pytest.approx(node_answers[1], rel=1e-4)
+    assert patch_answers[[0, 2]] == pytest.approx(node_answers[[0, 2]], rel=1e-2)
+    assert patch_answers[1] != node_answers[1]
 
 
 @pytest.mark.nightly
@@ -166,12 +170,12 @@ def test_their_error_is_stated() -> None:
     scene = column(lip_elements=16, order=2).replace(BENDING)
     omega = 0.8 * float(fc.bilinear_frequencies(fc.build_structure(scene)).omega_bilinear[0])
     scene = scene.replace({"excitation.omega": omega, "contact.friction_error": False})
-    nodes, few = (fc.solve(scene.replace({"mesh.patches": count})) for count in (None, 4))
-    exact = nodes.result.indicators().opening
-    change = 1.0 - few.result.indicators().opening / exact
-    stated, cause = few.errors.stated("opening")
-    assert cause == "mesh" and 0.05 < change < 1.3 * stated
-    assert stated > 1.3 * nodes.errors.stated("opening")[0]
+    node_run, patch_run = (fc.solve(scene.replace({"mesh.patches": count})) for count in (None, 4))
+    exact = node_run.result.indicators().opening
+    change = 1.0 - patch_run.result.indicators().opening / exact
+    stated_error, cause = patch_run.errors.stated("opening")
+    assert cause == "mesh" and 0.05 < change < 1.3 * stated_error
+    assert stated_error > 1.3 * node_run.errors.stated("opening")[0]
 
 
 # --- their place in the program -------------------------------------------------------------------
@@ -180,10 +184,10 @@ def test_their_error_is_stated() -> None:
 def test_patches_follow_the_mesh() -> None:
     """Their error is the mesh's: half as many with elements twice as long, a quarter on a solid."""
     for scene, factor in ((column(patches=8), 2), (solid_column(8), 4)):
-        coarse, fine = make_coarser_scene(scene), refine_scene(scene, 2.0)
-        assert isinstance(coarse, Scene) or scene.dimension == 3
-        coarse = refine_scene(scene, 0.5)
-        assert (coarse.mesh.patches, fine.mesh.patches) == (8 // factor, 8 * factor)
+        coarse_scene, fine_scene = make_coarser_scene(scene), refine_scene(scene, 2.0)
+        assert isinstance(coarse_scene, Scene) or scene.dimension == 3
+        coarse_scene = refine_scene(scene, 0.5)
+        assert (coarse_scene.mesh.patches, fine_scene.mesh.patches) == (8 // factor, 8 * factor)
     assert "patch" in str(make_coarser_scene(column(patches=1)))
 
 
@@ -199,7 +203,7 @@ def test_refused() -> None:
 def test_two_ranks_have_the_same_patches(on_ranks: Callable[..., Any]) -> None:
     """Of each of several cracks."""
     scene = plate(THREE, **{"mesh.order": 2, "mesh.patches": 3})
-    parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
-    assert list(np.bincount(alone["cracks"])) == [3, 3, 3]
-    for name, value in alone.items():
+    parallel, serial = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
+    assert list(np.bincount(serial["cracks"])) == [3, 3, 3]
+    for name, value in serial.items():
         np.testing.assert_allclose(parallel[name], value, rtol=1e-8, atol=1e-12, err_msg=name)

@@ -50,16 +50,16 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
     one across it, which softens; and the stretch of a bar, rho W^2 (R L^2 / 2 + L^3 / 3) / E."""
     structure = bar(rotation={"speed": 100.0} | AXES[name])
     rotation, hub = structure.rotation, 0.1
-    still = fc.solve_modes(rotation.at_rest, 2).omega ** 2
+    squares_at_rest = fc.solve_modes(rotation.at_rest, 2).omega ** 2
     modes = fc.solve_modes(structure, 2)
-    found = (modes.omega**2 - still) / 100.0**2
+    coefficients = (modes.omega**2 - squares_at_rest) / 100.0**2
     southwell = 1.193 + 1.571 * hub / LENGTH
     tip = modes.shapes[structure.nodes.dofs[np.argmax(structure.nodes.points[:, 1])]].T
     share = np.abs(tip @ ALONG[name]) / np.linalg.norm(tip, axis=1)
     assert share == pytest.approx([0.0, 1.0], abs=0.02)
-    assert found == pytest.approx([southwell - 1.0, southwell], rel=0.01)
-    moved = fc.solve_linear(structure, 1.0, harmonics=1).displacement_coefficients[0]
-    top = moved[structure.find_dof((SIDE / 2.0, LENGTH, SIDE / 2.0), "y")]
+    assert coefficients == pytest.approx([southwell - 1.0, southwell], rel=0.01)
+    displacement = fc.solve_linear(structure, 1.0, harmonics=1).displacement_coefficients[0]
+    top = displacement[structure.find_dof((SIDE / 2.0, LENGTH, SIDE / 2.0), "y")]
     stretch = DENSITY * 100.0**2 * (hub * LENGTH**2 / 2.0 + LENGTH**3 / 3.0) / YOUNG
     assert top == pytest.approx(stretch, rel=2e-3)
 
@@ -69,21 +69,21 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
 def test_an_axis_below_the_middle_bends_no_blade(axis: list[float]) -> None:
     """At a distance e beside it the uniform load rho A W^2 e bends the bar by q L^4 / (8 E I), and
     its stress in the clamp is q L^2 / 2 / (b^3 / 6)."""
-    beside = {"center": [0.0, -0.1, 0.0], "axis": axis, "speed": 100.0}
+    offset_axis = {"center": [0.0, -0.1, 0.0], "axis": axis, "speed": 100.0}
     stress = DENSITY * 100.0**2 * 0.5 * SIDE * LENGTH**2 * 3.0 / SIDE
-    bent = DENSITY * 100.0**2 * 0.5 * SIDE * LENGTH**4 * 1.5 / (YOUNG * SIDE**2)
-    moved = []
-    for rotation in ({"hub_radius": 0.1, "axis": axis, "speed": 100.0}, beside):
+    deflection = DENSITY * 100.0**2 * 0.5 * SIDE * LENGTH**4 * 1.5 / (YOUNG * SIDE**2)
+    tip_motions = []
+    for rotation in ({"hub_radius": 0.1, "axis": axis, "speed": 100.0}, offset_axis):
         scene = Scene.from_mapping(BAR | PUSHED | {"rotation": rotation})
         structure = fc.build_structure(scene)
         mean = fc.solve_linear(structure, 1.0, harmonics=1).displacement_coefficients[0]
         top = (0.5 * SIDE, LENGTH, 0.5 * SIDE)
-        moved.append([mean[structure.find_dof(top, letter)] for letter in "xz"])
+        tip_motions.append([mean[structure.find_dof(top, letter)] for letter in "xz"])
         remarks = [r for r in remarks_on_scene(scene, structure) if r.key.startswith("rotation")]
-        assert len(remarks) == len(moved) - 1
+        assert len(remarks) == len(tip_motions) - 1
     side = int(axis[0] == 1.0)  # the direction in which it is bent
-    assert np.abs(moved[0]).max() < 2e-3 * bent
-    assert np.abs(moved[1][side]) == pytest.approx(bent, rel=0.02)
+    assert np.abs(tip_motions[0]).max() < 2e-3 * deflection
+    assert np.abs(tip_motions[1][side]) == pytest.approx(deflection, rel=0.02)
     assert f"about {1e-6 * stress:.3g} MPa" in str(remarks[0])
 
 
@@ -101,11 +101,10 @@ C3D10, by CalculiX 2.20: *CENTRIF, NLGEOM and a perturbation step. The book make
 def test_a_twisted_blade_beside_calculix() -> None:
     """All six within 0.1 %; without the stiffness of the displaced shape the second one would be
     0.2 % off at 6000 rpm."""
-    scene = Scene.load(BLADE)
-    rotation = fc.build_structure(scene).rotation
-    for rpm, expected in CALCULIX.items():
-        found = fc.solve_modes(rotation.at(rpm * math.pi / 30.0), 6).omega / (2.0 * math.pi)
-        assert found == pytest.approx(expected, rel=1e-3)
+    rotation = fc.build_structure(Scene.load(BLADE)).rotation
+    for rpm, calculix_hertz in CALCULIX.items():
+        hertz = fc.solve_modes(rotation.at(rpm * math.pi / 30.0), 6).omega / (2.0 * math.pi)
+        assert hertz == pytest.approx(calculix_hertz, rel=1e-3)
 
 
 def vibrating(scene: Scene, comm: MPI.Comm) -> list[float]:
@@ -124,23 +123,23 @@ def test_ranks_share_the_blade(on_ranks: Callable[..., Any]) -> None:
     """Two ranks find the frequencies of one and, next to the resonance, which magnifies rounding,
     its motion, with the same share of the period closed."""
     scene = Scene.load(BLADE)
-    alone, shared = vibrating(scene, MPI.COMM_SELF), on_ranks(vibrating, scene)
-    assert shared[:4] == pytest.approx(alone[:4], rel=1e-9)
-    assert shared[4:] == pytest.approx(alone[4:], rel=2e-8)
-    assert 0.05 < alone[-1] < 0.3
+    serial, parallel = vibrating(scene, MPI.COMM_SELF), on_ranks(vibrating, scene)
+    assert parallel[:4] == pytest.approx(serial[:4], rel=1e-9)
+    assert parallel[4:] == pytest.approx(serial[4:], rel=2e-8)
+    assert 0.05 < serial[-1] < 0.3
 
 
 def test_a_phase_delays_cosine_and_sine() -> None:
     """q(t - phase / w): a quarter of a period makes the sine of the cosine."""
-    pushed = bar(loads=[{"edge": "front", "pressure_mean": 7.0, "pressure_cos": 100.0}]).force
-    assert pushed[1].sum() == pytest.approx(-100.0 * SIDE * LENGTH, rel=0.1)  # less the clamp's
+    force = bar(loads=[{"edge": "front", "pressure_mean": 7.0, "pressure_cos": 100.0}]).force
+    assert force[1].sum() == pytest.approx(-100.0 * SIDE * LENGTH, rel=0.1)  # less the clamp's
     for phase in (90.0, 30.0):
         loads = [{"edge": "front", "pressure_mean": 7.0, "pressure_cos": 100.0, "phase": phase}]
         mean, cosine, sine = bar(loads=loads).force
-        turn, size = math.radians(phase), np.abs(pushed).max()
-        assert mean == pytest.approx(pushed[0])
-        assert cosine == pytest.approx(math.cos(turn) * pushed[1], abs=1e-12 * size)
-        assert sine == pytest.approx(math.sin(turn) * pushed[1], abs=1e-12 * size)
+        turn, size = math.radians(phase), np.abs(force).max()
+        assert mean == pytest.approx(force[0])
+        assert cosine == pytest.approx(math.cos(turn) * force[1], abs=1e-12 * size)
+        assert sine == pytest.approx(math.sin(turn) * force[1], abs=1e-12 * size)
 
 
 @pytest.mark.parametrize(

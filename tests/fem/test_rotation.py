@@ -64,13 +64,13 @@ def test_frequencies_of_a_rotating_cantilever(strips: dict[int, fc.Structure], r
     """Within 1 % of the published ones, and these are those of the beam to their last digit."""
     bending, tension, mass, _ = beam(ratio)
     rotation = strips[ratio].rotation
-    for (at, speed), published in PUBLISHED.items():
-        if at != ratio:
+    for (case_ratio, speed), published_omegas in PUBLISHED.items():
+        if case_ratio != ratio:
             continue
         squares = scipy.linalg.eigh(bending + speed**2 * tension, mass, eigvals_only=True)
-        assert np.sqrt(squares[:2]) == pytest.approx(published, rel=1e-4)
-        found = fc.solve_modes(rotation.at(speed * UNIT), 2).omega / UNIT
-        assert found == pytest.approx(published, rel=0.01)
+        assert np.sqrt(squares[:2]) == pytest.approx(published_omegas, rel=1e-4)
+        omegas = fc.solve_modes(rotation.at(speed * UNIT), 2).omega / UNIT
+        assert omegas == pytest.approx(published_omegas, rel=0.01)
 
 
 def test_southwell_coefficients(strips: dict[int, fc.Structure]) -> None:
@@ -88,15 +88,17 @@ def test_a_mean_load_bends_less_under_rotation() -> None:
     """The tip under a constant lateral force: as the beam of Rayleigh-Ritz, less than half of that
     at rest."""
     bending, tension, _, tip = beam(0)
-    bent = [tip @ np.linalg.solve(bending + w**2 * tension, tip) for w in (0.0, 5.0)]
+    exact_deflections = [tip @ np.linalg.solve(bending + w**2 * tension, tip) for w in (0.0, 5.0)]
     mean = {"omega": 100.0, "point": [WIDTH, HEIGHT], "force_mean": [1.0, 0.0]}
-    found = []
+    deflections = []
     for speed in (0.0, 5.0):
         structure = fc.build_structure(strip(0, speed, excitation=mean))
-        moved = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
-        found.append(moved[structure.find_dof((WIDTH, HEIGHT), "x")])
-    assert found[1] / found[0] == pytest.approx(bent[1] / bent[0], rel=0.01)
-    assert found[1] < 0.5 * found[0]
+        displacement = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
+        deflections.append(displacement[structure.find_dof((WIDTH, HEIGHT), "x")])
+    assert deflections[1] / deflections[0] == pytest.approx(
+        exact_deflections[1] / exact_deflections[0], rel=0.01
+    )
+    assert deflections[1] < 0.5 * deflections[0]
 
 
 def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
@@ -106,32 +108,40 @@ def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
     area, length = WIDTH * 0.02, HEIGHT
     for ratio, structure in strips.items():
         rotation, nodes = structure.rotation, structure.nodes
-        pulled, softened = ratio * length**3 / 2.0 + length**3 / 3.0, length**3 / 3.0
-        for component, expected in ((0, pulled), (1, pulled - softened)):
-            moved = np.zeros((structure.n_dofs, 1))
-            free = nodes.dofs[:, component] >= 0
-            moved[nodes.dofs[free, component], 0] = nodes.points[free, 1]
+        pull_integral, softening_integral = (
+            ratio * length**3 / 2.0 + length**3 / 3.0,
+            length**3 / 3.0,
+        )
+        for component, exact_energy in (
+            (0, pull_integral),
+            (1, pull_integral - softening_integral),
+        ):
+            displacement = np.zeros((structure.n_dofs, 1))
+            is_free = nodes.dofs[:, component] >= 0
+            displacement[nodes.dofs[is_free, component], 0] = nodes.points[is_free, 1]
             vector, product = rotation.rotation_stiffness.createVecs()
-            vector.array[:] = moved[:, 0]
+            vector.array[:] = displacement[:, 0]
             rotation.rotation_stiffness.mult(vector, product)
-            found = moved[:, 0] @ product.array_r
-            assert found == pytest.approx(DENSITY * area * expected, rel=1e-6, abs=1e-9)
-        moved = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
-        tip = moved[structure.find_dof((WIDTH, HEIGHT), "y")]
-        assert tip == pytest.approx(DENSITY * UNIT**2 * pulled / YOUNG, rel=1e-3)
+            energy = displacement[:, 0] @ product.array_r
+            assert energy == pytest.approx(DENSITY * area * exact_energy, rel=1e-6, abs=1e-9)
+        displacement = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
+        tip = displacement[structure.find_dof((WIDTH, HEIGHT), "y")]
+        assert tip == pytest.approx(DENSITY * UNIT**2 * pull_integral / YOUNG, rel=1e-3)
 
 
 def test_at_rest_nothing_changes() -> None:
     """Without the table and at speed 0: the same matrices and loads, bit by bit."""
-    plain = fc.build_structure(Scene.from_mapping(STRIP))
-    still = fc.build_structure(strip(1, 0.0))
-    assert still.rotation is None and plain.rotation is None
+    plain_strip = fc.build_structure(Scene.from_mapping(STRIP))
+    resting_strip = fc.build_structure(strip(1, 0.0))
+    assert resting_strip.rotation is None and plain_strip.rotation is None
     for name in ("mass", "stiffness"):
-        one, other = (getattr(structure, name).getValuesCSR() for structure in (plain, still))
-        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-    assert np.array_equal(plain.force, still.force)
-    rotating = fc.build_structure(strip(1, 1.0)).rotation
-    assert rotating is not None and rotating.at(0.0) is rotating.at_rest
+        plain_matrix, resting_matrix = (
+            getattr(structure, name).getValuesCSR() for structure in (plain_strip, resting_strip)
+        )
+        assert all(np.array_equal(a, b) for a, b in zip(plain_matrix, resting_matrix, strict=True))
+    assert np.array_equal(plain_strip.force, resting_strip.force)
+    rotation = fc.build_structure(strip(1, 1.0)).rotation
+    assert rotation is not None and rotation.at(0.0) is rotation.at_rest
 
 
 # --- cracks ---------------------------------------------------------------------------------------
@@ -151,38 +161,42 @@ def test_crack_mouth_opening_is_that_of_fracture_mechanics() -> None:
     )
     gap = fc.solve_linear(fc.prepare(scene).structure, 100.0, harmonics=1).gap_coefficients[0]
     stress = DENSITY * speed**2 * (hub + (level + height) / 2.0) * (height - level)
-    bent = math.cos(math.pi * crack / (2.0 * width))
-    shape = (1.46 + 3.42 * (1.0 - bent)) / bent**2
+    cosine = math.cos(math.pi * crack / (2.0 * width))
+    shape = (1.46 + 3.42 * (1.0 - cosine)) / cosine**2
     assert -gap[0] == pytest.approx(4.0 * stress * crack * shape / YOUNG, rel=0.03)
 
 
 def test_rotation_holds_a_crack_open() -> None:
     """At rest the crack breathes; at speed it never closes, and the response is the linear one."""
-    still, spinning = (fc.solve(cracked(w), MPI.COMM_SELF).result for w in (0.0, 600.0))
-    assert 0.2 < still.indicators(0).closed_share < 0.8
-    assert spinning.converged and spinning.indicators(0).closed_share == 0.0
-    linear = fc.solve_linear(spinning.structure, spinning.omega, harmonics=spinning.harmonics)
-    assert spinning.gap_coefficients == pytest.approx(linear.gap_coefficients, rel=1e-9)
+    resting_solution, spinning_solution = (
+        fc.solve(cracked(w), MPI.COMM_SELF).result for w in (0.0, 600.0)
+    )
+    assert 0.2 < resting_solution.indicators(0).closed_share < 0.8
+    assert spinning_solution.converged and spinning_solution.indicators(0).closed_share == 0.0
+    linear = fc.solve_linear(
+        spinning_solution.structure, spinning_solution.omega, harmonics=spinning_solution.harmonics
+    )
+    assert spinning_solution.gap_coefficients == pytest.approx(linear.gap_coefficients, rel=1e-9)
 
 
 def test_speeds_too_high_and_loads_are_refused() -> None:
     """Where softening outweighs all stiffness nothing holds the plate; factors of a load would
     multiply the centrifugal one too."""
     rotation = fc.build_structure(strip(0, 1.0)).rotation
-    softening = rotation.at_rest.mass.copy()
-    softening.scale(-1.0)
+    softening_matrix = rotation.at_rest.mass.copy()
+    softening_matrix.scale(-1.0)
     with pytest.raises(InputError, match=r"rotation.speed.*lower"):
-        replace(rotation, rotation_stiffness=softening).at(4.0 * UNIT)
+        replace(rotation, rotation_stiffness=softening_matrix).at(4.0 * UNIT)
     plate = fc.prepare(cracked(100.0))
     for structure in (plate.structure, plate.structure.whole):
         with pytest.raises(InputError, match="load"):
             structure.varied(load=2.0)
         assert np.array_equal(structure.varied(damping=2.0).force, structure.force)
-        varied = structure.varied(damping=2.0, clearance=1e-6).whole
+        varied_structure = structure.varied(damping=2.0, clearance=1e-6).whole
         for speed in (0.0, 100.0):
-            same = varied.rotation.at(speed)
-            assert np.array_equal(same.clearance, varied.clearance)
-            assert same.damping == varied.damping != structure.whole.damping
+            turning_structure = varied_structure.rotation.at(speed)
+            assert np.array_equal(turning_structure.clearance, varied_structure.clearance)
+            assert turning_structure.damping == varied_structure.damping != structure.whole.damping
     with pytest.raises(InputError, match="parameter"):
         fc.continue_parameter(plate.structure, 3000.0, plate.contact, "load", 0.5, 1.0)
 
@@ -194,34 +208,32 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     assert scene.excitation.omega == 6 * scene.rotation.speed  # type: ignore[union-attr]
     path.write_text(scene.as_toml())
     assert main(["check", str(path)]) == 0
-    printed = capsys.readouterr().out
-    assert "rotor speed [rpm]" in printed and "opened by rotation" in printed
+    output = capsys.readouterr().out
+    assert "rotor speed [rpm]" in output and "opened by rotation" in output
     words = r"order 6 meets the resonance at the load, rotor speed \[rpm\]"
-    [told] = re.findall(rf"{words} +([\d.]+)\n", printed)
-    near = math.pi / 30.0 * float(told)
-    [(mode, met)] = fc.campbell(scene, [0.9 * near, 1.1 * near], 1).met
-    assert mode == 1 and near == pytest.approx(met.value, rel=2e-4)
-    assert near > 3.0 * scene.rotation.speed  # type: ignore[union-attr]
+    [printed_speed] = re.findall(rf"{words} +([\d.]+)\n", output)
+    speed = math.pi / 30.0 * float(printed_speed)
+    [(mode, crossing)] = fc.campbell(scene, [0.9 * speed, 1.1 * speed], 1).met
+    assert mode == 1 and speed == pytest.approx(crossing.value, rel=2e-4)
+    assert speed > 3.0 * scene.rotation.speed  # type: ignore[union-attr]
 
 
 def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:
     """A crack given by its first natural frequency keeps its length whatever the speed."""
     mesh = {"layout": "graded", "size": 0.01, "lip_elements": 2}
-    scene = cracked(0.0, mesh=mesh)
-    first = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0])
-    crack = {"edge": "left", "height": 0.05, "first_omega": first}
-    found = fc.find_crack_length(cracked(500.0, crack=crack, mesh=mesh))
-    assert found == pytest.approx(0.006, rel=2e-3)
+    first_omega = float(fc.solve_modes(fc.build_structure(cracked(0.0, mesh=mesh)), 1).omega[0])
+    crack = {"edge": "left", "height": 0.05, "first_omega": first_omega}
+    length = fc.find_crack_length(cracked(500.0, crack=crack, mesh=mesh))
+    assert length == pytest.approx(0.006, rel=2e-3)
 
 
 def test_lumped_and_tied_blades_rotate_still() -> None:
     """Part of their mean load is centrifugal, which is not multiplied; their run-ups are theirs."""
-    whole = fc.build_structure(cracked(600.0), MPI.COMM_SELF)
-    for changed in (whole.lumped, lambda: whole.tied(1e12)):
-        other = changed()
+    full_structure = fc.build_structure(cracked(600.0), MPI.COMM_SELF)
+    for make_variant in (full_structure.lumped, lambda: full_structure.tied(1e12)):
+        variant = make_variant()
         with pytest.raises(InputError, match="centrifugal"):
-            other.varied(load=2.0)
-        spinning = fc.run_up_structure(other, 500.0, 700.0, 3)
-        there = other.rotation.at(650.0)
-        expected = fc.solve_modes(there, 3).omega
-        assert spinning.at_speed(650.0).omega == pytest.approx(expected, rel=1e-7)
+            variant.varied(load=2.0)
+        rotor = fc.run_up_structure(variant, 500.0, 700.0, 3)
+        omegas = fc.solve_modes(variant.rotation.at(650.0), 3).omega
+        assert rotor.at_speed(650.0).omega == pytest.approx(omegas, rel=1e-7)

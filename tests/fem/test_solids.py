@@ -89,8 +89,7 @@ def frequencies(scene: Scene, count: int = 4) -> np.ndarray:
 
 def frequencies_of(structure: fc.Structure, count: int = 4) -> np.ndarray:
     """Of a structure, with open lips [Hz]."""
-    found: np.ndarray = fc.solve_modes(structure, count).omega / (2.0 * math.pi)
-    return found
+    return fc.solve_modes(structure, count).omega / (2.0 * math.pi)
 
 
 @pytest.fixture(scope="module")
@@ -118,11 +117,13 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     lips = mesh.points[mesh.crack_face_sides]
     normals = np.cross(lips[:, 1] - lips[:, 0], lips[:, 2] - lips[:, 0])
     assert lips[..., 1] == pytest.approx(crack["height"], abs=1e-12)
-    both = 0.5 * np.linalg.norm(normals, axis=1).sum()
-    assert 0.75 * area < 0.5 * both <= area * (1.0 + 1e-12)
-    assert normals[:, 1].sum() == pytest.approx(0.0, abs=1e-12 * both)  # they look at each other
+    area_of_both_faces = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    assert 0.75 * area < 0.5 * area_of_both_faces <= area * (1.0 + 1e-12)
+    assert normals[:, 1].sum() == pytest.approx(
+        0.0, abs=1e-12 * area_of_both_faces
+    )  # they look at each other
     assert 0.0 < structure.pair_areas.min()
-    assert structure.pair_areas.sum() == pytest.approx(0.5 * both, rel=1e-12)
+    assert structure.pair_areas.sum() == pytest.approx(0.5 * area_of_both_faces, rel=1e-12)
     assert list(structure.watched_pairs) == ["the mouth"]
 
 
@@ -139,22 +140,22 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     continuous[1, rows] = ((points - points.mean(axis=0)) @ strain)[
         np.arange(len(rows)), components
     ]
-    clamped = structure.apply_bt(continuous)
-    assert clamped[0] == pytest.approx(0.0, abs=1e-12)
-    assert clamped[1] == pytest.approx(0.0, abs=1e-12)
+    gap_of_continuous = structure.apply_bt(continuous)
+    assert gap_of_continuous[0] == pytest.approx(0.0, abs=1e-12)
+    assert gap_of_continuous[1] == pytest.approx(0.0, abs=1e-12)
     mesh = NodalMesh(structure)
     middles = mesh.points[mesh.cells[:, :4]].mean(axis=1)
-    above = np.zeros(len(mesh.points), dtype=bool)
-    above[mesh.cells[middles[:, 1] > crack["height"]]] = True
-    below = np.zeros(len(mesh.points), dtype=bool)
-    below[mesh.cells[middles[:, 1] < crack["height"]]] = True
+    is_above = np.zeros(len(mesh.points), dtype=bool)
+    is_above[mesh.cells[middles[:, 1] > crack["height"]]] = True
+    is_below = np.zeros(len(mesh.points), dtype=bool)
+    is_below[mesh.cells[middles[:, 1] < crack["height"]]] = True
     on_lips = np.unique(mesh.crack_face_sides)
-    upper = np.isin(np.arange(len(above)), on_lips) & above & ~below
+    is_upper = np.isin(np.arange(len(is_above)), on_lips) & is_above & ~is_below
     # Nodes in the middle of edges between two corners of a lip belong to it, too.
-    upper |= above & ~below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)
-    closing = np.zeros((1, structure.n_dofs))
-    closing[0, structure.nodes.dofs[upper, 1]] = -1e-6
-    gap = structure.apply_bt(closing)[0]
+    is_upper |= is_above & ~is_below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)
+    displacement = np.zeros((1, structure.n_dofs))
+    displacement[0, structure.nodes.dofs[is_upper, 1]] = -1e-6
+    gap = structure.apply_bt(displacement)[0]
     assert np.all((gap > 0.1e-6) & (gap < 1.1e-6))  # towards the front it vanishes by a parabola
     if crack is THROUGH:
         assert gap[structure.first_watched_pair] == pytest.approx(1e-6, rel=1e-9)
@@ -216,15 +217,21 @@ def draw_surface(shape: str, order: int) -> list[int]:
             lines = [occ.addCircleArc(ends[0], occ.addPoint(0.4, 0.0, 0.0), ends[1])]
         else:
             lines = [occ.addLine(*pair) for pair in itertools.pairwise(ends)]
-        made = occ.extrude([(1, line) for line in lines], 0.0, 0.0, 1.0)
-        face = [one for one in made if one[0] == 2]
-    made = [one for own in occ.fragment(box, face)[1][1:] for one in own]
+        entities = occ.extrude([(1, line) for line in lines], 0.0, 0.0, 1.0)
+        face = [entity for entity in entities if entity[0] == 2]
+    entities = [entity for piece in occ.fragment(box, face)[1][1:] for entity in piece]
     occ.synchronize()
-    crack, mouth = [tag for _, tag in made], []
+    crack, mouth = [tag for _, tag in entities], []
     for _, tag in gmsh.model.getEntities(1):
-        low, high = np.reshape(gmsh.model.getBoundingBox(1, tag), (2, 3))
-        outer = any(low[i] > at - 1e-6 and high[i] < at + 1e-6 for i in range(3) for at in (0, 1))
-        if outer and tag in np.concatenate([gmsh.model.getAdjacencies(2, one)[1] for one in crack]):
+        lower_corner, upper_corner = np.reshape(gmsh.model.getBoundingBox(1, tag), (2, 3))
+        is_outer = any(
+            lower_corner[i] > coordinate - 1e-6 and upper_corner[i] < coordinate + 1e-6
+            for i in range(3)
+            for coordinate in (0, 1)
+        )
+        if is_outer and tag in np.concatenate(
+            [gmsh.model.getAdjacencies(2, face_tag)[1] for face_tag in crack]
+        ):
             mouth.append(tag)
     groups = [
         gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)]),
@@ -274,26 +281,27 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         for tag in gmsh.model.getEntitiesForPhysicalGroup(2, crack):
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
-        kind = gmsh.model.mesh.getElements(3)[0][0]
-        solid_cells = cells_of_kind(kind, cells)
+        solid_cells = cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
-        own = sharing(nodes, np.concatenate([places, places[twins]]))
+        own_sharing = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
             gmsh.plugin.setNumber("Crack", name, value)
         gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", mouth[0] if mouth else 0)
         gmsh.plugin.run("Crack")
-        assert own == sharing(*cells_of_model())
-    (found,) = find_crack_surfaces(
+        assert own_sharing == sharing(*cells_of_model())
+    (crack_surface,) = find_crack_surfaces(
         *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
     )
-    assert len(twins) > 5 and found.has_mouth == (shape != "inside")
+    assert len(twins) > 5 and crack_surface.has_mouth == (shape != "inside")
     corners = nodes[:, FACET_CORNERS_BY_CORNER_COUNT[4]].reshape(-1, 3)
-    _, first, uses = np.unique(
+    _, first_indices, uses = np.unique(
         np.sort(corners, axis=1), axis=0, return_index=True, return_counts=True
     )
-    outer = corners[first[uses == 1]]
-    edges = np.unique(np.sort(outer[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    euler = len(np.unique(outer)) - len(edges) + len(outer)
+    outer_triangles = corners[first_indices[uses == 1]]
+    edges = np.unique(
+        np.sort(outer_triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
+    )
+    euler = len(np.unique(outer_triangles)) - len(edges) + len(outer_triangles)
     assert euler == (4 if shape == "inside" else 2)
 
 
@@ -306,12 +314,12 @@ def test_slender_beams_bend_as_the_theory_says() -> None:
     side, length = 0.01, 0.2
     changes = {"geometry.width": side, "geometry.height": length, "geometry.thickness": side}
     changes |= {"mesh.size": 0.01, "material.poisson": 0.0, "contact": None}
-    found = frequencies(solid(**changes, **{"excitation.point": [0.0, length, 0.0]}), 2)
+    hertz = frequencies(solid(**changes, **{"excitation.point": [0.0, length, 0.0]}), 2)
     theory = (
         1.8751041**2 / (2.0 * math.pi) * math.sqrt(2.1e11 * side**2 / (12.0 * 7850.0)) / length**2
     )
-    assert found == pytest.approx(theory, rel=3e-3)
-    assert np.all(found < theory)
+    assert hertz == pytest.approx(theory, rel=3e-3)
+    assert np.all(hertz < theory)
 
 
 def test_in_its_plane_a_solid_is_a_plate() -> None:
@@ -331,8 +339,7 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
             THROUGH, **{"material.poisson": 0.0, "mesh.size": size, "mesh.lip_elements": lips}
         )
         modes = fc.solve_modes(fc.build_structure(scene), 4)
-        shapes = NodalMesh(modes.structure).nodal_vectors(modes.shapes.T)
-        sizes = np.linalg.norm(shapes, axis=1)
+        sizes = np.linalg.norm(NodalMesh(modes.structure).nodal_vectors(modes.shapes.T), axis=1)
         in_plane = np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]
         errors.append(modes.omega[in_plane] / (2.0 * math.pi) / exact - 1.0)
     assert 0.0 < errors[1] < 0.6 * errors[0]
@@ -341,24 +348,23 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
 
 def test_tied_lips_are_a_solid_without_a_crack() -> None:
     """But for what slides: between the frequency with open lips and that of the whole."""
-    structure = fc.build_structure(solid(ELLIPSE))
-    found = fc.bilinear_frequencies(structure)
-    whole = 2.0 * math.pi * frequencies(solid(contact=None), 1)[0]
-    assert found.omega_open[0] < found.omega_bilinear[0] < found.omega_tied[0]
-    assert found.omega_tied[0] == pytest.approx(whole, rel=2e-3)
+    bilinear = fc.bilinear_frequencies(fc.build_structure(solid(ELLIPSE)))
+    uncracked_omega = 2.0 * math.pi * frequencies(solid(contact=None), 1)[0]
+    assert bilinear.omega_open[0] < bilinear.omega_bilinear[0] < bilinear.omega_tied[0]
+    assert bilinear.omega_tied[0] == pytest.approx(uncracked_omega, rel=2e-3)
 
 
 def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Meshes bound the pairs of solids; which cases there are, and whether there are any, does not
     take them."""
-    swept = solid(THROUGH, **{"sweep.over": {"crack.length": [0.008, 0.01, 0.5]}})
-    with monkeypatch.context() as patched:
-        patched.setattr("fenics_crack.sweep.plan.build_mesh", None)
-        plan = Plan(swept)
-        found = [isinstance(plan.case_at((place,)), Scene) for place in range(3)]
-        assert found == [True, True, False]
+    sweep_scene = solid(THROUGH, **{"sweep.over": {"crack.length": [0.008, 0.01, 0.5]}})
+    with monkeypatch.context() as patch:
+        patch.setattr("fenics_crack.sweep.plan.build_mesh", None)
+        plan = Plan(sweep_scene)
+        is_scene = [isinstance(plan.case_at((place,)), Scene) for place in range(3)]
+        assert is_scene == [True, True, False]
         with pytest.raises(InputError, match="a combination can be used"):
-            Plan(swept.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
+            Plan(sweep_scene.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
     assert plan.gap_rows_upper_bound == max(bound for bound, _ in plan.pair_bounds_and_lengths) > 0
     assert plan.pair_bounds_and_lengths[2] == (0, 0.0)
 
@@ -369,36 +375,35 @@ def test_forces_of_a_solid_are_swept(tmp_path: Path) -> None:
     changes = {"reduction.modes": 8, "harmonic_balance.harmonics": 4, "curve": None}
     scene = solid(PART_THROUGH, **changes)
     means, cosines = [(0.0, 0.0, 0.0), (0.3, 0.5, -0.5)], [(1.0, 0.2, 0.0), (0.0, 5.0, 1.0)]
-    over = {"excitation.force_mean": means, "excitation.force_cos": cosines}
-    swept = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
-    assert swept.converged.all()
+    sweep_axes = {"excitation.force_mean": means, "excitation.force_cos": cosines}
+    sweep = fc.run_sweep(scene.replace({"sweep.over": sweep_axes}), tmp_path / "sweep.h5")
+    assert sweep.converged.all()
     for row, mean in enumerate(means):
         for column, cosine in enumerate(cosines):
             force = {"excitation.force_mean": mean, "excitation.force_cos": cosine}
-            found = fc.solve(scene.replace(force)).result
-            gap = found.gap_coefficients
-            error = np.abs(swept.gap((row, column)) - gap).max()
-            assert error < 1e-6 * np.abs(gap).max()
-            often = found.period * np.arange(2**15) / 2**15  # 1e-8 from the extremes
-            along = found.coordinates(often) @ found.structure.force[1]
-            response = 0.5 * np.ptp(along) / np.linalg.norm(cosine)
-            assert swept["response"][row, column] == pytest.approx(response, rel=1e-6)
+            solution = fc.solve(scene.replace(force)).result
+            gap = solution.gap_coefficients
+            assert np.abs(sweep.gap((row, column)) - gap).max() < 1e-6 * np.abs(gap).max()
+            often = solution.period * np.arange(2**15) / 2**15  # 1e-8 from the extremes
+            load_motion = solution.coordinates(often) @ solution.structure.force[1]
+            response = 0.5 * np.ptp(load_motion) / np.linalg.norm(cosine)
+            assert sweep["response"][row, column] == pytest.approx(response, rel=1e-6)
 
 
 def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
     """Whatever the axis: a remark on a tip that outruns all others, in rad/s for rpm most often."""
     box, speed = solid().replace({"contact": None}), "rotation.speed"
     structure = fc.build_structure(box)
-    for axis, center, away in (
+    for axis, center, tip_radius in (
         ((1.0, 0.0, 0.0), (0.0, -0.2, 0.0), math.hypot(0.2 + HEIGHT, THICKNESS)),
         ((0.0, 1.0, 0.0), (0.2, 0.0, 0.0), math.hypot(0.2, THICKNESS)),
     ):
         axes = {"rotation.axis": axis, "rotation.center": center}
-        turning = box.replace(axes | {speed: 6000.0})
-        [remark] = remarks_on_scene(turning, structure)
-        assert f"the blade tip moves at {6000.0 * away:.3g} m/s" in str(remark)
+        rotor_scene = box.replace(axes | {speed: 6000.0})
+        [remark] = remarks_on_scene(rotor_scene, structure)
+        assert f"the blade tip moves at {6000.0 * tip_radius:.3g} m/s" in str(remark)
         assert str(remark).endswith("in rpm? then 628.319")
-        assert not remarks_on_scene(turning.replace({speed: 600.0}), structure)
+        assert not remarks_on_scene(rotor_scene.replace({speed: 600.0}), structure)
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -410,10 +415,12 @@ def test_a_breathing_crack_in_bending() -> None:
     scene = solid(ELLIPSE, **{"mesh.size": 0.008, "mesh.lip_elements": 3})
     structure = fc.build_structure(scene)
     omega = 0.9 * fc.bilinear_frequencies(structure).omega_bilinear[0]
-    reduced = fc.reduce_structure(structure, modes=20, method="massless")
-    solution = fc.solve_harmonic_balance(reduced, omega, fc.UnilateralConstraint(), tolerance=1e-2)
+    reduced_structure = fc.reduce_structure(structure, modes=20, method="massless")
+    solution = fc.solve_harmonic_balance(
+        reduced_structure, omega, fc.UnilateralConstraint(), tolerance=1e-2
+    )
     assert solution.indicators().ratio_2_1 == pytest.approx(0.00288, rel=0.08)
-    assert fc.floquet(reduced, solution).verdict == "stable"
+    assert fc.floquet(reduced_structure, solution).verdict == "stable"
 
 
 def test_each_crack_has_a_contact_map() -> None:
@@ -422,8 +429,7 @@ def test_each_crack_has_a_contact_map() -> None:
     second = {"center": 0.01, "height": 0.06, "length": 0.008, "depth": 0.003}
     scene = solid(ELLIPSE, **{f"cracks.1.{key}": value for key, value in second.items()})
     structure = fc.reduce_structure(fc.build_structure(scene), modes=4, method="massless")
-    solution = fc.solve_linear(structure, 1000.0)
-    panels = fc.draw_contact_map(solution).axes
+    panels = fc.draw_contact_map(fc.solve_linear(structure, 1000.0)).axes
     maps = [panel for panel in panels if panel.get_title()]
     assert [panel.get_title() for panel in maps] == ["crack 1"] * 2 + ["crack 2"] * 2
     for panel, crack in zip(maps, (ELLIPSE, ELLIPSE, second, second), strict=True):
@@ -461,9 +467,9 @@ def write_box(path: Path, order: int, *, crack: bool = True, name: str = "crack"
 
 def of_file(path: Path) -> Scene:
     """The scene of a mesh file."""
-    removed = {f"geometry.{key}": None for key in ("width", "height", "thickness")}
+    removed_keys = {f"geometry.{key}": None for key in ("width", "height", "thickness")}
     mesh = {"mesh.layout": "file", "mesh.file": str(path), "mesh.size": None}
-    return solid(**removed | mesh | {"mesh.lip_elements": None})
+    return solid(**removed_keys | mesh | {"mesh.lip_elements": None})
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -481,11 +487,15 @@ def test_a_mesh_that_is_written_is_read_again(tmp_path: Path, shape: dict[str, A
     of them it is refused."""
     scene, path = solid(shape), tmp_path / "split.msh"
     fc.write_msh(scene, path)
-    own, read = (fc.build_structure(one) for one in (scene, of_file(path)))
-    assert read.pair_points == pytest.approx(own.pair_points, abs=1e-9)
-    assert read.pair_areas == pytest.approx(own.pair_areas, rel=1e-9)
-    assert read.watched_pairs == own.watched_pairs
-    assert frequencies_of(read) == pytest.approx(frequencies_of(own), rel=1e-9)
+    built_structure, read_structure = (
+        fc.build_structure(source) for source in (scene, of_file(path))
+    )
+    assert read_structure.pair_points == pytest.approx(built_structure.pair_points, abs=1e-9)
+    assert read_structure.pair_areas == pytest.approx(built_structure.pair_areas, rel=1e-9)
+    assert read_structure.watched_pairs == built_structure.watched_pairs
+    assert frequencies_of(read_structure) == pytest.approx(
+        frequencies_of(built_structure), rel=1e-9
+    )
     path.write_text(path.read_text().replace('"upper_lip"', '"other"'))
     with pytest.raises(InputError, match="one lip"):
         fc.build_structure(of_file(path))
@@ -507,8 +517,8 @@ def test_lips_that_a_rounding_moves_are_paired(tmp_path: Path) -> None:
                 set(model.mesh.getNodesForPhysicalGroup(*groups[name])[0].tolist())
                 for name in ("lower_lip", "upper_lip")
             ]
-            moved, generator = sorted(lips[1] - lips[0]), np.random.default_rng(0)
-            for node in moved:
+            moved_nodes, generator = sorted(lips[1] - lips[0]), np.random.default_rng(0)
+            for node in moved_nodes:
                 place = model.mesh.getNode(node)[0] + noise * generator.uniform(-1.0, 1.0, 3)
                 model.mesh.setNode(node, place, [])
             gmsh.write(str(path))
@@ -521,7 +531,7 @@ def test_lips_that_a_rounding_moves_are_paired(tmp_path: Path) -> None:
 
 def test_the_point_of_a_load_is_written_and_read(tmp_path: Path) -> None:
     """As of a plate: the force of the first file is that of the one that is written from it."""
-    first, second = tmp_path / "first.msh", tmp_path / "second.msh"
+    first_path, second_path = tmp_path / "first.msh", tmp_path / "second.msh"
     with gmsh_model() as model:
         model.occ.addBox(0.0, 0.0, 0.0, 1.0, 2.0, 1.0)
         model.occ.synchronize()
@@ -530,14 +540,13 @@ def test_the_point_of_a_load_is_written_and_read(tmp_path: Path) -> None:
         for dimension, tag, name in (
             (3, 1, "solid"), (2, middles[min(middles)], "clamp"), (0, corners[1, 2, 1], "load")
         ):  # fmt: skip
-            group = model.addPhysicalGroup(dimension, [tag])
-            model.setPhysicalName(dimension, group, name)
+            model.setPhysicalName(dimension, model.addPhysicalGroup(dimension, [tag]), name)
         model.mesh.generate(3)
-        gmsh.write(str(first))
-    free = {"crack": None, "contact": None, "excitation.point": None}
-    fc.write_msh(of_file(first).replace(free), second)
-    for path in (first, second):
-        structure = fc.build_structure(of_file(path).replace(free))
+        gmsh.write(str(first_path))
+    removed_keys = {"crack": None, "contact": None, "excitation.point": None}
+    fc.write_msh(of_file(first_path).replace(removed_keys), second_path)
+    for path in (first_path, second_path):
+        structure = fc.build_structure(of_file(path).replace(removed_keys))
         assert structure.force[1, structure.find_dof((1.0, 2.0, 1.0), "z")] == pytest.approx(1.0)
 
 
@@ -546,17 +555,23 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
     to 1e-9."""
     for name, crack in (("cracked", True), ("whole", False)):
         write_box(tmp_path / f"{name}.msh", 2, crack=crack)
-    cracked = fc.build_structure(of_file(tmp_path / "cracked.msh"))
-    whole = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
-    dofs, twins = cracked.nodes.dofs, find_coincident_nodes(cracked.nodes.points)
-    assert cracked.n_dofs == whole.n_dofs + 3 * len(twins)
-    kept = np.arange(cracked.n_dofs)
-    kept[dofs[twins[:, 1]]] = dofs[twins[:, 0]]
-    _, columns = np.unique(kept, return_inverse=True)
-    tie = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), columns.ravel())))
-    tied = [tie.T @ csr(matrix) @ tie for matrix in (cracked.mass, cracked.stiffness)]
-    found = fc.solve_modes(fc.Structure.from_matrices(*tied, gap=None), 6).omega
-    assert found == pytest.approx(fc.solve_modes(whole, 6).omega, rel=1e-9)
+    cracked_structure = fc.build_structure(of_file(tmp_path / "cracked.msh"))
+    full_structure = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
+    dofs, twins = (
+        cracked_structure.nodes.dofs,
+        find_coincident_nodes(cracked_structure.nodes.points),
+    )
+    assert cracked_structure.n_dofs == full_structure.n_dofs + 3 * len(twins)
+    kept_dofs = np.arange(cracked_structure.n_dofs)
+    kept_dofs[dofs[twins[:, 1]]] = dofs[twins[:, 0]]
+    _, columns = np.unique(kept_dofs, return_inverse=True)
+    tie = sparse.csr_matrix((np.ones(len(kept_dofs)), (np.arange(len(kept_dofs)), columns.ravel())))
+    bonded_matrices = [
+        tie.T @ csr(matrix) @ tie
+        for matrix in (cracked_structure.mass, cracked_structure.stiffness)
+    ]
+    omegas = fc.solve_modes(fc.Structure.from_matrices(*bonded_matrices, gap=None), 6).omega
+    assert omegas == pytest.approx(fc.solve_modes(full_structure, 6).omega, rel=1e-9)
 
 
 def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
@@ -565,9 +580,15 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
     with gmsh_model():
         gmsh.option.setNumber("Mesh.SecondOrderIncomplete", int(incomplete))
         geo, xs, ys = gmsh.model.geo, (0.0, 0.01, WIDTH), (0.0, 0.03, HEIGHT)
-        at = {(i, j): geo.addPoint(x, y, 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)}
-        rows = {(i, j): geo.addLine(at[i, j], at[i + 1, j]) for i in (0, 1) for j in range(3)}
-        columns = {(i, j): geo.addLine(at[i, j], at[i, j + 1]) for i in range(3) for j in (0, 1)}
+        points = {
+            (i, j): geo.addPoint(x, y, 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)
+        }
+        rows = {
+            (i, j): geo.addLine(points[i, j], points[i + 1, j]) for i in (0, 1) for j in range(3)
+        }
+        columns = {
+            (i, j): geo.addLine(points[i, j], points[i, j + 1]) for i in range(3) for j in (0, 1)
+        }
         for (i, _), curve in rows.items():
             geo.mesh.setTransfiniteCurve(curve, 5 + i)
         for (_, j), curve in columns.items():
@@ -578,10 +599,12 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
             face = geo.addPlaneSurface([geo.addCurveLoop(sides)])
             geo.mesh.setTransfiniteSurface(face)
             geo.mesh.setRecombine(2, face)
-            made = geo.extrude([(2, face)], 0.0, 0.0, THICKNESS, numElements=[2], recombine=True)
-            groups["solid"].append(made[1][1])
-            groups["clamp"] += [made[2][1]] * (j == 0)
-            groups["crack"] += [made[4][1]] * (i == j == 0)
+            extruded = geo.extrude(
+                [(2, face)], 0.0, 0.0, THICKNESS, numElements=[2], recombine=True
+            )
+            groups["solid"].append(extruded[1][1])
+            groups["clamp"] += [extruded[2][1]] * (j == 0)
+            groups["crack"] += [extruded[4][1]] * (i == j == 0)
         geo.synchronize()
         for name, tags in groups.items():
             dimension = 3 if name == "solid" else 2
@@ -635,8 +658,7 @@ def test_files_without_what_is_needed(tmp_path: Path) -> None:
     write_box(path, 1, crack=False)
     with pytest.raises(InputError, match=r"surfaces named 'crack'.*contact"):
         fc.build_structure(of_file(path))
-    text = path.read_text().replace('"clamp"', '"held"')
-    path.write_text(text)
+    path.write_text(path.read_text().replace('"clamp"', '"held"'))
     with pytest.raises(InputError, match="no clamp; surfaces named 'held'"):
         fc.build_structure(of_file(path))
 
@@ -655,8 +677,8 @@ def write_bodies(path: Path, draw: Callable[[Any], list[int]], size: float = 0.0
         volumes = draw(model.occ)
         model.occ.synchronize()
         sides = [(tag, model.getBoundingBox(2, tag)) for _, tag in model.getEntities(2)]
-        held = [tag for tag, box in sides if box[4] < 1e-5]
-        model.setPhysicalName(2, model.addPhysicalGroup(2, held), "clamp")
+        clamped_faces = [tag for tag, box in sides if box[4] < 1e-5]
+        model.setPhysicalName(2, model.addPhysicalGroup(2, clamped_faces), "clamp")
         model.addPhysicalGroup(3, volumes)
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
         model.mesh.generate(3)
@@ -674,12 +696,11 @@ def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
         return [occ.addBox(x, 0.0, 0.0, 0.015, HEIGHT, THICKNESS) for x in (0.0, at)]
 
     def joined(occ: Any) -> list[int]:
-        one, other = bodies(occ)
-        return [tag for _, tag in occ.fragment([(3, one)], [(3, other)])[0]]
+        first_body, second_body = bodies(occ)
+        return [tag for _, tag in occ.fragment([(3, first_body)], [(3, second_body)])[0]]
 
-    path, free = tmp_path / "bodies.msh", {"crack": None, "contact": None}
-    corner = {"excitation.point": [0.0, HEIGHT, 0.0]}
-    scene = of_file(path).replace(free | corner)
+    path, removed_keys = tmp_path / "bodies.msh", {"crack": None, "contact": None}
+    scene = of_file(path).replace(removed_keys | {"excitation.point": [0.0, HEIGHT, 0.0]})
     write_bodies(path, joined)
     fc.build_structure(scene)
     write_bodies(path, bodies)
@@ -724,9 +745,13 @@ def test_a_surface_partly_inside_is_refused(tmp_path: Path) -> None:
         model.occ.rotate([(2, face)], 0.0, 0.03, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
         parts = model.occ.fragment([(3, box)], [(2, face)])[0]
         model.occ.synchronize()
-        at = {tag: model.occ.getCenterOfMass(2, tag)[1] for _, tag in model.getEntities(2)}
+        heights_by_tag = {
+            tag: model.occ.getCenterOfMass(2, tag)[1] for _, tag in model.getEntities(2)
+        }
         for name, heights in (("clamp", (0.0,)), ("pressed", (0.03, HEIGHT))):
-            tags = [tag for tag, y in at.items() if min(abs(y - h) for h in heights) < 1e-6]
+            tags = [
+                tag for tag, y in heights_by_tag.items() if min(abs(y - h) for h in heights) < 1e-6
+            ]
             model.setPhysicalName(2, model.addPhysicalGroup(2, tags), name)
         model.addPhysicalGroup(3, [tag for dimension, tag in parts if dimension == 3])
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.01)
@@ -768,14 +793,22 @@ def test_metres_and_millimetres_have_one_mesh(kind: str) -> None:
         point = {"excitation.point": [0.0, HEIGHT], "excitation.force_cos": [1.0, 0.0]}
         mesh = {"mesh.cells": "triangle", "crack.depth": None, "crack.front": None}
         scene = scene.replace({"geometry.kind": "plate"} | point | mesh)
-    lengths = {key: getattr(getattr(scene, (of := key.split("."))[0]), of[1]) for key in IN_MM}
-    scaled: dict[str, Any] = {key: 1e3 * x for key, x in lengths.items() if x is not None}
-    scaled |= {"excitation.point": [1e3 * x for x in scene.excitation.point or ()]}
+    lengths = {
+        key: getattr(getattr(scene, (names := key.split("."))[0]), names[1]) for key in IN_MM
+    }
+    scaled_keys: dict[str, Any] = {key: 1e3 * x for key, x in lengths.items() if x is not None}
+    scaled_keys |= {"excitation.point": [1e3 * x for x in scene.excitation.point or ()]}
     steel = {"material.young": 2.1e5, "material.density": 7.85e-9}
-    metres, millimetres = (fc.build_structure(of) for of in (scene, scene.replace(scaled | steel)))
+    metres, millimetres = (
+        fc.build_structure(variant) for variant in (scene, scene.replace(scaled_keys | steel))
+    )
     np.testing.assert_allclose(millimetres.nodes.points, 1e3 * metres.nodes.points, atol=1e-9)
-    found, expected = (fc.bilinear_frequencies(of) for of in (millimetres, metres))
-    np.testing.assert_allclose(found.omega_bilinear, expected.omega_bilinear, rtol=1e-6)
+    millimetre_frequencies, metre_frequencies = (
+        fc.bilinear_frequencies(structure) for structure in (millimetres, metres)
+    )
+    np.testing.assert_allclose(
+        millimetre_frequencies.omega_bilinear, metre_frequencies.omega_bilinear, rtol=1e-6
+    )
 
 
 TWO_CELLS = """$MeshFormat
@@ -846,11 +879,11 @@ def test_the_order_of_a_mesh_is_that_of_its_dimension() -> None:
     left_out = solid(ELLIPSE, **{"mesh.order": None})
     assert left_out == solid(ELLIPSE) and left_out.mesh.order == 2
     assert Scene.from_text(left_out.as_toml()) == left_out
-    flat = {
+    plate_keys = {
         "geometry.kind": "plate", "excitation.point": [0.0, HEIGHT], "mesh.order": None,
         "excitation.force_cos": [1.0, 0.0],
     }  # fmt: skip
-    plate = left_out.replace(flat | {"crack.depth": None, "crack.front": None})
+    plate = left_out.replace(plate_keys | {"crack.depth": None, "crack.front": None})
     assert plate.mesh.order == 1 and "order" not in plate.as_toml()
     assert Scene.from_text(plate.as_toml()) == plate
 
@@ -863,8 +896,8 @@ def test_vectors_and_shares_are_told_of_solids() -> None:
         solid(THROUGH, **{"crack.length": 0.03})
     [remark] = remarks_on_scene(solid(ELLIPSE, **{"crack.depth": 3e-6}))
     assert str(remark).startswith("crack.depth = 3e-06: 0.0005 of the solid's thickness")
-    thick = solid(**{"geometry.thickness": 1.0, "contact": None})
-    remarks = [str(one) for one in remarks_on_scene(thick)]
+    thick_solid = solid(**{"geometry.thickness": 1.0, "contact": None})
+    remarks = [str(remark_object) for remark_object in remarks_on_scene(thick_solid)]
     assert remarks == [
         "geometry.thickness = 1: thicker than the solid is wide or high; in mm? then 0.001"
     ]
@@ -912,16 +945,18 @@ def test_loads_at_the_nodes_of_a_curved_side() -> None:
     force = {"loads": None, "excitation.force_cos": [0.0, 0.0, 2.0]}
     plate = build_mesh(blade, MPI.COMM_SELF)
     dofs = Dofs(plate, function_space(plate.mesh, 2), MPI.COMM_SELF)
-    curved = dofs.nodes_on("suction_side")
-    free = curved[(dofs.points[curved, 1] > 1e-9) & ~np.isin(curved, dofs.nodes_on("lower_lip"))]
-    free = free[~np.isin(free, dofs.nodes_on("upper_lip"))]
-    assert len(free) > 500
-    for node in free[::5]:
+    side_nodes = dofs.nodes_on("suction_side")
+    free_nodes = side_nodes[
+        (dofs.points[side_nodes, 1] > 1e-9) & ~np.isin(side_nodes, dofs.nodes_on("lower_lip"))
+    ]
+    free_nodes = free_nodes[~np.isin(free_nodes, dofs.nodes_on("upper_lip"))]
+    assert len(free_nodes) > 500
+    for node in free_nodes[::5]:
         point = format_point(dofs.points[node]).strip("()").split(", ")
         scene = blade.replace(force | {"excitation.point": [float(x) for x in point]})
-        found, watched = assemble_loads(scene, dofs, None)
-        assert np.flatnonzero(found[1]).tolist() == [3 * node + 2]
-        assert found[1].sum() == 2.0 and watched is not None
+        load_rows, watched_dof = assemble_loads(scene, dofs, None)
+        assert np.flatnonzero(load_rows[1]).tolist() == [3 * node + 2]
+        assert load_rows[1].sum() == 2.0 and watched_dof is not None
 
 
 # --- ranks ----------------------------------------------------------------------------------------
@@ -938,10 +973,13 @@ def on_ranks_of(text: str, comm: MPI.Comm) -> tuple[list[float], list[float]]:
 def test_two_ranks_build_the_same_solid(on_ranks: Callable[..., Any]) -> None:
     text = solid(ELLIPSE).as_toml()
     (omega, pairs) = on_ranks(on_ranks_of, text)
-    alone = fc.build_structure(Scene.from_text(text), MPI.COMM_SELF)
-    assert omega == pytest.approx(fc.solve_modes(alone, 3).omega.tolist(), rel=1e-8)
-    own = [*alone.pair_areas.tolist(), float(np.linalg.norm(alone.gap.toarray()))]
-    assert pairs == pytest.approx(own, rel=1e-10)
+    serial_structure = fc.build_structure(Scene.from_text(text), MPI.COMM_SELF)
+    assert omega == pytest.approx(fc.solve_modes(serial_structure, 3).omega.tolist(), rel=1e-8)
+    serial_pairs = [
+        *serial_structure.pair_areas.tolist(),
+        float(np.linalg.norm(serial_structure.gap.toarray())),
+    ]
+    assert pairs == pytest.approx(serial_pairs, rel=1e-10)
 
 
 # --- insides of what rotates, and of compilers ----------------------------------------------------
@@ -950,12 +988,14 @@ def test_two_ranks_build_the_same_solid(on_ranks: Callable[..., Any]) -> None:
 def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     """Gaps and contact forces of the static state, whose equilibrium is checked to 1e-10."""
     force = structure.force[0]
-    moved, pairs = static_state(structure, force, structure.clearance)
-    left = multiply(structure.stiffness, moved[:, None])[:, 0] + structure.gap @ pairs - force
-    assert np.abs(left).max() < 1e-10 * np.abs(force).max()
-    gap = structure.apply_bt(moved[None])[0] - structure.clearance
-    assert np.all(pairs >= 0.0) and gap.max() < 1e-10 * np.abs(moved).max()
-    assert np.abs(pairs * gap).max() <= 1e-10 * np.abs(pairs).max() * np.abs(moved).max()
+    displacement, pairs = static_state(structure, force, structure.clearance)
+    unbalance = (
+        multiply(structure.stiffness, displacement[:, None])[:, 0] + structure.gap @ pairs - force
+    )
+    assert np.abs(unbalance).max() < 1e-10 * np.abs(force).max()
+    gap = structure.apply_bt(displacement[None])[0] - structure.clearance
+    assert np.all(pairs >= 0.0) and gap.max() < 1e-10 * np.abs(displacement).max()
+    assert np.abs(pairs * gap).max() <= 1e-10 * np.abs(pairs).max() * np.abs(displacement).max()
     return gap, pairs
 
 
@@ -983,15 +1023,15 @@ def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
     scene = rotating.strip(1, 1.0, mesh=mesh, geometry={"thickness": 0.02})
     structure = fc.build_structure(scene)
     assert structure.nodes is not None and not remarks_on_scene(scene, structure)
-    for moved, where in (
+    for offset, position_text in (
         ([0.0, 0.25], "y = 0.25 m"),
         ([0.1, -rotating.HEIGHT], f"y = {-rotating.HEIGHT:g} m"),
     ):
-        nodes = replace(structure.nodes, points=structure.nodes.points + moved)
+        nodes = replace(structure.nodes, points=structure.nodes.points + offset)
         [remark] = remarks_on_scene(scene, structure.with_places(nodes, structure.pairs))
-        counted = "counted from a clamp at y = 0"
-        assert str(remark).startswith(f"rotation.hub_radius = {rotating.HEIGHT:g}: {counted}")
-        assert str(remark).endswith(where)
+        clamp_text = "counted from a clamp at y = 0"
+        assert str(remark).startswith(f"rotation.hub_radius = {rotating.HEIGHT:g}: {clamp_text}")
+        assert str(remark).endswith(position_text)
         remarks = remarks_on_scene(grid, structure.with_places(nodes, structure.pairs))
         assert [remark.key for remark in remarks] == ["geometry.thickness"]
 
@@ -999,8 +1039,8 @@ def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
 def at_rest(scene: Scene, comm: MPI.Comm) -> list[float]:
     """Two frequencies, the smallest gap and the sum of the contact forces (collective)."""
     plate = fc.build_structure(scene, comm)
-    moved, pairs = static_state(plate, plate.force[0], plate.clearance)
-    gap = plate.apply_bt(moved[None])[0]
+    displacement, pairs = static_state(plate, plate.force[0], plate.clearance)
+    gap = plate.apply_bt(displacement[None])[0]
     return [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
 
 
@@ -1029,14 +1069,18 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     structure, table = run.structure.whole, scene.given("tip_timing")
     radius = math.hypot(LENGTH + 0.1, SIDE)
     shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
-    expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
-    assert find_tip_factors(table, run) == pytest.approx(expected, rel=1e-12)
+    direction = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
+    assert find_tip_factors(table, run) == pytest.approx(direction, rel=1e-12)
     parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
     assert all(part in describe_tip(table, run) for part in parts)
     by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
     assert find_tip_factors(by_hand, run) == {run.watched_dof: -0.5}
-    above = replace(run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]}))
-    assert find_tip_factors(table, above) == {structure.find_dof(tip, "z"): 1.0}  # y by rounding
+    run_with_offset = replace(
+        run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]})
+    )
+    assert find_tip_factors(table, run_with_offset) == {
+        structure.find_dof(tip, "z"): 1.0
+    }  # y by rounding
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
     with pytest.raises(InputError, match="off the axis"):
         find_tip_factors(table, through_it)
@@ -1062,14 +1106,14 @@ def test_probes_see_the_displacement_that_rotation_makes(
         "output": {"points": {"tip": tip}},
     }
     scene = Scene.from_mapping(BAR | PUSHED | tables)
-    about = np.array(axis) / np.linalg.norm(axis)
-    away = np.array(tip) - [0.0, -0.1, 0.0]
-    moved = Turned.from_rotvec(1e-6 * about).apply(away) - away
+    axis_direction = np.array(axis) / np.linalg.norm(axis)
+    arm = np.array(tip) - [0.0, -0.1, 0.0]
+    tip_motion = Turned.from_rotvec(1e-6 * axis_direction).apply(arm) - arm
     if seen is not None:
-        name, against = find_probed_displacement(scene)
-        assert (name, against) == seen
-        share = (-1.0 if against else 1.0) * moved["xyz".index(name[-1])]
-        assert share == pytest.approx(np.linalg.norm(moved), rel=1e-5)
+        name, is_opposed = find_probed_displacement(scene)
+        assert (name, is_opposed) == seen
+        share = (-1.0 if is_opposed else 1.0) * tip_motion["xyz".index(name[-1])]
+        assert share == pytest.approx(np.linalg.norm(tip_motion), rel=1e-5)
     else:
         assert (
             refusal(lambda: find_probed_displacement(scene), "none of x, y and z").key
@@ -1088,23 +1132,25 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     speed, axis = 200.0 * math.pi, np.array([0.0, 1.0, 0.0])
     place = {"axis": axis.tolist(), "center": [SIDE / 2.0, 0.0, SIDE / 2.0]}
     shaft = bar(rotation={"speed": speed} | place)
-    [still, _] = fc.solve_modes(shaft.rotation.at_rest, 2).omega
+    [omega_at_rest, _] = fc.solve_modes(shaft.rotation.at_rest, 2).omega
     modes = fc.solve_modes(shaft, 2)
-    whirling = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
-    assert whirling == pytest.approx([still - speed, still + speed], rel=2e-3)
+    whirl_omegas = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
+    assert whirl_omegas == pytest.approx([omega_at_rest - speed, omega_at_rest + speed], rel=2e-3)
     scene = Scene.from_mapping(BAR | PUSHED | {"rotation": {"rpm": 6000.0} | place})
     [remark] = remarks_on_scene(scene, shaft)
-    largest = np.abs(coriolis_shifts(fc.solve_modes(shaft, 4), speed * axis)).max()
+    max_shift = np.abs(coriolis_shifts(fc.solve_modes(shaft, 4), speed * axis)).max()
     assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, left out, would move")
-    assert str(remark).endswith(f"by {largest:.2%}")
+    assert str(remark).endswith(f"by {max_shift:.2%}")
     diagram = fc.campbell(scene, [0.0, speed], 2)
-    assert diagram.coriolis == pytest.approx(whirling / modes.omega - 1.0, abs=2e-3)
+    assert diagram.coriolis == pytest.approx(whirl_omegas / modes.omega - 1.0, abs=2e-3)
     with pytest.raises(InputError, match="without the Coriolis force, which is left out, the sol"):
         shaft.rotation.at(3.0 * speed)  # above w_0, where a shaft whirls on
-    across = Scene.from_mapping(BAR | PUSHED | {"rotation": {"speed": 100.0, "hub_radius": 0.1}})
-    blade = fc.build_structure(across)
+    offset_scene = Scene.from_mapping(
+        BAR | PUSHED | {"rotation": {"speed": 100.0, "hub_radius": 0.1}}
+    )
+    blade = fc.build_structure(offset_scene)
     assert np.all(np.abs(coriolis_shifts(fc.solve_modes(blade, 4), 100.0 * axis[[1, 0, 2]])) < 1e-3)
-    assert not remarks_on_scene(across, blade)
+    assert not remarks_on_scene(offset_scene, blade)
     plate = fc.solve_modes(fc.build_structure(rotating.strip(1, 1.0)), 2)
     assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
 
@@ -1116,7 +1162,7 @@ def test_compiler_is_quiet(
     and logging is left as it was."""
     monkeypatch.setattr(compat, "_CACHE_FOLDER", tmp_path)
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
-    before = logging.root.level, list(logging.root.filters), logging.root.manager.disable
+    logging_state = logging.root.level, list(logging.root.filters), logging.root.manager.disable
     space = compat.function_space(mesh, 1)
     compat.assembled_petsc_matrix(
         ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * ufl.dx
@@ -1127,4 +1173,4 @@ def test_compiler_is_quiet(
         logging.warning("of the compiler")
         logging.getLogger("user").info("of the user")
     assert caplog.messages == ["of the compiler", "of the user"]
-    assert before == (logging.root.level, logging.root.filters, logging.root.manager.disable)
+    assert logging_state == (logging.root.level, logging.root.filters, logging.root.manager.disable)

@@ -46,15 +46,15 @@ def test_tangent_is_the_derivative(law: UnilateralPenalty | SmoothedPenalty) -> 
 
 def test_smoothed_law_tends_to_the_penalty_law_like_one_over_s() -> None:
     """The largest difference is k / (pi s), on both sides: the pull on an open crack."""
-    sharp = np.array([10.0, 100.0, 1000.0])
+    sharpnesses = np.array([10.0, 100.0, 1000.0])
     differences = []
-    for s in sharp:
-        smooth, penalty = SmoothedPenalty(3.0, s), UnilateralPenalty(3.0)
-        far = np.array([[-50.0], [50.0]])
-        lag = penalty.force(far) - smooth.force(far)
+    for s in sharpnesses:
+        smoothed_law, penalty = SmoothedPenalty(3.0, s), UnilateralPenalty(3.0)
+        far_gaps = np.array([[-50.0], [50.0]])
+        lag = penalty.force(far_gaps) - smoothed_law.force(far_gaps)
         assert np.allclose(lag, 3.0 / (np.pi * s), rtol=1e-3)
-        differences.append(np.abs(penalty.force(GAPS) - smooth.force(GAPS)).max())
-    assert log_slope(sharp, differences) == pytest.approx(-1.0, abs=0.05)
+        differences.append(np.abs(penalty.force(GAPS) - smoothed_law.force(GAPS)).max())
+    assert log_slope(sharpnesses, differences) == pytest.approx(-1.0, abs=0.05)
     assert np.all(SmoothedPenalty(3.0, 1e3).tangent(GAPS) <= 3.0)
 
 
@@ -89,8 +89,8 @@ def test_a_law_without_all_methods_is_told_which() -> None:
 
     mass = Structure.from_matrices(np.eye(1), np.eye(1), gap=np.ones((1, 1)), force_sin=[1.0])
     solve: Any = solve_harmonic_balance
-    missing = r"UnilateralPenalty\(1e9\), with tangent, scaled, which it lacks$"
-    with pytest.raises(InputError, match=missing):
+    message = r"UnilateralPenalty\(1e9\), with tangent, scaled, which it lacks$"
+    with pytest.raises(InputError, match=message):
         solve(mass, 0.5, Law())
     with pytest.raises(InputError, match="with stiffness, force, tangent, scaled, which it lacks"):
         solve(mass, 0.5, UnilateralPenalty)
@@ -99,8 +99,8 @@ def test_a_law_without_all_methods_is_told_which() -> None:
 def test_scene_names_its_law() -> None:
     """The contact table becomes the law it names."""
     assert contact_law(contact(stiffness=1e9)) == UnilateralPenalty(1e9)
-    smoothed = contact(stiffness=1e9, law="smoothed", sharpness=1e8)
-    assert contact_law(smoothed) == SmoothedPenalty(1e9, 1e8)
+    smoothed_table = contact(stiffness=1e9, law="smoothed", sharpness=1e8)
+    assert contact_law(smoothed_table) == SmoothedPenalty(1e9, 1e8)
     assert contact_law(contact(law="unilateral")) == UnilateralConstraint()
 
 
@@ -130,17 +130,21 @@ def plate(scene: Scene, columns: int) -> Structure:
 
 def test_stiffness_per_area_is_shared_by_the_pairs(paper_scene: Scene) -> None:
     """k of a pair is that of its area, for both laws; fixed stiffness stays as it is."""
-    made = plate(paper_scene, 4)
-    areas = made.pair_areas
+    structure = plate(paper_scene, 4)
+    areas = structure.pair_areas
     assert areas is not None and len(areas) == 4 and np.ptp(areas) > 0.0
-    penalty = contact_law(contact(stiffness_per_area=1e12), made)
+    penalty = contact_law(contact(stiffness_per_area=1e12), structure)
     assert np.allclose(penalty.stiffness, 1e12 * areas, rtol=1e-15)
-    smoothed = contact_law(contact(stiffness_per_area=1e12, law="smoothed", sharpness=3.0), made)
-    assert isinstance(smoothed, SmoothedPenalty) and smoothed.sharpness == 3.0
-    assert np.allclose(smoothed.stiffness, 1e12 * areas, rtol=1e-15)
-    assert contact_law(contact(stiffness=1e9), made) == UnilateralPenalty(1e9)
-    reduced = contact_law(contact(stiffness_per_area=1e12), reduce_structure(made, modes=3))
-    assert np.array_equal(reduced.stiffness, penalty.stiffness)
+    smoothed_law = contact_law(
+        contact(stiffness_per_area=1e12, law="smoothed", sharpness=3.0), structure
+    )
+    assert isinstance(smoothed_law, SmoothedPenalty) and smoothed_law.sharpness == 3.0
+    assert np.allclose(smoothed_law.stiffness, 1e12 * areas, rtol=1e-15)
+    assert contact_law(contact(stiffness=1e9), structure) == UnilateralPenalty(1e9)
+    reduced_law = contact_law(
+        contact(stiffness_per_area=1e12), reduce_structure(structure, modes=3)
+    )
+    assert np.array_equal(reduced_law.stiffness, penalty.stiffness)
 
 
 def test_stiffness_per_area_needs_areas() -> None:
@@ -157,21 +161,23 @@ def test_refining_the_mesh_does_not_change_the_physics(paper_scene: Scene) -> No
     1.1 %, is the plate's own discretisation.
     """
     per_area = 1e10
-    found: dict[str, list[tuple[float, float]]] = {"area": [], "pair": []}
+    extremes_by_law: dict[str, list[tuple[float, float]]] = {"area": [], "pair": []}
     per_pair = None
     for columns in (4, 8, 16):
-        made = plate(paper_scene, columns)
-        per_pair = per_pair or per_area * float(made.pair_areas.mean())
-        reduced = reduce_structure(made, modes=20, method="massless")
+        structure = plate(paper_scene, columns)
+        per_pair = per_pair or per_area * float(structure.pair_areas.mean())
+        reduced_structure = reduce_structure(structure, modes=20, method="massless")
         for name, table in (
             ("area", contact(stiffness_per_area=per_area)),
             ("pair", contact(stiffness=per_pair)),
         ):
-            law = contact_law(table, made)
-            solution = solve_harmonic_balance(reduced, 300.0, law, harmonics=9)
+            law = contact_law(table, structure)
+            solution = solve_harmonic_balance(reduced_structure, 300.0, law, harmonics=9)
             t = np.linspace(0.0, solution.period, 2000)
-            found[name].append((solution.gap(t).max(), solution.force_coefficients[0].sum()))
-    area, pair = (np.array(found[name]) for name in ("area", "pair"))
+            extremes_by_law[name].append(
+                (solution.gap(t).max(), solution.force_coefficients[0].sum())
+            )
+    area, pair = (np.array(extremes_by_law[name]) for name in ("area", "pair"))
     changes = np.abs(area[1:] / area[:-1] - 1.0)
     assert np.all(changes[0] < 0.04) and np.all(changes[1] < 0.02)
     assert np.all(changes[1] < 0.6 * changes[0])

@@ -43,9 +43,9 @@ def with_matrix(structure: fc.Structure) -> fc.Structure:
 def test_ratios_at_two_frequencies(ratios: Any, omegas: Any) -> None:
     """xi = a/(2 w) + b w/2 gives them back."""
     damping, omega = fc.RayleighDamping.from_ratios(ratios, omegas), np.asarray(omegas)
-    found = damping.mass / (2.0 * omega) + damping.stiffness * omega / 2.0
-    np.testing.assert_allclose(found, ratios, rtol=1e-14)
-    np.testing.assert_allclose(damping.rate(omega**2), 2.0 * found * omega, rtol=1e-14)
+    rayleigh_ratios = damping.mass / (2.0 * omega) + damping.stiffness * omega / 2.0
+    np.testing.assert_allclose(rayleigh_ratios, ratios, rtol=1e-14)
+    np.testing.assert_allclose(damping.rate(omega**2), 2.0 * rayleigh_ratios * omega, rtol=1e-14)
 
 
 def test_one_coefficient_alone() -> None:
@@ -123,39 +123,55 @@ def test_frozen_scaled_and_in_words() -> None:
 def test_oscillator(rule: fc.RayleighDamping, omega: float) -> None:
     """m x'' + (a m + b k) x' + k x = f cos(w t) in closed form."""
     mass, stiffness, force = 3.0, 12.0, 0.7
-    one = np.ones((1, 1))
+    unit = np.ones((1, 1))
     oscillator = fc.Structure.from_matrices(
-        mass * one, stiffness * one, gap=None, force_cos=[force], damping=rule
+        mass * unit, stiffness * unit, gap=None, force_cos=[force], damping=rule
     )
     dashpot = rule.mass * mass + rule.stiffness * stiffness
-    expected = force / (stiffness - mass * omega**2 + 1j * omega * dashpot)
-    found = fc.solve_linear(oscillator, omega).displacement_coefficients[:, 0]
-    np.testing.assert_allclose(found[1:3], [expected.real, -expected.imag], rtol=1e-12)
+    exact_amplitude = force / (stiffness - mass * omega**2 + 1j * omega * dashpot)
+    coefficients = fc.solve_linear(oscillator, omega).displacement_coefficients[:, 0]
+    np.testing.assert_allclose(
+        coefficients[1:3], [exact_amplitude.real, -exact_amplitude.imag], rtol=1e-12
+    )
 
 
 def test_equals_the_matrix() -> None:
     """A chain with contact, by harmonic balance, all of its modes and its stability."""
     structure = chain("rayleigh")
-    same = with_matrix(structure)
-    one, other = (fc.solve_harmonic_balance(s, 0.9, LAW, harmonics=15) for s in (structure, same))
-    assert relative(one.displacement_coefficients, other.displacement_coefficients) < 1e-10
-    assert one.report.total == pytest.approx(other.report.total, rel=1e-6)
-    one, other = (fc.floquet(s, one).multipliers[0] for s in (structure, same))
-    assert abs(one) == pytest.approx(abs(other), rel=1e-9)
+    matrix_structure = with_matrix(structure)
+    solution, matrix_solution = (
+        fc.solve_harmonic_balance(s, 0.9, LAW, harmonics=15) for s in (structure, matrix_structure)
+    )
+    assert (
+        relative(solution.displacement_coefficients, matrix_solution.displacement_coefficients)
+        < 1e-10
+    )
+    assert solution.report.total == pytest.approx(matrix_solution.report.total, rel=1e-6)
+    multiplier, matrix_multiplier = (
+        fc.floquet(s, solution).multipliers[0] for s in (structure, matrix_structure)
+    )
+    assert abs(multiplier) == pytest.approx(abs(matrix_multiplier), rel=1e-9)
 
 
 def test_reduced() -> None:
     """Its coordinates have the same coefficients, exactly; it moves as with the matrix."""
     structure = chain("rayleigh", 60)
-    reduced = fc.reduce_structure(structure, modes=20)
-    assert reduced.damping == RAYLEIGH and reduced.reference.damping == RAYLEIGH
-    projected = reduced.basis.T @ dense_matrices(structure)[1] @ reduced.basis
-    np.testing.assert_allclose(projected, dense(reduced.damping_matrix), atol=1e-12)
-    same = fc.reduce_structure(with_matrix(structure), modes=20)
-    one, other = (fc.solve_harmonic_balance(s, 0.4, LAW, harmonics=9) for s in (reduced, same))
-    assert relative(one.gap_coefficients, other.gap_coefficients) < 1e-9
+    reduced_structure = fc.reduce_structure(structure, modes=20)
+    assert reduced_structure.damping == RAYLEIGH and reduced_structure.reference.damping == RAYLEIGH
+    projected_damping = (
+        reduced_structure.basis.T @ dense_matrices(structure)[1] @ reduced_structure.basis
+    )
+    np.testing.assert_allclose(
+        projected_damping, dense(reduced_structure.damping_matrix), atol=1e-12
+    )
+    reduced_matrix_structure = fc.reduce_structure(with_matrix(structure), modes=20)
+    direct_solution, matrix_solution = (
+        fc.solve_harmonic_balance(s, 0.4, LAW, harmonics=9)
+        for s in (reduced_structure, reduced_matrix_structure)
+    )
+    assert relative(direct_solution.gap_coefficients, matrix_solution.gap_coefficients) < 1e-9
     later = fc.reduce_structure(structure.damped(None), modes=20).damped(RAYLEIGH)
-    np.testing.assert_allclose(dense(later.damping_matrix), projected, atol=1e-12)
+    np.testing.assert_allclose(dense(later.damping_matrix), projected_damping, atol=1e-12)
     assert later.varied(damping=2.0).damping == RAYLEIGH.scaled(2.0)
 
 
@@ -163,15 +179,15 @@ def test_plate_in_its_sparse_matrices(soft_plate: fc.Structure) -> None:
     """C has no entries but those of M and K; it is formed once and belongs to one structure."""
     plate = soft_plate.damped(fc.RayleighDamping.from_ratios((0.01, 0.02), (2000.0, 9000.0)))
     rule, matrix = plate.damping, plate.damping_matrix
-    expected = rule.mass * dense(plate.mass) + rule.stiffness * dense(plate.stiffness)
-    np.testing.assert_allclose(dense(matrix), expected, rtol=1e-14)
+    dense_damping = rule.mass * dense(plate.mass) + rule.stiffness * dense(plate.stiffness)
+    np.testing.assert_allclose(dense(matrix), dense_damping, rtol=1e-14)
     assert matrix.getInfo()["nz_used"] <= plate.stiffness.getInfo()["nz_used"]
     assert plate.damping_matrix is matrix
     twice = plate.varied(damping=2.0)
     assert twice.damping == rule.scaled(2.0)
-    np.testing.assert_allclose(dense(twice.damping_matrix), 2.0 * expected, rtol=1e-14)
+    np.testing.assert_allclose(dense(twice.damping_matrix), 2.0 * dense_damping, rtol=1e-14)
     assert dense(plate.varied(damping=0.0).damping_matrix).max() == 0.0
-    np.testing.assert_allclose(dense(plate.damping_matrix), expected, rtol=1e-14)
+    np.testing.assert_allclose(dense(plate.damping_matrix), dense_damping, rtol=1e-14)
 
 
 # --- lips without mass ----------------------------------------------------------------------------
@@ -181,6 +197,8 @@ def test_damping_matrix_couples_the_modes() -> None:
     """Phi^T C Phi, of dense matrices."""
     structure = chain("matrix", 20)
     _, damping, _ = dense_matrices(structure)
-    made = reduced(structure, 6)
-    assert made.rate.shape == (6, 6)
-    assert relative(made.rate, made.basis.T @ damping @ made.basis) < 1e-9
+    reduced_model = reduced(structure, 6)
+    assert reduced_model.rate.shape == (6, 6)
+    assert (
+        relative(reduced_model.rate, reduced_model.basis.T @ damping @ reduced_model.basis) < 1e-9
+    )

@@ -45,24 +45,23 @@ def badly_conditioned(rng: np.random.Generator, pairs: int, condition: float) ->
 
 def enumerated(compliance: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """lambda of the set, among all 2^p, that violates the conditions least."""
-    found, least = gap, np.inf
+    best_force, min_violation = gap, np.inf
     for members in product([False, True], repeat=len(gap)):
-        closed = np.array(members)
+        members_closed = np.array(members)
         force = np.zeros(len(gap))
-        block = compliance[np.ix_(closed, closed)]
-        force[closed] = np.linalg.solve(block, gap[closed])
+        block = compliance[np.ix_(members_closed, members_closed)]
+        force[members_closed] = np.linalg.solve(block, gap[members_closed])
         opening = compliance @ force - gap
         violation = max(-opening.min(), -force.min() * compliance.max())
-        if violation < least:
-            found, least = force, violation
-    return found
+        if violation < min_violation:
+            best_force, min_violation = force, violation
+    return best_force
 
 
 def by_nnls(compliance: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The minimum of lambda^T D lambda / 2 - lambda^T s for lambda >= 0, by Lawson and Hanson."""
     root = np.linalg.cholesky(compliance)
-    force: np.ndarray = scipy.optimize.nnls(root.T, np.linalg.solve(root, gap))[0]
-    return force
+    return scipy.optimize.nnls(root.T, np.linalg.solve(root, gap))[0]
 
 
 # --- the constraint and the penalty law -----------------------------------------------------------
@@ -75,12 +74,12 @@ def test_forces_against_all_sets(pairs: int, condition: float) -> None:
     rng = np.random.default_rng(pairs)
     compliance = badly_conditioned(rng, pairs, condition)
     gap = rng.normal(size=(60, pairs))
-    force, closed = ActiveSetSolver(compliance).solve(gap)
-    expected = np.array([enumerated(compliance, row) for row in gap])
-    assert relative(force, expected) < 1e-12 * condition
-    assert np.array_equal(closed, expected > 0.0)
+    force, closed_sets = ActiveSetSolver(compliance).solve(gap)
+    exact_force = np.array([enumerated(compliance, row) for row in gap])
+    assert relative(force, exact_force) < 1e-12 * condition
+    assert np.array_equal(closed_sets, exact_force > 0.0)
     if pairs > 1:
-        assert len(np.unique(closed, axis=0)) > pairs  # many sets occur
+        assert len(np.unique(closed_sets, axis=0)) > pairs  # many sets occur
 
 
 @pytest.mark.parametrize("pairs", [8, 25])
@@ -89,9 +88,9 @@ def test_forces_of_many_pairs_against_least_squares(pairs: int) -> None:
     rng = np.random.default_rng(pairs)
     compliance = np.linalg.inv(random_stiffness(rng, pairs))
     gap = rng.normal(size=(50, pairs))
-    expected = np.array([by_nnls(compliance, row) for row in gap])
+    exact_force = np.array([by_nnls(compliance, row) for row in gap])
     for guess in (None, np.zeros(gap.shape, bool), np.ones(gap.shape, bool)):
-        assert relative(ActiveSetSolver(compliance).solve(gap, guess)[0], expected) < 1e-9
+        assert relative(ActiveSetSolver(compliance).solve(gap, guess)[0], exact_force) < 1e-9
 
 
 @pytest.mark.parametrize("condition", [1e2, 1e8])
@@ -101,11 +100,11 @@ def test_conditions_of_complementarity(condition: float) -> None:
     for pairs in (4, 12, 20):
         compliance = badly_conditioned(rng, pairs, condition)
         gap = rng.normal(size=(200, pairs))
-        force, closed = ActiveSetSolver(compliance).solve(gap)
+        force, closed_sets = ActiveSetSolver(compliance).solve(gap)
         opening = force @ compliance - gap
-        assert force.min() >= 0.0 and np.array_equal(closed, force > 0.0)
+        assert force.min() >= 0.0 and np.array_equal(closed_sets, force > 0.0)
         assert opening.min() > -1e-9 * np.abs(gap).max()
-        assert np.abs(opening[closed]).max() < 1e-9 * np.abs(gap).max()
+        assert np.abs(opening[closed_sets]).max() < 1e-9 * np.abs(gap).max()
 
 
 def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,17 +112,17 @@ def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.Mon
     rng = np.random.default_rng(10)
     twice = np.repeat(np.arange(3), 2)
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(40, 3))
-    expected = ActiveSetSolver(compliance).solve(gap)[0]
-    asked = []
+    single_force = ActiveSetSolver(compliance).solve(gap)[0]
+    nnls_rows = []
 
     def counted(matrix: np.ndarray, row: np.ndarray) -> np.ndarray:
-        asked.append(row)
+        nnls_rows.append(row)
         return solve_by_least_squares(matrix, row)
 
     monkeypatch.setattr(contact_module, "solve_by_least_squares", counted)
-    force, closed = ActiveSetSolver(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
-    assert len(asked) > 5 and np.array_equal(closed, force > 0.0)
-    assert relative(force[:, ::2] + force[:, 1::2], expected) < 1e-9
+    force, closed_sets = ActiveSetSolver(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
+    assert len(nnls_rows) > 5 and np.array_equal(closed_sets, force > 0.0)
+    assert relative(force[:, ::2] + force[:, 1::2], single_force) < 1e-9
 
 
 def test_pairs_that_nothing_couples() -> None:
@@ -137,8 +136,8 @@ def test_pairs_that_nothing_couples() -> None:
 def test_gaps_at_zero_are_open() -> None:
     """s = 0, all of it or at some pairs: no force, and the pairs count as open."""
     compliance = np.linalg.inv(random_stiffness(np.random.default_rng(1), 3))
-    force, closed = ActiveSetSolver(compliance).solve(np.zeros((2, 3)))
-    assert not np.any(force) and not np.any(closed)
+    force, closed_sets = ActiveSetSolver(compliance).solve(np.zeros((2, 3)))
+    assert not np.any(force) and not np.any(closed_sets)
     # Here the second pair would just touch: D_21 s_1 / D_11 = s_2.
     gap = np.array([[1.0, compliance[1, 0] / compliance[0, 0], -5.0]])
     force, _ = ActiveSetSolver(compliance).solve(gap)
@@ -157,12 +156,12 @@ def test_slope_is_that_of_the_set() -> None:
     rng = np.random.default_rng(5)
     compliance = np.linalg.inv(random_stiffness(rng, 4))
     sets, gap, step = ActiveSetSolver(compliance), rng.normal(size=(20, 4)), 1e-7
-    _, closed = sets.solve(gap)
-    slopes = sets.invert_sets(closed)
+    _, closed_sets = sets.solve(gap)
+    slopes = sets.invert_sets(closed_sets)
     for pair in range(4):
         change = step * np.eye(4)[pair]
-        after, before = (sets.solve(gap + sign * change)[0] for sign in (1.0, -1.0))
-        assert relative((after - before) / (2.0 * step), slopes[:, :, pair]) < 1e-7
+        upper_force, lower_force = (sets.solve(gap + sign * change)[0] for sign in (1.0, -1.0))
+        assert relative((upper_force - lower_force) / (2.0 * step), slopes[:, :, pair]) < 1e-7
 
 
 def test_softer_pairs_let_the_gap_in() -> None:
@@ -173,8 +172,8 @@ def test_softer_pairs_let_the_gap_in() -> None:
     distances = []
     for stiffness in (1e2, 1e4, 1e6):
         force = ActiveSetSolver(residual + np.eye(5) / stiffness).solve(gap)[0]
-        left = gap - force @ residual
-        assert np.abs(np.maximum(left, 0.0) - force / stiffness).max() < 1e-13
+        gap_left = gap - force @ residual
+        assert np.abs(np.maximum(gap_left, 0.0) - force / stiffness).max() < 1e-13
         distances.append(relative(force, rigid))
     assert distances[2] < 2e-2 * distances[1] < 4e-4 * distances[0]
 
@@ -191,15 +190,15 @@ def test_smoothed_law_against_a_root_finder(stiffness: float, sharpness: float) 
     compliance = np.linalg.inv(random_stiffness(rng, 3))
     gap = rng.normal(size=(25, 3))
     force, _ = smooth_forces_and_slopes(law, compliance, gap)
-    for row, found in zip(gap, force, strict=True):
+    for row, force_row in zip(gap, force, strict=True):
         result = scipy.optimize.root(
             lambda g, s=row: g + compliance @ law.force(g) - s,
-            row - compliance @ found + 1e-3,
+            row - compliance @ force_row + 1e-3,
             jac=lambda g: np.eye(3) + compliance * law.tangent(g),
             tol=1e-13,
         )
         assert np.abs(result.fun).max() < 1e-10
-        assert np.allclose(found, law.force(result.x), rtol=1e-6, atol=1e-8)
+        assert np.allclose(force_row, law.force(result.x), rtol=1e-6, atol=1e-8)
 
 
 def test_smoothed_law_alone_against_bisection() -> None:
@@ -207,11 +206,11 @@ def test_smoothed_law_alone_against_bisection() -> None:
     law = fc.SmoothedPenalty(200.0, 40.0)
     gap = np.linspace(-2.0, 2.0, 41)[:, None]
     force, _ = smooth_forces_and_slopes(law, np.full((1, 1), 0.3), gap)
-    for s, found in zip(gap[:, 0], force[:, 0], strict=True):
+    for s, pair_force in zip(gap[:, 0], force[:, 0], strict=True):
         root = scipy.optimize.brentq(
             lambda g, s=s: g + 0.3 * float(law.force(np.array(g))) - s, -10.0, 10.0, xtol=1e-15
         )
-        assert found == pytest.approx(float(law.force(np.array(root))), rel=1e-9, abs=1e-10)
+        assert pair_force == pytest.approx(float(law.force(np.array(root))), rel=1e-9, abs=1e-10)
 
 
 @pytest.mark.parametrize("sharpness", [1.0, 100.0])
@@ -223,10 +222,10 @@ def test_slope_of_a_smoothed_law(sharpness: float) -> None:
     _, slope = smooth_forces_and_slopes(law, compliance, gap)
     for pair in range(3):
         change = step * np.eye(3)[pair]
-        after, before = (
+        upper_force, lower_force = (
             smooth_forces_and_slopes(law, compliance, gap + s * change)[0] for s in (1.0, -1.0)
         )
-        assert relative((after - before) / (2.0 * step), slope[:, :, pair]) < 1e-5
+        assert relative((upper_force - lower_force) / (2.0 * step), slope[:, :, pair]) < 1e-5
 
 
 def test_hertz_law_is_solved_at_all_instants_together() -> None:
@@ -262,12 +261,14 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
     """The difference falls with 1/s."""
     rng = np.random.default_rng(9)
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(20, 3))
-    sharp = ActiveSetSolver(compliance + np.eye(3) / 10.0).solve(gap)[0]
-    one, two = (
-        relative(smooth_forces_and_slopes(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], sharp)
+    penalty_force = ActiveSetSolver(compliance + np.eye(3) / 10.0).solve(gap)[0]
+    soft_error, sharp_error = (
+        relative(
+            smooth_forces_and_slopes(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], penalty_force
+        )
         for s in (1e3, 1e5)
     )
-    assert one < 1e-2 and two < 2e-2 * one
+    assert soft_error < 1e-2 and sharp_error < 2e-2 * soft_error
 
 
 def test_without_compliance_the_law_itself() -> None:
@@ -284,15 +285,15 @@ def test_without_compliance_the_law_itself() -> None:
 
 def by_enumeration(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The only set of closed pairs that satisfies all conditions, of all sets."""
-    found = []
-    for chosen in product([False, True], repeat=len(gap)):
-        closed = np.array(chosen)
+    forces = []
+    for members in product([False, True], repeat=len(gap)):
+        is_closed = np.array(members)
         force = np.zeros(len(gap))
-        force[closed] = np.linalg.solve(matrix[np.ix_(closed, closed)], gap[closed])
+        force[is_closed] = np.linalg.solve(matrix[np.ix_(is_closed, is_closed)], gap[is_closed])
         if force.min() >= 0.0 and (matrix @ force - gap).min() >= -1e-12:
-            found.append(force)
-    assert len(found) == 1
-    return found[0]
+            forces.append(force)
+    assert len(forces) == 1
+    return forces[0]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -309,26 +310,26 @@ def test_complementarity_against_enumeration(seed: int) -> None:
 def test_complementarity_where_active_sets_cycle() -> None:
     """A positive definite matrix on which the active sets go round: least squares takes over."""
     rng = np.random.default_rng(0)
-    cycled = 0
+    n_cycles = 0
     for _ in range(3000):
         root = rng.normal(size=(4, 4))
         matrix, gap = root @ root.T + 1e-2 * np.eye(4), rng.normal(size=4)
-        closed, seen = gap > 0.0, set()
-        while closed.tobytes() not in seen:
-            seen.add(closed.tobytes())
+        is_closed, visited_sets = gap > 0.0, set()
+        while is_closed.tobytes() not in visited_sets:
+            visited_sets.add(is_closed.tobytes())
             force = np.zeros(4)
-            force[closed] = np.linalg.solve(matrix[np.ix_(closed, closed)], gap[closed])
-            now = np.where(closed, force > 0.0, matrix @ force - gap < 0.0)
-            if np.array_equal(now, closed):
+            force[is_closed] = np.linalg.solve(matrix[np.ix_(is_closed, is_closed)], gap[is_closed])
+            next_closed = np.where(is_closed, force > 0.0, matrix @ force - gap < 0.0)
+            if np.array_equal(next_closed, is_closed):
                 break
-            closed = now
+            is_closed = next_closed
         else:
-            cycled += 1
+            n_cycles += 1
             force = solve_complementarity(matrix, gap)
             opening = matrix @ force - gap
             assert force.min() >= 0.0 and opening.min() > -1e-8
             assert abs(force @ opening) < 1e-7 * (1.0 + np.abs(force).max())
-    assert cycled > 0
+    assert n_cycles > 0
 
 
 def test_complementarity_without_solution_is_an_error() -> None:
@@ -347,8 +348,8 @@ def test_forces_by_newton(stiffness: float) -> None:
     force = solve_forces(
         lambda g: (law.force(g), law.tangent(g)), matrix, gap[None], np.zeros((1, 4))
     )[0]
-    reached = gap - matrix @ force
-    assert np.allclose(law.force(reached), force, rtol=1e-6, atol=1e-8 * stiffness)
+    gap_reached = gap - matrix @ force
+    assert np.allclose(law.force(gap_reached), force, rtol=1e-6, atol=1e-8 * stiffness)
     if stiffness <= 1.0:
         root = scipy.optimize.root(lambda y: y - law.force(gap - matrix @ y), force + 1e-3)
         assert root.success and np.allclose(root.x, force, atol=1e-8)
@@ -372,25 +373,25 @@ def test_largest_frequency() -> None:
     """The largest frequency is LAPACK's, and with four times the mass half of it."""
     mass, stiffness = random_matrices(30)
     structure = Structure.from_matrices(mass, stiffness, gap=None)
-    expected = np.sqrt(scipy.linalg.eigvalsh(stiffness, mass)[-1])
-    assert largest_frequency(structure) == pytest.approx(expected, rel=1e-6)
-    heavy = Structure.from_matrices(4.0 * mass, stiffness, gap=None)
-    assert largest_frequency(heavy) == pytest.approx(expected / 2.0, rel=1e-6)
+    max_omega = np.sqrt(scipy.linalg.eigvalsh(stiffness, mass)[-1])
+    assert largest_frequency(structure) == pytest.approx(max_omega, rel=1e-6)
+    heavy_structure = Structure.from_matrices(4.0 * mass, stiffness, gap=None)
+    assert largest_frequency(heavy_structure) == pytest.approx(max_omega / 2.0, rel=1e-6)
 
 
 def test_a_diverging_structure_is_refused() -> None:
     """A negative eigenvalue is no frequency; it is found even where it is not near zero, and where
     a structure was not made from matrices."""
-    whole = Structure.from_matrices(np.eye(39), np.eye(39), gap=None)
-    for lowest in (-1.0, -100.0):
-        stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
+    structure = Structure.from_matrices(np.eye(39), np.eye(39), gap=None)
+    for min_stiffness in (-1.0, -100.0):
+        stiffness = np.diag([min_stiffness, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
         with pytest.raises(InputError, match="1 negative eigenvalue"):
             Structure.from_matrices(np.eye(39), stiffness, gap=None)
-        diverging = whole._plain_structure_with_changes(
-            stiffness=distribute_rows(stiffness, whole.comm)
+        unstable_structure = structure._plain_structure_with_changes(
+            stiffness=distribute_rows(stiffness, structure.comm)
         )
         with pytest.raises(InputError, match="positive semidefinite") as caught:
-            solve_modes(diverging, 2)
+            solve_modes(unstable_structure, 2)
         assert caught.value.key == "stiffness"
 
 
@@ -399,13 +400,13 @@ def test_damped_modes() -> None:
     mass, stiffness = random_matrices(10)
     ratios = [0.01, 0.02, 0.03]
     structure = Structure.from_matrices(mass, stiffness, gap=None, damping=ModalDamping(ratios, 3))
-    damped = damped_modes(structure)
+    mode_set = damped_modes(structure)
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
     np.testing.assert_allclose(
-        damped.modal_damping, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
+        mode_set.modal_damping, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
     )
-    np.testing.assert_allclose(damped.mass_shapes, mass @ damped.shapes, rtol=1e-12, atol=1e-14)
-    assert damped_modes(structure) is damped
+    np.testing.assert_allclose(mode_set.mass_shapes, mass @ mode_set.shapes, rtol=1e-12, atol=1e-14)
+    assert damped_modes(structure) is mode_set
     assert damped_modes(structure.damped(None)) is None
     everywhere = damped_modes(structure.damped(ModalDamping(0.1)))
     assert everywhere is not None and len(everywhere.omega) == 10
@@ -430,10 +431,12 @@ def modes_of(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
     """Frequencies, and the shapes at the nodes sorted by position (collective)."""
     structure = build_structure(scene, comm)
     modes = solve_modes(structure, count)
-    padded = np.concatenate([modes.shapes, np.zeros((1, count))])  # clamped dofs are number -1
+    shapes_with_clamp = np.concatenate(
+        [modes.shapes, np.zeros((1, count))]
+    )  # clamped dofs are number -1
     local = structure.nodes.dofs - np.where(structure.nodes.dofs >= 0, structure.first_dof, 0)
     points = gather_rows(comm, structure.nodes.points)
-    shapes = gather_rows(comm, padded[local])
+    shapes = gather_rows(comm, shapes_with_clamp[local])
     return {
         "omega": modes.omega,
         "shapes": shapes[np.lexsort(points.round(9).T)],
@@ -449,32 +452,32 @@ def test_two_ranks_find_the_same_modes(on_ranks: Callable[..., Any]) -> None:
     opposite sign.
     """
     scene, count = plate(5, 6), 8
-    parallel, alone = on_ranks(modes_of, scene, count), modes_of(scene, count, MPI.COMM_SELF)
-    np.testing.assert_allclose(parallel["omega"], alone["omega"], rtol=1e-9)
-    np.testing.assert_allclose(parallel["shapes"], alone["shapes"], atol=1e-6)
-    assert parallel["largest"] == pytest.approx(alone["largest"], rel=1e-6)
-    shapes = alone["shapes"]
-    largest = np.abs(shapes).max(axis=(0, 1))
-    twice = np.sum(np.abs(shapes) > (1.0 - 1e-6) * largest, axis=(0, 1))
+    parallel, serial = on_ranks(modes_of, scene, count), modes_of(scene, count, MPI.COMM_SELF)
+    np.testing.assert_allclose(parallel["omega"], serial["omega"], rtol=1e-9)
+    np.testing.assert_allclose(parallel["shapes"], serial["shapes"], atol=1e-6)
+    assert parallel["largest"] == pytest.approx(serial["largest"], rel=1e-6)
+    shapes = serial["shapes"]
+    max_amplitudes = np.abs(shapes).max(axis=(0, 1))
+    twice = np.sum(np.abs(shapes) > (1.0 - 1e-6) * max_amplitudes, axis=(0, 1))
     assert np.all(twice >= 2)
 
 
 @pytest.fixture
 def eigensolutions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Sizes of the eigenproblems that are solved from now on."""
-    asked: list[int] = []
+    sizes: list[int] = []
 
     def counted(solve: Callable[..., Any]) -> Callable[..., Any]:
-        def call(first: Any, *others: Any) -> Any:
-            asked.append(others[0] if isinstance(first, fc.Structure) else len(first))
-            return solve(first, *others)
+        def call(operand: Any, *others: Any) -> Any:
+            sizes.append(others[0] if isinstance(operand, fc.Structure) else len(operand))
+            return solve(operand, *others)
 
         return call
 
     monkeypatch.setattr(scipy.linalg, "eigh", counted(scipy.linalg.eigh))
     for module in (model_modes, compliance):
         monkeypatch.setattr(module, "solve_modes", counted(fc.solve_modes))
-    return asked
+    return sizes
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
@@ -482,22 +485,24 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
     """Nothing is computed again, whichever asks first; the damping is the varied one."""
     structure = chain(damping)
     half = structure.varied(damping=0.5, load=3.0)
-    none, other = half.varied(damping=0.0), structure.varied(clearance=0.1)
+    undamped, shifted = half.varied(damping=0.0), structure.varied(clearance=0.1)
     matrix = dense_matrices(structure)[1]
-    first = all_modes(half)
+    half_modes = all_modes(half)
     assert eigensolutions
     del eigensolutions[:]
-    for varied, factor in ((structure, 1.0), (half, 0.5), (none, 0.0), (other, 1.0)):
-        found = all_modes(varied)
-        assert found.shapes is first.shapes and found.gaps_by_mode is first.gaps_by_mode
-        expected = factor * found.shapes.T @ matrix @ found.shapes
-        inside = np.diag(found.damping) if found.damping.ndim == 1 else found.damping
-        np.testing.assert_allclose(inside, expected, atol=1e-10)
-        known = damped_modes(varied)
-        assert (known is None) == (damping in ("rayleigh", "matrix", "none"))
-        if known is not None:
-            ratio = np.asarray(varied.damping.ratio)
-            np.testing.assert_allclose(known.modal_damping, 2.0 * ratio * known.omega, rtol=1e-14)
+    for copy, factor in ((structure, 1.0), (half, 0.5), (undamped, 0.0), (shifted, 1.0)):
+        modes = all_modes(copy)
+        assert modes.shapes is half_modes.shapes and modes.gaps_by_mode is half_modes.gaps_by_mode
+        modal_matrix = factor * modes.shapes.T @ matrix @ modes.shapes
+        damping_in_modes = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
+        np.testing.assert_allclose(damping_in_modes, modal_matrix, atol=1e-10)
+        damped_mode_set = damped_modes(copy)
+        assert (damped_mode_set is None) == (damping in ("rayleigh", "matrix", "none"))
+        if damped_mode_set is not None:
+            ratio = np.asarray(copy.damping.ratio)
+            np.testing.assert_allclose(
+                damped_mode_set.modal_damping, 2.0 * ratio * damped_mode_set.omega, rtol=1e-14
+            )
     assert eigensolutions == []
 
 
@@ -505,19 +510,19 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
 def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]) -> None:
     """Beyond the factored harmonics the modes serve; they are those of the first structure."""
     structure = chain(damping, 30)
-    varied = structure.varied(damping=0.5)
-    found = []
-    for one in (structure, varied, fc.Structure.from_matrices(
-        structure.mass, structure.stiffness, gap=structure.gap, damping=varied.damping
+    half_damped = structure.varied(damping=0.5)
+    compliances = []
+    for copy in (structure, half_damped, fc.Structure.from_matrices(
+        structure.mass, structure.stiffness, gap=structure.gap, damping=half_damped.damping
     )):  # fmt: skip
         del eigensolutions[:]
-        factored = FactoredCompliance(one, 0.2, load_coefficients(one, 3, 1))
-        found.append(factored.compliance_above(6))
-        factored.destroy()
-        assert (eigensolutions == []) == (one is varied)
-    np.testing.assert_allclose(found[1], found[2], rtol=1e-7, atol=1e-12)
+        compliance = FactoredCompliance(copy, 0.2, load_coefficients(copy, 3, 1))
+        compliances.append(compliance.compliance_above(6))
+        compliance.destroy()
+        assert (eigensolutions == []) == (copy is half_damped)
+    np.testing.assert_allclose(compliances[1], compliances[2], rtol=1e-7, atol=1e-12)
     if damping != "none":
-        assert np.abs(found[1] - found[0]).max() > 1e-9
+        assert np.abs(compliances[1] - compliances[0]).max() > 1e-9
 
 
 @pytest.mark.drawn(3)
@@ -527,14 +532,16 @@ def test_curves_solve_no_further_eigenproblem(
     parameter: str, kind: str, eigensolutions: list[int]
 ) -> None:
     """Nor do the solutions on them, with their error reports, and their stability."""
-    reduced = fc.reduce_structure(chain(kind, 30), modes=8)
+    reduced_structure = fc.reduce_structure(chain(kind, 30), modes=8)
     law = fc.UnilateralPenalty(4.0)
-    first = fc.solve_harmonic_balance(reduced, 0.3, law)
-    assert first.report.reduction > 0.0
-    fc.floquet(reduced, first)
+    first_solution = fc.solve_harmonic_balance(reduced_structure, 0.3, law)
+    assert first_solution.report.reduction > 0.0
+    fc.floquet(reduced_structure, first_solution)
     start, end = (0.0, 0.1) if parameter == "clearance" else (1.0, 1.5)
     del eigensolutions[:]
-    curve = fc.continue_parameter(reduced, 0.3, law, parameter, start, end, stability=True)
+    curve = fc.continue_parameter(
+        reduced_structure, 0.3, law, parameter, start, end, stability=True
+    )
     assert len(curve) > 3 and curve.complete
     for index in (0, len(curve) // 2, len(curve) - 1):
         solution = curve.solution(index)
@@ -551,15 +558,15 @@ def test_nothing_is_kept_alive(wide_plate: fc.Structure) -> None:
         plate = fc.Structure.from_matrices(
             wide_plate.mass, wide_plate.stiffness, gap=wide_plate.gap, damping=fc.ModalDamping(0.01)
         )
-        reduced = fc.reduce_structure(plate, modes=8)
-        varied = reduced.varied(damping=2.0)
-        for one in (plate, reduced, varied):
-            all_modes(one)
-        alive = [weakref.ref(one) for one in (plate.body, reduced.body, varied)]
-        del plate, reduced, one
-        assert all(one() is not None for one in alive)  # the copy needs them
-        del varied
-        assert all(one() is None for one in alive)
+        reduced_structure = fc.reduce_structure(plate, modes=8)
+        copy = reduced_structure.varied(damping=2.0)
+        for owner in (plate, reduced_structure, copy):
+            all_modes(owner)
+        alive = [weakref.ref(owner) for owner in (plate.body, reduced_structure.body, copy)]
+        del plate, reduced_structure, owner
+        assert all(reference() is not None for reference in alive)  # the copy needs them
+        del copy
+        assert all(reference() is None for reference in alive)
     finally:
         gc.enable()
 
@@ -572,7 +579,7 @@ def test_range_of_damped_modes() -> None:
     structure = chain("none", 30)
     omega = fc.solve_modes(structure, 30).omega
     ratios = [0.1, 0.0, 0.1, 0.0]
-    for damping, expected in (
+    for damping, exact_range in (
         (None, (0, 0.0)),
         (fc.ModalDamping(0.0), (0, 0.0)),
         (fc.ModalDamping(0.0, 3), (0, 0.0)),
@@ -586,8 +593,8 @@ def test_range_of_damped_modes() -> None:
         (fc.ModalDamping(ratios, 4), (2, omega[2])),
         (fc.ModalDamping([0.01] * 12 + [0.0] * 18), (12, omega[11])),
     ):
-        found = damped_count_and_max_omega(structure.damped(damping))
-        assert found == (expected and pytest.approx(expected, rel=1e-9)), damping
+        damped_range = damped_count_and_max_omega(structure.damped(damping))
+        assert damped_range == (exact_range and pytest.approx(exact_range, rel=1e-9)), damping
     assert damped_count_and_max_omega(chain("matrix")) is None
     assert damped_count_and_max_omega(chain("modal").varied(damping=0.0)) == (0, 0.0)
 
@@ -595,13 +602,15 @@ def test_range_of_damped_modes() -> None:
 def test_range_of_a_reduced_structure() -> None:
     """That of the whole where its damping is projected; nothing is left out where all is damped."""
     structure = chain("none", 60)
-    few = structure.damped(fc.ModalDamping(0.02, 8))
-    last = fc.solve_modes(structure, 8).omega[-1]
+    few_modes_damped = structure.damped(fc.ModalDamping(0.02, 8))
+    last_omega = fc.solve_modes(structure, 8).omega[-1]
     for modes in (5, 8, 20):
-        reduced = fc.reduce_structure(few, modes=modes)
-        assert damped_count_and_max_omega(reduced) == pytest.approx((8, last), rel=1e-9)
-        assert damped_count_and_max_omega(reduced.damped(fc.ModalDamping(0.02))) is None
-        assert damped_count_and_max_omega(reduced.damped(None)) == (0, 0.0)
+        reduced_structure = fc.reduce_structure(few_modes_damped, modes=modes)
+        assert damped_count_and_max_omega(reduced_structure) == pytest.approx(
+            (8, last_omega), rel=1e-9
+        )
+        assert damped_count_and_max_omega(reduced_structure.damped(fc.ModalDamping(0.02))) is None
+        assert damped_count_and_max_omega(reduced_structure.damped(None)) == (0, 0.0)
     for rule in (fc.ModalDamping(0.02), fc.RayleighDamping(0.05, 0.03)):
         assert (
             damped_count_and_max_omega(fc.reduce_structure(structure.damped(rule), modes=8)) is None
@@ -631,19 +640,19 @@ def test_motions_as_a_rigid_body() -> None:
         with pytest.raises(fc.InputError, match=r"^modes = .*at least 3"):
             reduced(structure, modes)
     for modes in (3, 6):
-        made = reduced(structure, modes)
-        assert np.array_equal(made.omega == 0.0, np.arange(modes) < 3)
-        assert all_modes(made).is_unconstrained
-        rate = all_modes(made).damping
+        reduced_model = reduced(structure, modes)
+        assert np.array_equal(reduced_model.omega == 0.0, np.arange(modes) < 3)
+        assert all_modes(reduced_model).is_unconstrained
+        rate = all_modes(reduced_model).damping
         rate = rate if rate.ndim == 2 else np.diag(rate)
-        assert relative(rate, 0.1 * made.basis.T @ made.basis) < 1e-8
+        assert relative(rate, 0.1 * reduced_model.basis.T @ reduced_model.basis) < 1e-8
         gap = structure.gap.toarray()
-        assert relative(made.residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-9
-        for found, expected in zip(
-            (row[1:] for row in made_seen(made)), (row[1:] for row in made_seen(structure)),
-            strict=True,
+        assert relative(reduced_model.residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-9
+        for reduced_part, full_part in zip(
+            (row[1:] for row in made_seen(reduced_model)),
+            (row[1:] for row in made_seen(structure)), strict=True,
         ):  # fmt: skip
-            assert relative(found, expected) < (0.3 if modes == 3 else 0.1)
+            assert relative(reduced_part, full_part) < (0.3 if modes == 3 else 0.1)
     assert all_modes(reduced(chain("none", 9, unconstrained=True), 1)).is_unconstrained
 
 
@@ -652,12 +661,14 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     mass, damping, stiffness = dense_matrices(structure.whole)
     gap, omega = structure.whole.gap.toarray(), 0.1
     if structure is structure.whole:
-        solved = np.linalg.solve(
+        response = np.linalg.solve(
             stiffness - omega**2 * mass + 1j * omega * damping,
             np.column_stack([gap, structure.force[1]]),
         )
-        moved = gap.T @ solved
-        return np.array([moved[:, :2] * 0.0, moved[:, :2]]), np.array([moved[:, 2], moved[:, 2]])
+        gap_response = gap.T @ response
+        return np.array([gap_response[:, :2] * 0.0, gap_response[:, :2]]), np.array(
+            [gap_response[:, 2], gap_response[:, 2]]
+        )
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))
     matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
@@ -677,9 +688,11 @@ def test_labels_of_rotations(tmp_path: Path) -> None:
 def test_what_petsc_lacks_gives_way_to_mumps(monkeypatch: pytest.MonkeyPatch) -> None:
     """As CHOLMOD in DOLFINx's wheels, which is refused before there is a factor."""
     factorise = Factor._factorise
-    lacking = {"cholmod": "a library that PETSc lacks"}
+    renamed_solvers = {"cholmod": "a library that PETSc lacks"}
     monkeypatch.setattr(
-        Factor, "_factorise", lambda self, solver: factorise(self, lacking.get(solver, solver))
+        Factor,
+        "_factorise",
+        lambda self, solver: factorise(self, renamed_solvers.get(solver, solver)),
     )
     stiffness = random_stiffness(np.random.default_rng(3), 6)
     with Factor(distribute_rows(stiffness, MPI.COMM_SELF), definite=True) as factor:

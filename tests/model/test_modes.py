@@ -68,9 +68,9 @@ def test_lowest_modes_are_the_first_of_all(count: int) -> None:
     """Few modes are the lowest ones, with the same signs as when all are computed."""
     mass, stiffness = random_matrices(30)
     structure = Structure.from_matrices(mass, stiffness, gap=None)
-    few, every = solve_modes(structure, count), solve_modes(structure, 30)
-    np.testing.assert_allclose(few.omega, every.omega[:count], rtol=1e-8)
-    np.testing.assert_allclose(few.shapes, every.shapes[:, :count], atol=1e-6)
+    lowest_modes, all_modes = solve_modes(structure, count), solve_modes(structure, 30)
+    np.testing.assert_allclose(lowest_modes.omega, all_modes.omega[:count], rtol=1e-8)
+    np.testing.assert_allclose(lowest_modes.shapes, all_modes.shapes[:, :count], atol=1e-6)
 
 
 @pytest.mark.parametrize("rigid", [1, 3])
@@ -115,8 +115,8 @@ def test_signs(n: int) -> None:
     modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, gap=None), n)
     places = np.arange(1, n + 1)
     exact = np.sin(np.outer(places, places) * np.pi / (n + 1))
-    large = np.abs(exact) > (1.0 - 1e-9) * np.abs(exact).max(axis=0)
-    exact *= np.sign(exact[large.argmax(axis=0), range(n)])
+    is_large = np.abs(exact) > (1.0 - 1e-9) * np.abs(exact).max(axis=0)
+    exact *= np.sign(exact[is_large.argmax(axis=0), range(n)])
     np.testing.assert_allclose(modes.shapes, exact / np.linalg.norm(exact, axis=0), atol=1e-10)
 
 
@@ -146,8 +146,8 @@ def test_equal_frequencies_of_a_few_masses(n: int, free: bool) -> None:
 
 def test_motions_as_a_rigid_body_have_no_frequency() -> None:
     """Of two chains that nothing holds, two; their frequency is zero, not that of rounding."""
-    one = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
-    stiffness = 1e7 * np.block([[one, np.zeros((3, 3))], [np.zeros((3, 3)), one]])
+    block = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
+    stiffness = 1e7 * np.block([[block, np.zeros((3, 3))], [np.zeros((3, 3)), block]])
     omega = solve_modes(Structure.from_matrices(np.eye(6), stiffness, gap=None), 6).omega
     assert list(omega[:2]) == [0.0, 0.0] and omega[2] > 1e3
 
@@ -181,9 +181,9 @@ def test_count_that_cannot_be(count: Any) -> None:
 def test_paper_plate(paper_structure: Structure) -> None:
     """omega_1 = 2302.9 rad/s with the crack open, 3324.7 with the pair tied by 1e11 N/m."""
     open_crack = solve_modes(paper_structure, 1).omega[0]
-    tied = solve_modes(paper_structure.tied(1e11), 1).omega[0]
+    bonded_omega = solve_modes(paper_structure.tied(1e11), 1).omega[0]
     assert open_crack == pytest.approx(2302.9, abs=0.5)
-    assert tied == pytest.approx(3324.7, abs=0.5)
+    assert bonded_omega == pytest.approx(3324.7, abs=0.5)
 
 
 @pytest.mark.parametrize(("order", "rate"), [(1, 2.0), (2, 4.0)])
@@ -212,11 +212,11 @@ def test_order_of_convergence(cells: str, order: int, rate: float) -> None:
 @pytest.mark.parametrize("order", [1, 2])
 def test_frequencies_fall_as_the_mesh_is_refined(order: int) -> None:
     """Rayleigh and Ritz: on nested meshes every frequency falls, whatever the corners do."""
-    found = [
+    omegas = [
         solve_modes(build_structure(plate(cells, cells, **{"mesh.order": order})), 6).omega
         for cells in (2, 4, 8, 16)
     ]
-    assert np.all(np.diff(found, axis=0) < 0.0)
+    assert np.all(np.diff(omegas, axis=0) < 0.0)
 
 
 # --- the crack's length from the first frequency --------------------------------------------------
@@ -236,8 +236,10 @@ def test_crack_length_from_the_first_frequency(breathing: Scene, target: float) 
     length = find_crack_length(scene, MPI.COMM_SELF)
     structure = build_structure(scene)
     assert solve_modes(structure, 1).omega[0] == pytest.approx(target, abs=0.1)
-    same = build_structure(scene.replace({"crack.first_omega": None, "crack.length": length}))
-    np.testing.assert_allclose(structure.pair_points, same.pair_points, atol=1e-12)
+    structure_by_length = build_structure(
+        scene.replace({"crack.first_omega": None, "crack.length": length})
+    )
+    np.testing.assert_allclose(structure.pair_points, structure_by_length.pair_points, atol=1e-12)
 
 
 @pytest.mark.parametrize("target", [100.0, 5000.0])
@@ -246,11 +248,13 @@ def test_unreachable_first_frequency(breathing: Scene, target: float) -> None:
     with pytest.raises(InputError) as caught:
         find_crack_length(breathing.replace({"crack.first_omega": target}), MPI.COMM_SELF)
     assert caught.value.key == "crack.first_omega"
-    named = [float(number) for number in re.findall(r"\d+\.\d+", caught.value.allowed)]
-    for number, part in zip(named, (0.95, 0.01), strict=True):
-        cut = breathing.replace({"crack.first_omega": None, "crack.length": part * 0.1})
-        assert number == pytest.approx(solve_modes(build_structure(cut), 1).omega[0], abs=0.06)
-    assert not named[0] <= target <= named[1]
+    numbers = [float(number) for number in re.findall(r"\d+\.\d+", caught.value.allowed)]
+    for number, part in zip(numbers, (0.95, 0.01), strict=True):
+        scene_by_length = breathing.replace({"crack.first_omega": None, "crack.length": part * 0.1})
+        assert number == pytest.approx(
+            solve_modes(build_structure(scene_by_length), 1).omega[0], abs=0.06
+        )
+    assert not numbers[0] <= target <= numbers[1]
 
 
 def test_length_without_a_frequency(paper_scene: Scene) -> None:
@@ -267,19 +271,19 @@ def spread_modes(comm: MPI.Comm) -> tuple[Any, ...]:
         *random_matrices(15), gap=np.ones(15), force_sin=np.arange(15.0), comm=comm
     )
     modes = solve_modes(structure, 5)
-    closing = structure.apply_bt(np.abs(modes.shapes.T))[0, 0]
-    return structure.n_local, modes.omega, closing, comm.allreduce(structure.force[2].sum())
+    gap_sum = structure.apply_bt(np.abs(modes.shapes.T))[0, 0]
+    return structure.n_local, modes.omega, gap_sum, comm.allreduce(structure.force[2].sum())
 
 
 @pytest.mark.mpi
 def test_matrices_spread_over_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """Matrices given whole to both ranks have the frequencies, and gaps, of one rank."""
-    local, omega, closing, force = on_ranks(spread_modes)
+    local, omega, gap_sum, force = on_ranks(spread_modes)
     assert local == 7
     mass, stiffness = random_matrices(15)
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
     np.testing.assert_allclose(omega, np.sqrt(squares[:5]), rtol=1e-8)
-    assert closing == pytest.approx(np.abs(shapes[:, 0]).sum(), rel=1e-6)
+    assert gap_sum == pytest.approx(np.abs(shapes[:, 0]).sum(), rel=1e-6)
     assert force == 14 * 15 / 2
 
 
@@ -287,25 +291,27 @@ def test_matrices_spread_over_two_ranks(on_ranks: Callable[..., Any]) -> None:
 @pytest.mark.filterwarnings("error")
 def test_modes_of_a_massless_reduction(wide_plate: Structure) -> None:
     """Those to which the plate was reduced, as the plate has them; not more."""
-    reduced = reduce_structure(wide_plate, modes=6, method="massless")
-    found, whole = solve_modes(reduced, 4), solve_modes(wide_plate, 4)
-    np.testing.assert_allclose(found.omega, whole.omega, rtol=1e-12)
-    expanded = reduced.expand(found.shapes.T).T
-    np.testing.assert_allclose(expanded, whole.shapes, atol=1e-9 * np.abs(whole.shapes).max())
+    reduced_structure = reduce_structure(wide_plate, modes=6, method="massless")
+    reduced_modes, full_modes = solve_modes(reduced_structure, 4), solve_modes(wide_plate, 4)
+    np.testing.assert_allclose(reduced_modes.omega, full_modes.omega, rtol=1e-12)
+    shapes = reduced_structure.expand(reduced_modes.shapes.T).T
+    np.testing.assert_allclose(
+        shapes, full_modes.shapes, atol=1e-9 * np.abs(full_modes.shapes).max()
+    )
     with pytest.raises(InputError, match="a whole number from 1 to n_modes = 6"):
-        solve_modes(reduced, 7)
+        solve_modes(reduced_structure, 7)
 
 
 def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -> None:
     """Keeps the load and the clearance, also where a part of the load is new."""
     load = np.array([[0.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
-    varied = reduce_structure(wide_plate, modes=6, method="massless").varied(
+    varied_plate = reduce_structure(wide_plate, modes=6, method="massless").varied(
         load=load, clearance=1e-6
     )
-    found = varied.damped(ModalDamping(0.1))
-    np.testing.assert_array_equal(found.force, varied.force)
-    np.testing.assert_array_equal(found.clearance, varied.clearance)
-    assert str(found).endswith("modal damping 10 %)")
+    redamped = varied_plate.damped(ModalDamping(0.1))
+    np.testing.assert_array_equal(redamped.force, varied_plate.force)
+    np.testing.assert_array_equal(redamped.clearance, varied_plate.clearance)
+    assert str(redamped).endswith("modal damping 10 %)")
 
 
 # --- computed once --------------------------------------------------------------------------------

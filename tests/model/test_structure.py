@@ -85,7 +85,7 @@ def test_matrices_in_the_order_mass_damping_stiffness() -> None:
 def test_every_form_of_the_matrices_gives_the_same(convert: Any, tmp_path: Path) -> None:
     """NumPy, lists, SciPy, PETSc and Matrix Market files give the same structure."""
     arguments = good()
-    expected = {name: np.copy(value) for name, value in arguments.items()}
+    originals = {name: np.copy(value) for name, value in arguments.items()}
     for name in ("mass", "stiffness", "gap", "damping"):
         if convert == "file":
             path = tmp_path / f"{name}.mtx"
@@ -96,20 +96,19 @@ def test_every_form_of_the_matrices_gives_the_same(convert: Any, tmp_path: Path)
     structure = Structure.from_matrices(**arguments)
     assert (structure.n_dofs, structure.n_pairs, structure.n_local) == (N, PAIRS, N)
     for name in ("mass", "stiffness", "damping"):
-        found = dense(getattr(structure, name))
-        np.testing.assert_allclose(found, expected[name], rtol=1e-15)
-    np.testing.assert_allclose(structure.gap.toarray(), expected["gap"], rtol=1e-15)
+        np.testing.assert_allclose(dense(getattr(structure, name)), originals[name], rtol=1e-15)
+    np.testing.assert_allclose(structure.gap.toarray(), originals["gap"], rtol=1e-15)
     np.testing.assert_array_equal(
-        structure.force, [expected["force_mean"], expected["force_cos"], expected["force_sin"]]
+        structure.force, [originals["force_mean"], originals["force_cos"], originals["force_sin"]]
     )
-    np.testing.assert_array_equal(structure.clearance, expected["clearance"])
+    np.testing.assert_array_equal(structure.clearance, originals["clearance"])
     displacement = np.random.default_rng(2).standard_normal((3, N))
     np.testing.assert_allclose(
-        structure.apply_bt(displacement), displacement @ expected["gap"], rtol=1e-13, atol=1e-14
+        structure.apply_bt(displacement), displacement @ originals["gap"], rtol=1e-13, atol=1e-14
     )
     forces = displacement[:, :PAIRS]
     np.testing.assert_allclose(
-        structure.apply_b(forces), forces @ expected["gap"].T, rtol=1e-13, atol=1e-14
+        structure.apply_b(forces), forces @ originals["gap"].T, rtol=1e-13, atol=1e-14
     )
 
 
@@ -128,9 +127,9 @@ def test_forces_of_every_form_are_the_same(tmp_path: Path) -> None:
 def test_given_matrices_are_left_alone() -> None:
     """A PETSc matrix that was given neither changes nor changes the structure afterwards."""
     arguments = good()
-    mine = petsc(arguments["mass"])
-    structure = Structure.from_matrices(**(arguments | {"mass": mine}))
-    mine.scale(2.0)
+    given_mass = petsc(arguments["mass"])
+    structure = Structure.from_matrices(**(arguments | {"mass": given_mass}))
+    given_mass.scale(2.0)
     np.testing.assert_allclose(dense(structure.mass), arguments["mass"], rtol=1e-15)
 
 
@@ -307,8 +306,8 @@ def test_find_dof(paper_structure: Structure) -> None:
     nodes = paper_structure.nodes
     for point in ((0.1, 0.1), (0.05, 0.05), (0.0, 0.0625)):
         place = np.flatnonzero(np.linalg.norm(nodes.points - point, axis=1) < 1e-9)
-        found = [paper_structure.find_dof(point, component) for component in (0, 1, "x", "y")]
-        assert found == [*nodes.dofs[place[0]], *nodes.dofs[place[0]]]
+        dofs = [paper_structure.find_dof(point, component) for component in (0, 1, "x", "y")]
+        assert dofs == [*nodes.dofs[place[0]], *nodes.dofs[place[0]]]
     np.testing.assert_array_equal(
         np.flatnonzero(paper_structure.force[2]), [paper_structure.find_dof((0.1, 0.1), "x")]
     )
@@ -369,24 +368,26 @@ def test_tied(stiffness: Any) -> None:
     """Tying adds B diag(k) B^T to the stiffness and takes the pairs away; the rest stays."""
     arguments = good()
     structure = Structure.from_matrices(**arguments)
-    tied = structure.tied(stiffness)
+    bonded_structure = structure.tied(stiffness)
     gap = arguments["gap"]
     springs = gap @ np.diag(np.broadcast_to(stiffness, PAIRS)) @ gap.T
     np.testing.assert_allclose(
-        dense(tied.stiffness), arguments["stiffness"] + springs, rtol=1e-13, atol=1e-13
+        dense(bonded_structure.stiffness), arguments["stiffness"] + springs, rtol=1e-13, atol=1e-13
     )
-    np.testing.assert_array_equal(dense(tied.mass), arguments["mass"])
+    np.testing.assert_array_equal(dense(bonded_structure.mass), arguments["mass"])
     np.testing.assert_array_equal(dense(structure.stiffness), arguments["stiffness"])
-    assert (tied.n_pairs, structure.n_pairs) == (0, PAIRS)
-    np.testing.assert_array_equal(tied.force, structure.force)
+    assert (bonded_structure.n_pairs, structure.n_pairs) == (0, PAIRS)
+    np.testing.assert_array_equal(bonded_structure.force, structure.force)
 
 
 def test_tied_plate(paper_structure: Structure) -> None:
     """The same on a sparse structure, where the springs add entries to the pattern."""
     gap = paper_structure.gap.toarray()
-    expected = dense(paper_structure.stiffness) + 1e11 * gap @ gap.T
-    found = dense(paper_structure.tied(1e11).stiffness)
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13 * expected.max())
+    exact_stiffness = dense(paper_structure.stiffness) + 1e11 * gap @ gap.T
+    bonded_stiffness = dense(paper_structure.tied(1e11).stiffness)
+    np.testing.assert_allclose(
+        bonded_stiffness, exact_stiffness, rtol=1e-13, atol=1e-13 * exact_stiffness.max()
+    )
 
 
 @pytest.mark.parametrize("stiffness", [np.nan, [1.0, 2.0, 3.0], "hard", np.inf])
@@ -399,9 +400,12 @@ def test_damped() -> None:
     """`damped` exchanges the damping and nothing else."""
     structure = Structure.from_matrices(**good())
     for damping in (ModalDamping(0.01), RayleighDamping(0.1, 0.01)):
-        other = structure.damped(damping)
-        assert other.damping is damping
-    assert other.mass is structure.mass and other.stiffness is structure.stiffness
+        damped_structure = structure.damped(damping)
+        assert damped_structure.damping is damping
+    assert (
+        damped_structure.mass is structure.mass
+        and damped_structure.stiffness is structure.stiffness
+    )
     assert structure.damped(None).damping is None
 
 
@@ -411,12 +415,12 @@ def test_damped() -> None:
 def test_lumped(paper_scene: Scene, cells: str, order: int) -> None:
     """The lumped mass is diagonal, with the row sums of M, which are positive (Simpson's rule)."""
     structure = build_structure(paper_scene.replace({"mesh.cells": cells, "mesh.order": order}))
-    lumped = structure.lumped()
+    lumped_structure = structure.lumped()
     sums = dense(structure.mass).sum(axis=1)
     assert sums.min() > 0.0
-    np.testing.assert_allclose(dense(lumped.mass), np.diag(sums), rtol=1e-12)
-    assert lumped.stiffness is structure.stiffness
-    assert lumped.n_pairs == structure.n_pairs
+    np.testing.assert_allclose(dense(lumped_structure.mass), np.diag(sums), rtol=1e-12)
+    assert lumped_structure.stiffness is structure.stiffness
+    assert lumped_structure.n_pairs == structure.n_pairs
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(2, 8), (4, 4), (6, 2)])
@@ -456,16 +460,25 @@ def test_damped_refuses_what_is_no_rule() -> None:
 def plates(scene: Scene) -> list[Structure]:
     """With a mesh, varied, reduced, and reduced and varied."""
     plate = build_structure(scene)
-    reduced = reduce_structure(plate, modes=5)
-    return [plate, plate.varied(load=2.0), reduced, reduced.varied(damping=2.0)]
+    reduced_structure = reduce_structure(plate, modes=5)
+    return [plate, plate.varied(load=2.0), reduced_structure, reduced_structure.varied(damping=2.0)]
 
 
 def test_no_attribute_can_be_set(paper_scene: Scene) -> None:
     """No attribute of any name can be set; the message says what to do instead."""
     for structure in plates(paper_scene):
         names = [name for name in dir(structure) if not name.startswith("_")]
-        known = {"force", "clearance", "damping", "pair_areas", "mass", "n_dofs", "whole", "nodes"}
-        assert known <= set(names)
+        field_names = {
+            "force",
+            "clearance",
+            "damping",
+            "pair_areas",
+            "mass",
+            "n_dofs",
+            "whole",
+            "nodes",
+        }
+        assert field_names <= set(names)
         for name in [*names, "another"]:
             with pytest.raises(AttributeError, match=rf"^{name}: .* varied\(\)"):
                 setattr(structure, name, 0.0)
@@ -510,31 +523,38 @@ DAMPINGS = {
 def test_varied(damping: Any) -> None:
     """Factors multiply, clearances add up; the structure itself stays, and shares its matrices."""
     structure = Structure.from_matrices(**(good() | {"damping": damping}))
-    force, clearance, given = structure.force.copy(), structure.clearance.copy(), structure.damping
-    once = structure.varied(load=2.0, damping=3.0, clearance=1e-3)
-    twice = once.varied(load=-0.5, damping=0.5, clearance=np.array([0.0, 1.0]))
-    for other, load, factor, added in (
-        (once, 2.0, 3.0, [1e-3, 1e-3]),
-        (twice, -1.0, 1.5, [1e-3, 1.001]),
+    force, clearance, damping_before = (
+        structure.force.copy(),
+        structure.clearance.copy(),
+        structure.damping,
+    )
+    varied_once = structure.varied(load=2.0, damping=3.0, clearance=1e-3)
+    varied_twice = varied_once.varied(load=-0.5, damping=0.5, clearance=np.array([0.0, 1.0]))
+    for copy, load, factor, added_clearance in (
+        (varied_once, 2.0, 3.0, [1e-3, 1e-3]),
+        (varied_twice, -1.0, 1.5, [1e-3, 1.001]),
     ):
-        assert other.body is structure.body and other.mass is structure.mass
-        np.testing.assert_array_equal(other.force, load * force)
-        np.testing.assert_allclose(other.clearance, clearance + added, rtol=1e-14)
-        assert other.damping_factor == factor
+        assert copy.body is structure.body and copy.mass is structure.mass
+        np.testing.assert_array_equal(copy.force, load * force)
+        np.testing.assert_allclose(copy.clearance, clearance + added_clearance, rtol=1e-14)
+        assert copy.damping_factor == factor
         if isinstance(damping, ModalDamping):
-            assert other.damping.modes == damping.modes
+            assert copy.damping.modes == damping.modes
             ratio = factor * np.asarray(damping.ratio)
-            np.testing.assert_allclose(other.damping.ratio, ratio, rtol=1e-14)
+            np.testing.assert_allclose(copy.damping.ratio, ratio, rtol=1e-14)
         elif isinstance(damping, RayleighDamping):
-            assert other.damping == damping.scaled(factor)
+            assert copy.damping == damping.scaled(factor)
         elif damping is None:
-            assert other.damping is None
+            assert copy.damping is None
         else:
-            np.testing.assert_allclose(dense(other.damping), factor * damping, rtol=1e-14)
+            np.testing.assert_allclose(dense(copy.damping), factor * damping, rtol=1e-14)
     np.testing.assert_array_equal(structure.force, force)
     np.testing.assert_array_equal(structure.clearance, clearance)
-    assert structure.damping is given and structure.original is structure
-    assert once.original.damping is given and once.original.force is structure.force
+    assert structure.damping is damping_before and structure.original is structure
+    assert (
+        varied_once.original.damping is damping_before
+        and varied_once.original.force is structure.force
+    )
 
 
 def test_parts_of_the_load_mixed() -> None:
@@ -542,41 +562,51 @@ def test_parts_of_the_load_mixed() -> None:
     structure = Structure.from_matrices(**good())
     mean, cosine, sine = structure.force
     matrix = np.array([[0.0, 1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 3.0, 4.0]])
-    expected = np.array([cosine, 2.0 * mean, 3.0 * cosine + 4.0 * sine])
-    np.testing.assert_allclose(structure.varied(load=matrix).force, expected, rtol=1e-14)
+    exact_force = np.array([cosine, 2.0 * mean, 3.0 * cosine + 4.0 * sine])
+    np.testing.assert_allclose(structure.varied(load=matrix).force, exact_force, rtol=1e-14)
     twice = structure.varied(load=2.0).varied(load=matrix)
-    np.testing.assert_allclose(twice.force, 2.0 * expected, rtol=1e-14)
+    np.testing.assert_allclose(twice.force, 2.0 * exact_force, rtol=1e-14)
 
 
 def test_varied_reduction_speaks_of_the_varied_plate(paper_scene: Scene) -> None:
     """Its whole structure and its reference are varied with it."""
     plate = build_structure(paper_scene)
-    reduced = reduce_structure(plate, modes=5)
-    varied = reduced.varied(load=2.0, damping=3.0, clearance=1e-6)
-    assert isinstance(varied, ReducedStructure) and varied.reference is not None
-    for other, first in (
-        (varied, reduced),
-        (varied.reference, reduced.reference),
-        (varied.whole, plate),
+    reduced_structure = reduce_structure(plate, modes=5)
+    varied_model = reduced_structure.varied(load=2.0, damping=3.0, clearance=1e-6)
+    assert isinstance(varied_model, ReducedStructure) and varied_model.reference is not None
+    for copy, source in (
+        (varied_model, reduced_structure),
+        (varied_model.reference, reduced_structure.reference),
+        (varied_model.whole, plate),
     ):
-        assert first is not None and other.body is first.body
-        np.testing.assert_array_equal(other.force, 2.0 * first.force)
-        np.testing.assert_array_equal(other.clearance, first.clearance + 1e-6)
-        assert other.damping == ModalDamping(3.0 * 0.001)
-    assert reduced.whole is plate
+        assert source is not None and copy.body is source.body
+        np.testing.assert_array_equal(copy.force, 2.0 * source.force)
+        np.testing.assert_array_equal(copy.clearance, source.clearance + 1e-6)
+        assert copy.damping == ModalDamping(3.0 * 0.001)
+    assert reduced_structure.whole is plate
 
 
 def test_a_reduction_is_in_one_setting(paper_scene: Scene) -> None:
     """Another dof is watched of its whole structure, too, whatever varies then; and of a structure
     without a load the same as with one."""
-    reduced = reduce_structure(build_structure(paper_scene), modes=5)
-    dof = reduced.watched_dof + 1
-    other, units = reduced.watching(dof).varied(load=0.0, damping=2.0), np.eye(reduced.n_dofs)
-    assert other.whole.watched_dof == other.watched_dof == dof
-    np.testing.assert_array_equal(other.values_at(units, [None]), other.values_at(units, [dof]))
-    assert reduced.varied(load=0.0).watched_dof == reduced.watched_dof == dof - 1
-    assert other.body is reduced.body and other.whole.body is reduced.whole.body
-    half = other.damped(ModalDamping(0.01))
+    reduced_structure = reduce_structure(build_structure(paper_scene), modes=5)
+    dof = reduced_structure.watched_dof + 1
+    watching_model, units = (
+        reduced_structure.watching(dof).varied(load=0.0, damping=2.0),
+        np.eye(reduced_structure.n_dofs),
+    )
+    assert watching_model.whole.watched_dof == watching_model.watched_dof == dof
+    np.testing.assert_array_equal(
+        watching_model.values_at(units, [None]), watching_model.values_at(units, [dof])
+    )
+    assert (
+        reduced_structure.varied(load=0.0).watched_dof == reduced_structure.watched_dof == dof - 1
+    )
+    assert (
+        watching_model.body is reduced_structure.body
+        and watching_model.whole.body is reduced_structure.whole.body
+    )
+    half = watching_model.damped(ModalDamping(0.01))
     assert half.damping == ModalDamping(0.01) and half.watched_dof == dof
 
 
@@ -604,13 +634,13 @@ def test_printed_in_one_line(paper_scene: Scene) -> None:
     """Sizes and damping."""
     plate = build_structure(paper_scene)
     assert repr(plate) == "Structure(50 dofs, 1 pair, modal damping 0.1 %)"
-    reduced = reduce_structure(plate, modes=5)
-    assert repr(reduced.varied(damping=2.0)) == (
+    reduced_structure = reduce_structure(plate, modes=5)
+    assert repr(reduced_structure.varied(damping=2.0)) == (
         "ReducedStructure(7 coordinates of 50 dofs, 1 pair, modal damping 0.2 %)"
     )
     bare = plate.tied(1.0).damped(ModalDamping([0.01, 0.02], 2))
     assert repr(bare) == "Structure(50 dofs, 0 pairs, modal damping 1 to 2 % of 2 modes)"
     assert repr(plate.damped(None)) == "Structure(50 dofs, 1 pair, no damping)"
-    given = Structure.from_matrices(**good())
-    assert repr(given) == repr(given.varied(damping=0.5))
-    assert repr(given) == "Structure(5 dofs, 2 pairs, damping matrix)"
+    structure = Structure.from_matrices(**good())
+    assert repr(structure) == repr(structure.varied(damping=0.5))
+    assert repr(structure) == "Structure(5 dofs, 2 pairs, damping matrix)"

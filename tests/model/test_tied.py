@@ -47,27 +47,29 @@ def test_two_masses_become_one() -> None:
     structure = fc.Structure.from_matrices(
         np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), gap=[1.0, -1.0]
     )
-    found = fc.solve_modes(structure, 1, lips="tied")
-    assert found.omega[0] == pytest.approx(np.sqrt(12.0 / 5.0), rel=1e-14)
-    np.testing.assert_allclose(found.shapes, np.full((2, 1), 5.0**-0.5), rtol=1e-14)
+    modes = fc.solve_modes(structure, 1, lips="tied")
+    assert modes.omega[0] == pytest.approx(np.sqrt(12.0 / 5.0), rel=1e-14)
+    np.testing.assert_allclose(modes.shapes, np.full((2, 1), 5.0**-0.5), rtol=1e-14)
 
 
 def test_ties_that_repeat_each_other() -> None:
     """A pair given twice, and its half, tie no more than the pair does."""
     stiffness, gap = held_chain()
-    many = np.column_stack([gap, gap, 0.5 * gap])
-    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=many)
+    repeated_rows = np.column_stack([gap, gap, 0.5 * gap])
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=repeated_rows)
     omega = fc.solve_modes(structure, 12, lips="tied").omega
     np.testing.assert_allclose(omega, np.repeat(half_chain(), 2), rtol=1e-10)
 
 
 def test_ties_hold_a_floating_part() -> None:
     """Two masses that nothing holds: a tie to the ground holds one, and a spring then the other."""
-    floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    one = fc.Structure.from_matrices(np.eye(2), floating, gap=[1.0, 0.0])
-    assert fc.solve_modes(one, 1, lips="tied").omega[0] == pytest.approx(1.0, rel=1e-12)
-    both = fc.Structure.from_matrices(np.eye(2), floating, gap=[1.0, -1.0])
-    assert fc.solve_modes(both, 1, lips="tied").omega[0] == pytest.approx(0.0, abs=1e-7)
+    free_stiffness = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    half_clamped_structure = fc.Structure.from_matrices(np.eye(2), free_stiffness, gap=[1.0, 0.0])
+    assert fc.solve_modes(half_clamped_structure, 1, lips="tied").omega[0] == pytest.approx(
+        1.0, rel=1e-12
+    )
+    joined_structure = fc.Structure.from_matrices(np.eye(2), free_stiffness, gap=[1.0, -1.0])
+    assert fc.solve_modes(joined_structure, 1, lips="tied").omega[0] == pytest.approx(0.0, abs=1e-7)
 
 
 @pytest.mark.parametrize("unconstrained", [False, True])
@@ -77,15 +79,17 @@ def test_null_space_of_the_pairs(unconstrained: bool) -> None:
     space = scipy.linalg.null_space(structure.gap.T.toarray())
     matrices = (space.T @ dense(part) @ space for part in (structure.stiffness, structure.mass))
     squares = scipy.linalg.eigvalsh(*matrices)
-    found = fc.solve_modes(structure, 7, lips="tied")
-    np.testing.assert_allclose(found.omega**2, squares, rtol=1e-9, atol=1e-9)
+    modes = fc.solve_modes(structure, 7, lips="tied")
+    np.testing.assert_allclose(modes.omega**2, squares, rtol=1e-9, atol=1e-9)
 
 
 def test_without_pairs_tied_is_open() -> None:
     """Nothing to tie."""
     structure = fc.Structure.from_matrices(np.eye(13), held_chain()[0], gap=None)
-    tied, is_open = (fc.solve_modes(structure, 3, lips=lips).omega for lips in ("tied", "open"))
-    np.testing.assert_array_equal(tied, is_open)
+    bonded_omega, open_omega = (
+        fc.solve_modes(structure, 3, lips=lips).omega for lips in ("tied", "open")
+    )
+    np.testing.assert_array_equal(bonded_omega, open_omega)
 
 
 # --- plates ---------------------------------------------------------------------------------------
@@ -95,34 +99,38 @@ def test_plate_tied_in_both_directions_is_uncracked(paper_scene: fc.Scene) -> No
     plate = fc.build_structure(paper_scene)
     normal = plate.gap.toarray()
     nodes = plate.nodes
-    sliding = np.zeros_like(normal)
+    sliding_rows = np.zeros_like(normal)
     for sign in (1.0, -1.0):
         (dof,) = np.flatnonzero(normal == sign)
         ((node, component),) = np.argwhere(nodes.dofs == dof)
         assert component == 1
-        sliding[nodes.dofs[node, 0]] = sign
-    glued = fc.Structure.from_matrices(
-        dense(plate.mass), dense(plate.stiffness), gap=np.hstack([normal, sliding])
+        sliding_rows[nodes.dofs[node, 0]] = sign
+    glued_plate = fc.Structure.from_matrices(
+        dense(plate.mass), dense(plate.stiffness), gap=np.hstack([normal, sliding_rows])
     )
-    whole = fc.build_structure(paper_scene.replace({"crack": None, "contact": None}))
-    uncracked = fc.solve_modes(whole, 6).omega
-    np.testing.assert_allclose(fc.solve_modes(glued, 6, lips="tied").omega, uncracked, rtol=1e-10)
-    tied = fc.solve_modes(plate, 6, lips="tied")
-    assert np.all(fc.solve_modes(plate, 6).omega < tied.omega)
-    assert np.all(tied.omega < uncracked)
-    np.testing.assert_allclose(plate.apply_bt(tied.shapes.T), 0.0, atol=1e-12)
-    np.testing.assert_allclose(fc.solve_modes(plate.tied(1e13), 6).omega, tied.omega, rtol=1e-5)
+    full_structure = fc.build_structure(paper_scene.replace({"crack": None, "contact": None}))
+    uncracked_omega = fc.solve_modes(full_structure, 6).omega
+    np.testing.assert_allclose(
+        fc.solve_modes(glued_plate, 6, lips="tied").omega, uncracked_omega, rtol=1e-10
+    )
+    bonded_modes = fc.solve_modes(plate, 6, lips="tied")
+    assert np.all(fc.solve_modes(plate, 6).omega < bonded_modes.omega)
+    assert np.all(bonded_modes.omega < uncracked_omega)
+    np.testing.assert_allclose(plate.apply_bt(bonded_modes.shapes.T), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        fc.solve_modes(plate.tied(1e13), 6).omega, bonded_modes.omega, rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize(("method", "error"), [("massless", 1e-4), ("free_interface", 1e-6)])
 def test_reduced_plate(breathing_plate: fc.Structure, method: str, error: float) -> None:
     """20 modes know the first tied frequency; their pairs are at rest relative to each other."""
     exact = fc.solve_modes(breathing_plate, 3, lips="tied").omega
-    reduced = fc.reduce_structure(breathing_plate, modes=20, method=method)
-    found = fc.solve_modes(reduced, 3, lips="tied")
-    np.testing.assert_allclose(found.omega[0], exact[0], rtol=error)
-    np.testing.assert_allclose(found.omega, exact, rtol=1e-3)
-    np.testing.assert_allclose(reduced.apply_bt(found.shapes.T), 0.0, atol=1e-12)
+    reduced_structure = fc.reduce_structure(breathing_plate, modes=20, method=method)
+    modes = fc.solve_modes(reduced_structure, 3, lips="tied")
+    np.testing.assert_allclose(modes.omega[0], exact[0], rtol=error)
+    np.testing.assert_allclose(modes.omega, exact, rtol=1e-3)
+    np.testing.assert_allclose(reduced_structure.apply_bt(modes.shapes.T), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("modes", [4, 10, 13])
@@ -134,19 +142,23 @@ def test_massless_with_ties_that_repeat_each_other(modes: int) -> None:
     dependent = np.column_stack([middle, relative, middle, 0.5 * middle, middle + relative])
     omega = []
     for gap in (independent, dependent):
-        whole = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
-        reduced = fc.reduce_structure(whole, modes=modes, method="massless", reference=False)
-        omega.append(fc.solve_modes(reduced, 2, lips="tied").omega)
-    exact = fc.solve_modes(whole, 2, lips="tied").omega
+        full_structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
+        reduced_structure = fc.reduce_structure(
+            full_structure, modes=modes, method="massless", reference=False
+        )
+        omega.append(fc.solve_modes(reduced_structure, 2, lips="tied").omega)
+    exact = fc.solve_modes(full_structure, 2, lips="tied").omega
     np.testing.assert_allclose(omega[1], omega[0], rtol=1e-9)
     np.testing.assert_allclose(omega[1], exact, rtol=1e-9 if modes == 13 else 0.05)
 
 
 def test_massless_oscillator_held_by_its_pair() -> None:
     """Its only motion is held: no frequency is left."""
-    reduced = fc.reduce_structure(oscillator(), modes=1, method="massless", reference=False)
+    reduced_structure = fc.reduce_structure(
+        oscillator(), modes=1, method="massless", reference=False
+    )
     with pytest.raises(fc.InputError, match="a whole number from 1 to the number of bonded modes"):
-        fc.solve_modes(reduced, 1, lips="tied")
+        fc.solve_modes(reduced_structure, 1, lips="tied")
 
 
 # --- two ranks, bad input -------------------------------------------------------------------------
@@ -160,8 +172,8 @@ def tied_modes(scene: fc.Scene, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]
 def test_same_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) -> None:
     """The multipliers are on the last rank."""
     scene = paper_scene.replace({"mesh.columns": 8, "mesh.rows": 10})
-    parallel, alone = on_ranks(tied_modes, scene), tied_modes(scene, MPI.COMM_SELF)
-    np.testing.assert_allclose(parallel[0], alone[0], rtol=1e-9)
+    parallel, serial = on_ranks(tied_modes, scene), tied_modes(scene, MPI.COMM_SELF)
+    np.testing.assert_allclose(parallel[0], serial[0], rtol=1e-9)
     np.testing.assert_allclose(parallel[1], 0.0, atol=1e-12)
 
 
@@ -180,8 +192,8 @@ def test_as_many_modes_as_are_left(count: Any) -> None:
     stiffness, gap = held_chain()
     structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
     is_whole = isinstance(count, int)
-    allowed = "from 1 to the number of bonded modes = 12" if is_whole else "a whole number"
-    with pytest.raises(fc.InputError, match=allowed):
+    allowed_text = "from 1 to the number of bonded modes = 12" if is_whole else "a whole number"
+    with pytest.raises(fc.InputError, match=allowed_text):
         fc.solve_modes(structure, count, lips="tied")
 
 
@@ -190,15 +202,17 @@ def test_bilinear_frequency_of_two_springs() -> None:
     """One half of a period in each state: T = pi / w_o + pi / w_t; a stop
     leaves half of 2 pi / w_o."""
     pair = fc.Structure.from_matrices(np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), gap=[1.0, -1.0])
-    found = fc.bilinear_frequencies(pair)
+    frequencies = fc.bilinear_frequencies(pair)
     is_open = np.sort(np.sqrt([5.0 / 2.0, 7.0 / 3.0]))
-    np.testing.assert_allclose(found.omega_open, is_open, rtol=1e-12)
-    np.testing.assert_allclose(found.omega_tied, [np.sqrt(2.4), np.inf], rtol=1e-12)
-    period = np.pi / is_open + np.pi / found.omega_tied
-    np.testing.assert_allclose(found.omega_bilinear, 2.0 * np.pi / period, rtol=1e-12)
-    stopped = fc.bilinear_frequencies(fc.Structure.from_matrices([[1.0]], [[4.0]], gap=[1.0]))
-    np.testing.assert_allclose(stopped.omega_bilinear, [4.0])
-    assert fc.bilinear_frequencies(pair.varied(load=2.0)) is found
+    np.testing.assert_allclose(frequencies.omega_open, is_open, rtol=1e-12)
+    np.testing.assert_allclose(frequencies.omega_tied, [np.sqrt(2.4), np.inf], rtol=1e-12)
+    period = np.pi / is_open + np.pi / frequencies.omega_tied
+    np.testing.assert_allclose(frequencies.omega_bilinear, 2.0 * np.pi / period, rtol=1e-12)
+    single_frequencies = fc.bilinear_frequencies(
+        fc.Structure.from_matrices([[1.0]], [[4.0]], gap=[1.0])
+    )
+    np.testing.assert_allclose(single_frequencies.omega_bilinear, [4.0])
+    assert fc.bilinear_frequencies(pair.varied(load=2.0)) is frequencies
 
 
 def overtaking() -> fc.Structure:
@@ -211,16 +225,16 @@ def overtaking() -> fc.Structure:
 def test_open_and_tied_modes_are_of_one_shape() -> None:
     """Also where the tie takes a mode past another one; of equal frequencies, whose shapes are any
     of a space, and of shapes that a tie mixes, the order is that of their numbers."""
-    found = fc.bilinear_frequencies(overtaking())
-    np.testing.assert_allclose(found.omega_open, [1.0, 1.5, 8.0], rtol=1e-9)
-    np.testing.assert_allclose(found.omega_tied, [2.0, 1.5, np.inf], rtol=1e-9)
-    np.testing.assert_allclose(found.omega_bilinear, [4.0 / 3.0, 1.5, 16.0], rtol=1e-9)
+    frequencies = fc.bilinear_frequencies(overtaking())
+    np.testing.assert_allclose(frequencies.omega_open, [1.0, 1.5, 8.0], rtol=1e-9)
+    np.testing.assert_allclose(frequencies.omega_tied, [2.0, 1.5, np.inf], rtol=1e-9)
+    np.testing.assert_allclose(frequencies.omega_bilinear, [4.0 / 3.0, 1.5, 16.0], rtol=1e-9)
     for seed in range(4):  # two masses alike, each tied to another one; turned to be one space
-        turned = scipy.linalg.block_diag(
+        rotation = scipy.linalg.block_diag(
             *2 * [np.linalg.qr(np.random.default_rng(seed).normal(size=(2, 2)))[0]]
         )
-        stiffness = turned @ np.diag([1.0, 1.0, 4.0, 9.0]) @ turned.T
-        gap = turned @ np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        stiffness = rotation @ np.diag([1.0, 1.0, 4.0, 9.0]) @ rotation.T
+        gap = rotation @ np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         twins = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(4), stiffness, gap=gap))
         np.testing.assert_allclose(twins.omega_open, [1.0, 1.0, 2.0, 3.0], rtol=1e-9)
         np.testing.assert_allclose(twins.omega_tied[:2], np.sqrt([2.5, 5.0]), rtol=1e-9)
@@ -230,9 +244,9 @@ def test_shapes_without_a_match_keep_their_order() -> None:
     """A bond that mixes three modes evenly, I - 2/3 everywhere, leaves no shape of theirs."""
     structure = fc.Structure.from_matrices(np.eye(3), np.diag([1.0, 4.0, 9.0]), gap=None)
     is_open = fc.solve_modes(structure, 3)
-    mixed = is_open.shapes @ (np.eye(3) - 2.0 / 3.0)
-    tied = fc.Modes(1.5 * is_open.omega, mixed, structure)
-    assert find_bonded_mode_indices(is_open, tied).tolist() == [0, 1, 2]
+    mixed_shapes = is_open.shapes @ (np.eye(3) - 2.0 / 3.0)
+    bonded_modes = fc.Modes(1.5 * is_open.omega, mixed_shapes, structure)
+    assert find_bonded_mode_indices(is_open, bonded_modes).tolist() == [0, 1, 2]
 
 
 def test_no_tie_makes_a_mode_slower() -> None:
@@ -240,32 +254,32 @@ def test_no_tie_makes_a_mode_slower() -> None:
     mode's, but slower, so that it is what the tie makes of the first one."""
     stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]])
     structure = fc.Structure.from_matrices(np.diag([1.0, 10.0]), stiffness, gap=[0.0, 1.0])
-    found = fc.bilinear_frequencies(structure)
-    assert found.omega_open[1] > np.sqrt(2.0) > found.omega_open[0]
-    np.testing.assert_allclose(found.omega_tied, [np.sqrt(2.0), np.inf], rtol=1e-9)
+    frequencies = fc.bilinear_frequencies(structure)
+    assert frequencies.omega_open[1] > np.sqrt(2.0) > frequencies.omega_open[0]
+    np.testing.assert_allclose(frequencies.omega_tied, [np.sqrt(2.0), np.inf], rtol=1e-9)
 
 
 def test_nearest_mode() -> None:
     """Of each load frequency the mode whose bilinear frequency is nearest, and the ratios to it."""
-    found = fc.BilinearFrequencies(np.array([1.0, 10.0, 20.0]), np.array([3.0, 10.0, np.inf]))
-    np.testing.assert_allclose(found.omega_bilinear, [1.5, 10.0, 40.0])
-    near = found.nearest([1.2, 9.0, 30.0])
-    np.testing.assert_array_equal(near["mode"], [1, 2, 3])
-    np.testing.assert_allclose(near["over_open"], [1.2, 0.9, 1.5])
-    np.testing.assert_allclose(near["over_tied"], [0.4, 0.9, 0.0])
-    np.testing.assert_allclose(near["over_bilinear"], [0.8, 0.9, 0.75])
-    assert found.nearest(1.2)["mode"] == 1
-    assert "3 modes, first 1 open, 3 rad/s bonded" in repr(found)
-    assert found.table().columns[1] == "omega_open [rad/s]"
+    frequencies = fc.BilinearFrequencies(np.array([1.0, 10.0, 20.0]), np.array([3.0, 10.0, np.inf]))
+    np.testing.assert_allclose(frequencies.omega_bilinear, [1.5, 10.0, 40.0])
+    nearest_modes = frequencies.nearest([1.2, 9.0, 30.0])
+    np.testing.assert_array_equal(nearest_modes["mode"], [1, 2, 3])
+    np.testing.assert_allclose(nearest_modes["over_open"], [1.2, 0.9, 1.5])
+    np.testing.assert_allclose(nearest_modes["over_tied"], [0.4, 0.9, 0.0])
+    np.testing.assert_allclose(nearest_modes["over_bilinear"], [0.8, 0.9, 0.75])
+    assert frequencies.nearest(1.2)["mode"] == 1
+    assert "3 modes, first 1 open, 3 rad/s bonded" in repr(frequencies)
+    assert frequencies.table().columns[1] == "omega_open [rad/s]"
 
 
 def test_rigid_body_has_no_bilinear_frequency() -> None:
     """0 open and 0 tied: 0, without a warning; over it nothing is finite."""
-    floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    found = fc.bilinear_frequencies(
-        fc.Structure.from_matrices(np.eye(2), floating, gap=[1.0, -1.0])
+    free_stiffness = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    frequencies = fc.bilinear_frequencies(
+        fc.Structure.from_matrices(np.eye(2), free_stiffness, gap=[1.0, -1.0])
     )
-    np.testing.assert_allclose(found.omega_bilinear[0], 0.0, atol=1e-7)
+    np.testing.assert_allclose(frequencies.omega_bilinear[0], 0.0, atol=1e-7)
 
 
 def test_springs_that_push_apart_are_refused() -> None:

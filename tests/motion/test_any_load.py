@@ -21,42 +21,44 @@ def loaded() -> fc.Structure:
     gap = np.zeros((N, PAIRS))
     gap[[0, 1, 3, 4], [0, 0, 1, 1]] = -1.0, 1.0, -1.0, 1.0
     parts = {k: tuple(size * random.normal(size=(2, N))) for k, size in HARMONICS.items()}
-    first = random.normal(size=(3, N))
-    one = fc.Structure.from_matrices(
+    load_rows = random.normal(size=(3, N))
+    structure = fc.Structure.from_matrices(
         np.diag(mass), stiffness, gap=gap, damping=0.1 * np.diag(mass) + 0.05 * stiffness,
-        force_mean=0.3 * first[0], force_cos=first[1], force_sin=first[2],
+        force_mean=0.3 * load_rows[0], force_cos=load_rows[1], force_sin=load_rows[2],
         clearance=0.05,
     )  # fmt: skip
-    return one.with_harmonics(parts)
+    return structure.with_harmonics(parts)
 
 
 def dense(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """M, C, K and B."""
     rows = range(N)
     matrices = structure.mass, structure.damping, structure.stiffness
-    mass, damping, stiffness = (np.asarray(one.getValues(rows, rows)) for one in matrices)
+    mass, damping, stiffness = (np.asarray(matrix.getValues(rows, rows)) for matrix in matrices)
     return mass, damping, stiffness, structure.gap.toarray()
 
 
 def test_linear_answer() -> None:
     """Harmonic by harmonic (K - k^2 w^2 M + i k w C)^-1 f_k."""
     structure, omega = loaded(), 0.7
-    found = fc.solve_linear(structure, omega, harmonics=7)
+    solution = fc.solve_linear(structure, omega, harmonics=7)
     mass, damping, stiffness, _ = dense(structure)
     for k in range(8):
-        row, own = 2 * k - 1, k * omega
+        row, harmonic_omega = 2 * k - 1, k * omega
         if k == 0:
-            expected = np.linalg.solve(stiffness, structure.force[0])
-            np.testing.assert_allclose(found.displacement_coefficients[0], expected, rtol=1e-10)
+            static_motion = np.linalg.solve(stiffness, structure.force[0])
+            np.testing.assert_allclose(
+                solution.displacement_coefficients[0], static_motion, rtol=1e-10
+            )
             continue
-        seen = found.displacement_coefficients[row : row + 2]
+        amplitude_rows = solution.displacement_coefficients[row : row + 2]
         if k > 5:
-            assert not seen.any()
+            assert not amplitude_rows.any()
             continue
         cosine, sine = structure.force[row : row + 2]
-        impedance = stiffness - own**2 * mass + 1j * own * damping
+        impedance = stiffness - harmonic_omega**2 * mass + 1j * harmonic_omega * damping
         amplitude = np.linalg.solve(impedance, cosine - 1j * sine)
-        assert relative(seen, np.array([amplitude.real, -amplitude.imag])) < 1e-10
+        assert relative(amplitude_rows, np.array([amplitude.real, -amplitude.imag])) < 1e-10
 
 
 def followed(structure: fc.Structure, omega: float, state: np.ndarray, end: float) -> np.ndarray:
@@ -77,31 +79,30 @@ def followed(structure: fc.Structure, omega: float, state: np.ndarray, end: floa
             [v, np.linalg.solve(mass, load - damping @ v - stiffness @ u - gap @ force)]
         )
 
-    found = scipy.integrate.solve_ivp(
+    integration = scipy.integrate.solve_ivp(
         rate, (0.0, end), state, method="DOP853", rtol=1e-12, atol=1e-13, max_step=end / 300
     )
-    return np.asarray(found.y[:, -1])
+    return np.asarray(integration.y[:, -1])
 
 
 def test_exact_orbit_against_integration() -> None:
     structure, omega = loaded(), 0.8
-    found = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3)
-    orbit = found.orbit
+    orbit = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3).orbit
     assert orbit is not None and orbit.events >= 4
     shapes = orbit.flow.modal_model.shapes.T
     start = np.concatenate([part @ shapes for part in np.split(orbit.state, 2)])
-    reached = followed(structure, omega, start, orbit.period)
-    assert relative(reached[:N], orbit.displacement_at(np.array([orbit.period]))[0]) < 1e-8
+    end_state = followed(structure, omega, start, orbit.period)
+    assert relative(end_state[:N], orbit.displacement_at(np.array([orbit.period]))[0]) < 1e-8
 
 
 def test_harmonic_balance_within_its_stated_error() -> None:
     structure, omega = loaded(), 0.8
     exact = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-4).orbit
     for harmonics in (5, 10, 20):
-        found = fc.solve_harmonic_balance(structure, omega, LAW, harmonics=harmonics)
+        solution = fc.solve_harmonic_balance(structure, omega, LAW, harmonics=harmonics)
         gap = exact.sampled.gap + structure.clearance
-        off = relative(found.gap(exact.sampled.time) - exact.sampled.gap + gap, gap)
-        assert off <= 2.0 * found.report.total + 1e-6
+        error = relative(solution.gap(exact.sampled.time) - exact.sampled.gap + gap, gap)
+        assert error <= 2.0 * solution.report.total + 1e-6
     with pytest.raises(fc.InputError, match=r"harmonics = 4: must be .*5"):
         fc.solve_harmonic_balance(structure, omega, LAW, harmonics=4)
 
@@ -111,14 +112,14 @@ def test_integrators_converge_to_the_orbit() -> None:
     exact = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3)
     goal = exact.orbit.coefficients(5).displacement
     for method in (fc.integrate_central_difference, fc.integrate_exponential):
-        off = []
+        errors = []
         for steps in (512, 1024):
             history = method(
                 structure, omega, LAW, periods=90, steps_per_period=steps, settle=1e-12
             )
             phase = omega * history.time[-steps:]
-            off.append(relative(fourier(phase, history.recorded[-steps:], 5), goal))
-        assert off[1] < 1e-3 and 3.0 < off[0] / off[1] < 5.0
+            errors.append(relative(fourier(phase, history.recorded[-steps:], 5), goal))
+        assert errors[1] < 1e-3 and 3.0 < errors[0] / errors[1] < 5.0
 
 
 def fourier(phase: np.ndarray, values: np.ndarray, harmonics: int) -> np.ndarray:
@@ -132,14 +133,18 @@ def fourier(phase: np.ndarray, values: np.ndarray, harmonics: int) -> np.ndarray
 def test_curves() -> None:
     """Points of curves over the frequency and the load are the solutions there."""
     structure = loaded()
-    over = fc.continue_frequency(structure, 0.7, 0.9, LAW, tolerance=1e-3)
-    assert over.complete
-    for index in (len(over) // 3, len(over) - 2):
-        alone = fc.solve_harmonic_balance(structure, float(over.omega[index]), LAW, tolerance=1e-3)
-        assert alone.amplitude() == pytest.approx(over.solution(index).amplitude(), rel=1e-3)
+    curve = fc.continue_frequency(structure, 0.7, 0.9, LAW, tolerance=1e-3)
+    assert curve.complete
+    for index in (len(curve) // 3, len(curve) - 2):
+        solution = fc.solve_harmonic_balance(
+            structure, float(curve.omega[index]), LAW, tolerance=1e-3
+        )
+        assert solution.amplitude() == pytest.approx(curve.solution(index).amplitude(), rel=1e-3)
     twice = fc.continue_parameter(structure, 0.8, LAW, "load", 1.0, 2.0, harmonics=12)
-    alone = fc.solve_harmonic_balance(structure.varied(load=2.0), 0.8, LAW, harmonics=12)
-    assert twice.solution(len(twice) - 1).amplitude() == pytest.approx(alone.amplitude(), rel=1e-8)
+    solution = fc.solve_harmonic_balance(structure.varied(load=2.0), 0.8, LAW, harmonics=12)
+    assert twice.solution(len(twice) - 1).amplitude() == pytest.approx(
+        solution.amplitude(), rel=1e-8
+    )
 
 
 # --- by a table -----------------------------------------------------------------------------------
@@ -149,27 +154,27 @@ def test_square_wave() -> None:
     """4 / (pi k) of odd orders; what K harmonics leave out, by Parseval."""
     time, values = [2.0, 3.0, 3.0, 4.0], [1.0, 1.0, -1.0, -1.0]
     for count in (1, 7, 20):
-        found, error = fc.load_harmonics(time, values, count)
-        odd = np.arange(1, count + 1, 2)
-        expected = np.zeros(2 * count + 1)
-        expected[2 * odd] = 4.0 / (np.pi * odd)
-        np.testing.assert_allclose(found, expected, atol=1e-15)
-        left = 1.0 - 0.5 * np.sum((4.0 / (np.pi * odd)) ** 2)
-        assert error == pytest.approx(np.sqrt(left), rel=1e-10)
+        coefficients, error = fc.load_harmonics(time, values, count)
+        odd_orders = np.arange(1, count + 1, 2)
+        exact_coefficients = np.zeros(2 * count + 1)
+        exact_coefficients[2 * odd_orders] = 4.0 / (np.pi * odd_orders)
+        np.testing.assert_allclose(coefficients, exact_coefficients, atol=1e-15)
+        rest_square = 1.0 - 0.5 * np.sum((4.0 / (np.pi * odd_orders)) ** 2)
+        assert error == pytest.approx(np.sqrt(rest_square), rel=1e-10)
 
 
 def test_table_of_unequal_times() -> None:
     """A cosine by ever finer samples: order 2; columns apart; a mean is no error."""
-    off = []
+    errors = []
     for count in (50, 100):
         time = np.sort(np.append(np.random.default_rng(1).uniform(0, 1, count), [0.0, 1.0]))
         values = np.column_stack([3.0 + np.cos(2 * np.pi * time), np.sin(6 * np.pi * time)])
-        found, error = fc.load_harmonics(time, values, 3)
-        expected = np.zeros((7, 2))
-        expected[0, 0], expected[1, 0], expected[6, 1] = 3.0, 1.0, 1.0
-        off.append(float(np.abs(found - expected).max()))
+        coefficients, error = fc.load_harmonics(time, values, 3)
+        exact_coefficients = np.zeros((7, 2))
+        exact_coefficients[0, 0], exact_coefficients[1, 0], exact_coefficients[6, 1] = 3.0, 1.0, 1.0
+        errors.append(float(np.abs(coefficients - exact_coefficients).max()))
         assert error < 0.2
-    assert off[1] < 0.5 * off[0] < 0.05
+    assert errors[1] < 0.5 * errors[0] < 0.05
     assert fc.load_harmonics([0.0, 1.0], [2.0, 2.0], 2)[1] == 0.0
 
 
@@ -184,7 +189,7 @@ def test_bad_tables(time: list[float], values: list[float], key: str) -> None:
 
 
 def test_bad_harmonics() -> None:
-    plain = fc.Structure.from_matrices(np.eye(3), np.eye(3), gap=None)
-    for given in ({0: (None, None)}, {2: (np.zeros(2), None)}, {2: 1.0}, [1]):
+    structure = fc.Structure.from_matrices(np.eye(3), np.eye(3), gap=None)
+    for harmonics in ({0: (None, None)}, {2: (np.zeros(2), None)}, {2: 1.0}, [1]):
         with pytest.raises(fc.InputError, match="harmonics"):
-            plain.with_harmonics(given)  # type: ignore[arg-type]
+            structure.with_harmonics(harmonics)  # type: ignore[arg-type]

@@ -79,8 +79,8 @@ def test_against_the_reference(
 ) -> None:
     """State, gaps, derivative and number of events over two periods, with and without mass at the
     lips, to rounding."""
-    coupled = damping in ("matrix", "gyroscopic")
-    structure = chain("modal" if coupled and light else damping, 10, pairs, seed)
+    has_coupled_modes = damping in ("matrix", "gyroscopic")
+    structure = chain("modal" if has_coupled_modes and light else damping, 10, pairs, seed)
     contact: object = fc.UnilateralPenalty(10.0**hardness * np.linspace(0.5, 1.0, pairs))
     if light:
         structure = fc.reduce_structure(structure, modes=4, method="massless")
@@ -92,10 +92,10 @@ def test_against_the_reference(
     reference, turn = reference_of(structure, contact, flow)
     passage = reference.advance(turn @ state, omega, 0.3, duration, 60)
     tangent = passage.tangent() @ turn
-    grown = np.linalg.norm(motion.track.tangent)
-    assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + grown)
-    assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + grown)
-    assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + grown)
+    tangent_size = np.linalg.norm(motion.track.tangent)
+    assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + tangent_size)
+    assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + tangent_size)
+    assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + tangent_size)
     assert motion.n_events == len(passage.pieces) - 1
     assert motion.samples.gap[motion.samples.is_closed].min(initial=0.0) >= 0.0
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
@@ -107,8 +107,10 @@ def test_a_stop_far_stiffer_than_the_modes() -> None:
     stop = 1e6
     structure = fc.Structure.from_matrices([[1.0]], [[1.0]], gap=[1.0], force_cos=[0.0])
     flow = known(structure, fc.UnilateralPenalty(stop))
-    inside, outside = np.pi / np.sqrt(1.0 + stop), np.pi
-    motion = flow.advance(np.array([0.0, -1.0]), 1.0, 5.0 * outside + 4.5 * inside)
+    contact_duration, flight_duration = np.pi / np.sqrt(1.0 + stop), np.pi
+    motion = flow.advance(
+        np.array([0.0, -1.0]), 1.0, 5.0 * flight_duration + 4.5 * contact_duration
+    )
     assert motion.n_events == 9 and motion.n_taylor_pieces < 40
     assert motion.state == pytest.approx([1.0 / np.sqrt(1.0 + stop), 0.0], abs=1e-12)
 
@@ -126,8 +128,8 @@ def test_energy(light: bool) -> None:
     instants = np.linspace(0.0, 20.0 * period, 500)
     motion = flow.advance(thrown(flow), 1.0, 20.0 * period, instants=instants)
     assert motion.n_events > 500
-    held = energy(flow, motion)
-    assert np.abs(held / held[0] - 1.0).max() < 1e-11
+    energies = energy(flow, motion)
+    assert np.abs(energies / energies[0] - 1.0).max() < 1e-11
 
 
 @pytest.mark.parametrize("light", [False, True])
@@ -140,74 +142,84 @@ def test_derivatives(light: bool) -> None:
     state, duration = thrown(flow, 3), 11.0
     track = flow.advance(state, omega, duration, start=0.4).track
     for place in (0, flow.size // 2, flow.size - 1):
-        moved = step * np.eye(flow.size)[place]
-        one, other = (flow.advance(state + h, omega, duration, start=0.4) for h in (moved, -moved))
-        slope = (one.state - other.state) / (2.0 * step)
+        state_changes = step * np.eye(flow.size)[place]
+        upper_motion, lower_motion = (
+            flow.advance(state + h, omega, duration, start=0.4)
+            for h in (state_changes, -state_changes)
+        )
+        slope = (upper_motion.state - lower_motion.state) / (2.0 * step)
         assert relative(track.tangent[:, place], slope) < 1e-7
-    one, other = (flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step))
+    upper_motion, lower_motion = (
+        flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step)
+    )
     by_omega = np.empty(flow.size)
     assert not kernel.flow_by_omega(flow.handle, track._struct.address, pointer(by_omega))
-    assert relative(by_omega, (one.state - other.state) / (2.0 * step)) < 1e-7
+    assert relative(by_omega, (upper_motion.state - lower_motion.state) / (2.0 * step)) < 1e-7
 
 
 def test_parts_make_the_whole() -> None:
     """Motion and derivative of a period in 32 parts, each from where the last one ends."""
     flow, omega = known(chain(), fc.UnilateralPenalty(50.0)), 0.8
-    whole = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega)
+    full_motion = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega)
     starts = np.linspace(0.0, 2.0 * np.pi / omega, 33)[:-1]
     samples = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega, instants=starts).samples
-    moved, track, ends = flow.integrate_parts(samples.states, omega, 2.0 * np.pi / omega)
-    assert relative(moved[:-1], samples.states[1:]) < 1e-12
-    assert relative(moved[-1], whole.state) < 1e-12
-    assert relative(track.tangent, whole.track.tangent) < 1e-11
-    start, excess = thrown(flow, 5), np.zeros_like(moved)
-    carried = track.carry_changes(start, excess, ends)
+    end_states, track, ends = flow.integrate_parts(samples.states, omega, 2.0 * np.pi / omega)
+    assert relative(end_states[:-1], samples.states[1:]) < 1e-12
+    assert relative(end_states[-1], full_motion.state) < 1e-12
+    assert relative(track.tangent, full_motion.track.tangent) < 1e-11
+    start, excess = thrown(flow, 5), np.zeros_like(end_states)
+    carried_changes = track.carry_changes(start, excess, ends)
     part = flow.advance(samples.states[4], omega, starts[1], start=starts[4]).track
-    assert relative(carried[5], part.tangent @ carried[4]) < 1e-12
-    assert relative(carried[-1], whole.track.tangent @ start) < 1e-11
+    assert relative(carried_changes[5], part.tangent @ carried_changes[4]) < 1e-12
+    assert relative(carried_changes[-1], full_motion.track.tangent @ start) < 1e-11
     excess[-2:] = thrown(flow, 7), thrown(flow, 8)
-    last = flow.advance(samples.states[-1], omega, starts[1], start=starts[-1]).track
-    added = last.tangent @ excess[-2] + excess[-1]
-    assert relative(track.carry_changes(start, excess, ends)[-1], carried[-1] + added) < 1e-11
+    last_track = flow.advance(samples.states[-1], omega, starts[1], start=starts[-1]).track
+    end_change = last_track.tangent @ excess[-2] + excess[-1]
+    assert (
+        relative(track.carry_changes(start, excess, ends)[-1], carried_changes[-1] + end_change)
+        < 1e-11
+    )
 
 
 @pytest.mark.parametrize("missed", [1e-3, 1e-6, 1e-9, 1e-12, 0.0, -1e-12, -1e-6])
 def test_grazing(missed: float) -> None:
     """x = -cos t meets a stop at 1 - missed for a moment: in contact with k = 3 it turns with twice
     the frequency about the point where the forces cancel."""
-    structure = oscillator(None, force=0.0, clearance=1.0 - missed)
-    flow = known(structure, fc.UnilateralPenalty(3.0))
+    flow = known(oscillator(None, force=0.0, clearance=1.0 - missed), fc.UnilateralPenalty(3.0))
     instants = np.linspace(0.0, 2.0 * np.pi, 9)
     motion = flow.advance(np.array([-1.0, 0.0]), 1.0, 2.0 * np.pi, instants=instants)
     assert motion.n_events == 2 if missed > 1e-12 else motion.n_events % 2 == 0
     depth = max(missed, 0.0)
     speed = np.sqrt(depth * (2.0 - depth))  # there; the motion then runs back in time
-    late = np.arctan2(2.0 * speed, 1.0 - depth) - 2.0 * np.arcsin(speed)
-    assert motion.state == pytest.approx([-np.cos(late), -np.sin(late)], abs=1e-14)
+    phase_lag = np.arctan2(2.0 * speed, 1.0 - depth) - 2.0 * np.arcsin(speed)
+    assert motion.state == pytest.approx([-np.cos(phase_lag), -np.sin(phase_lag)], abs=1e-14)
 
 
 def test_equal_structures_side_by_side() -> None:
     """Every event is a double one, and nothing else changes."""
-    one = chain(seed=6)
-    mass, stiffness, gap = _matrices(one)
-    twice = [np.kron(np.eye(2), part) for part in (mass, stiffness, gap)]
-    both = fc.Structure.from_matrices(
-        *twice[:2], gap=twice[2],
-        force_cos=np.tile(one.force[1], 2), clearance=np.tile(one.clearance, 2),
+    pattern = chain(seed=6)
+    mass, stiffness, gap = _matrices(pattern)
+    matrices = [np.kron(np.eye(2), part) for part in (mass, stiffness, gap)]
+    double_structure = fc.Structure.from_matrices(
+        *matrices[:2], gap=matrices[2],
+        force_cos=np.tile(pattern.force[1], 2), clearance=np.tile(pattern.clearance, 2),
     )  # fmt: skip
-    alone = fc.Structure.from_matrices(
-        mass, stiffness, gap=gap, force_cos=one.force[1], clearance=one.clearance
+    single_structure = fc.Structure.from_matrices(
+        mass, stiffness, gap=gap, force_cos=pattern.force[1], clearance=pattern.clearance
     )
     contact, motions = fc.UnilateralPenalty(40.0), []
-    for structure in (alone, both):
+    for structure in (single_structure, double_structure):
         flow = known(structure, contact)
-        copies = structure.n_dofs // alone.n_dofs
+        copies = structure.n_dofs // single_structure.n_dofs
         rest = flow.state(np.tile(np.linspace(-1, 1, 10), copies), np.zeros(structure.n_dofs))
         motions.append((flow, flow.advance(rest, 0.7, 18.0, instants=np.array([18.0]))))
-    (_, first), (_, second) = motions
-    assert second.n_events <= 2 * first.n_events and len(second.track.lengths) <= 3 * first.n_events
-    moved, twice = first.samples.displacement[0], second.samples.displacement[0]
-    assert relative(twice, np.tile(moved, 2)) < 1e-11
+    (_, single_motion), (_, double_motion) = motions
+    assert (
+        double_motion.n_events <= 2 * single_motion.n_events
+        and len(double_motion.track.lengths) <= 3 * single_motion.n_events
+    )
+    single, double = (motion.samples.displacement[0] for _, motion in motions)
+    assert relative(double, np.tile(single, 2)) < 1e-11
 
 
 def test_almost_equal_structures() -> None:
@@ -215,16 +227,16 @@ def test_almost_equal_structures() -> None:
     of each structure by itself."""
     mass, stiffness, gap = _matrices(chain(seed=6))
     force, factors = chain(seed=6).force[1], np.diag([1.0, 1.0 + 1e-9])
-    both = fc.Structure.from_matrices(
+    double_structure = fc.Structure.from_matrices(
         np.kron(np.eye(2), mass), np.kron(factors, stiffness),
         gap=np.kron(np.eye(2), gap), force_cos=np.tile(force, 2),
     )  # fmt: skip
-    alone = (
+    single_structures = (
         fc.Structure.from_matrices(mass, factor * stiffness, gap=gap, force_cos=force)
         for factor in factors.diagonal()
     )
     motions = []
-    for structure in (both, *alone):
+    for structure in (double_structure, *single_structures):
         flow = known(structure, fc.UnilateralPenalty(40.0))
         rest = np.resize(np.linspace(-1, 1, 10), structure.n_dofs)
         motion = flow.advance(flow.state(rest, 0.0 * rest), 0.7, 18.0)
@@ -232,16 +244,16 @@ def test_almost_equal_structures() -> None:
         motions.append((motion.n_events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
     (events, tangent), *parts = motions
     assert events == sum(part[0] for part in parts) > 20
-    for number, (_, expected) in enumerate(parts):
-        own = np.add.outer([0, 20], 10 * number + np.arange(10)).ravel()
-        assert relative(tangent[np.ix_(own, own)], expected) < 1e-11
+    for number, (_, single_tangent) in enumerate(parts):
+        own_dofs = np.add.outer([0, 20], 10 * number + np.arange(10)).ravel()
+        assert relative(tangent[np.ix_(own_dofs, own_dofs)], single_tangent) < 1e-11
 
 
 def _matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    whole = range(structure.n_dofs)
+    all_dofs = range(structure.n_dofs)
     return (
-        structure.mass.getValues(whole, whole), structure.stiffness.getValues(whole, whole),
-        structure.gap.toarray(),
+        structure.mass.getValues(all_dofs, all_dofs),
+        structure.stiffness.getValues(all_dofs, all_dofs), structure.gap.toarray(),
     )  # fmt: skip
 
 
@@ -263,12 +275,12 @@ def test_motions_do_not_depend_on_earlier_ones(
         assert motion.n_events > 40 and step is not None
         return motion.state, motion.track.lengths, motion.track.tangent, step.states
 
-    expected = found(busy=False)
+    fresh_arrays = found(busy=False)
     monkeypatch.setattr(
         flow_module, "SETS_MEMORY_FRACTION", remembered * flow_module.SETS_MEMORY_FRACTION
     )
-    for one, other in zip(found(busy=True), expected, strict=True):
-        assert np.array_equal(one, other)
+    for reused_array, fresh_array in zip(found(busy=True), fresh_arrays, strict=True):
+        assert np.array_equal(reused_array, fresh_array)
 
 
 @pytest.mark.parametrize("pairs", [1, 6, pytest.param(40, marks=pytest.mark.nightly)])
@@ -283,14 +295,16 @@ def test_answers_of_sets(pairs: int) -> None:
         + fourier_basis(omega * instants) @ flow.load_gap
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
-    for gap, closed, answers in zip(
+    for gap, is_closed, answers in zip(
         gaps, samples.is_closed, samples.forces_and_openings, strict=True
     ):
         force = np.zeros(pairs)
-        force[closed] = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], gap[closed])
+        force[is_closed] = np.linalg.solve(
+            flow.compliance[np.ix_(is_closed, is_closed)], gap[is_closed]
+        )
         opening = flow.compliance @ force - gap
-        size = np.abs(gap).max() * (1.0 if closed.all() else max(1.0, np.abs(force).max()))
-        assert np.where(closed, force, opening) == pytest.approx(answers, abs=1e-11 * size)
+        size = np.abs(gap).max() * (1.0 if is_closed.all() else max(1.0, np.abs(force).max()))
+        assert np.where(is_closed, force, opening) == pytest.approx(answers, abs=1e-11 * size)
 
 
 def test_rest_stays() -> None:
@@ -298,8 +312,8 @@ def test_rest_stays() -> None:
     flow = known(oscillator(force=0.0), fc.UnilateralPenalty(1.0))
     motion = flow.advance(np.zeros(2), 1.0, 100.0)
     assert not motion.state.any() and motion.n_events == 0
-    pressed = chain(seed=1).varied(load=0.0, clearance=-1.0)
-    flow = known(fc.reduce_structure(pressed, modes=5, method="massless"), RIGID)
+    pressed_structure = chain(seed=1).varied(load=0.0, clearance=-1.0)
+    flow = known(fc.reduce_structure(pressed_structure, modes=5, method="massless"), RIGID)
     force = flow.advance(np.zeros(flow.size), 1.0, 0.1, instants=np.zeros(1)).samples.force
     assert np.all(force > 0.0)
 
@@ -328,15 +342,15 @@ def test_budget() -> None:
 
 def test_who_has_a_flow() -> None:
     """The penalty law always, rigid contact where something answers at once, smooth laws never."""
-    heavy = chain()
-    light = fc.reduce_structure(heavy, modes=4, method="massless")
-    assert exact_flow_or_none(heavy, fc.UnilateralPenalty(1.0)) is not None
-    assert exact_flow_or_none(light, RIGID) is not None and exact_flow_or_none(
-        light, fc.UnilateralPenalty(1.0)
+    massive_structure = chain()
+    massless_structure = fc.reduce_structure(massive_structure, modes=4, method="massless")
+    assert exact_flow_or_none(massive_structure, fc.UnilateralPenalty(1.0)) is not None
+    assert exact_flow_or_none(massless_structure, RIGID) is not None and exact_flow_or_none(
+        massless_structure, fc.UnilateralPenalty(1.0)
     )
-    assert exact_flow_or_none(heavy, RIGID) is None
-    assert exact_flow_or_none(heavy, Cubic(1.0)) is None
-    assert exact_flow_or_none(heavy, fc.SmoothedPenalty(1.0, 1.0)) is None
+    assert exact_flow_or_none(massive_structure, RIGID) is None
+    assert exact_flow_or_none(massive_structure, Cubic(1.0)) is None
+    assert exact_flow_or_none(massive_structure, fc.SmoothedPenalty(1.0, 1.0)) is None
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1, 2.0, 2.0 + 1e-9, 4.0])
@@ -367,18 +381,20 @@ def test_derivative_along_short_sets(turn: float) -> None:
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
     lengths = turns * turn / flow.rate_bound
-    expected, pairs = np.eye(flow.size), flow.modal_model.gaps_by_mode
-    for closed, length in zip(sets > 0, lengths, strict=True):
-        rows = pairs[:, closed]
-        pushed = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], rows.T)
+    exact_tangent, pairs = np.eye(flow.size), flow.modal_model.gaps_by_mode
+    for is_closed, length in zip(sets > 0, lengths, strict=True):
+        rows = pairs[:, is_closed]
+        force_slope = np.linalg.solve(flow.compliance[np.ix_(is_closed, is_closed)], rows.T)
         matrix = np.zeros((2, flow.n_modes, 2, flow.n_modes))
         matrix[0, :, 1] = np.eye(flow.n_modes)
-        matrix[1, :, 0] = -np.diag(flow.modal_model.squares) - rows @ pushed
+        matrix[1, :, 0] = -np.diag(flow.modal_model.squares) - rows @ force_slope
         matrix[1, :, 1] = -np.diag(flow.modal_model.damping)
-        expected = scipy.linalg.expm(length * matrix.reshape(expected.shape)) @ expected
+        exact_tangent = (
+            scipy.linalg.expm(length * matrix.reshape(exact_tangent.shape)) @ exact_tangent
+        )
     unit = np.repeat([flow.rate_bound, 1.0], flow.n_modes)
     tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
-    assert np.abs(tangent - unit[:, None] * expected / unit).max() < 1e-13
+    assert np.abs(tangent - unit[:, None] * exact_tangent / unit).max() < 1e-13
 
 
 # --- periodic orbits, and the error predicted of a wave -------------------------------------------
@@ -389,9 +405,9 @@ RIGID = fc.UnilateralConstraint()
 
 def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     """What is predicted of a solution, and the orbit next to it."""
-    found = solution.assessment
-    assert found.orbit_prediction is not None and found.nearest_orbit is not None
-    return found.orbit_prediction, found.nearest_orbit
+    assessment = solution.assessment
+    assert assessment.orbit_prediction is not None and assessment.nearest_orbit is not None
+    return assessment.orbit_prediction, assessment.nearest_orbit
 
 
 def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
@@ -415,16 +431,16 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     structure: fc.Structure = light_chain(seed) if light else chain(pairs=3, seed=seed)
     contact: object = RIGID if light else fc.UnilateralPenalty(20.0)
     solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=20)
-    found, orbit = next_to(solution)
+    prediction, orbit = next_to(solution)
     reference, turn = reference_of(structure, contact, orbit.flow)
     passage = reference.advance(turn @ orbit.state, orbit.omega, 0.0, orbit.period, 100)
     assert relative(passage.state, turn @ orbit.state) < 1e-10
     gap = orbit.gap_at(orbit.period * np.arange(100) / 100)
     assert np.abs(gap - passage.gap).max() < 1e-11 * np.ptp(gap)
-    largest = np.abs(np.linalg.eigvals(passage.tangent())).max()
-    assert abs(orbit.multipliers[0]) == pytest.approx(largest, rel=1e-9)
+    max_multiplier = np.abs(np.linalg.eigvals(passage.tangent())).max()
+    assert abs(orbit.multipliers[0]) == pytest.approx(max_multiplier, rel=1e-9)
     assert orbit.events == len(passage.pieces) - 1 > 0
-    assert 0.2 < distance(solution, orbit) / found.relative_gap_error < 2.0
+    assert 0.2 < distance(solution, orbit) / prediction.relative_gap_error < 2.0
 
 
 @pytest.mark.parametrize("light", [False, True])
@@ -432,16 +448,18 @@ def test_motion_in_arcs(light: bool) -> None:
     """Its parts begin where a prediction leads; from an orbit's own states it is the orbit."""
     structure: fc.Structure = light_chain(1) if light else chain(pairs=3, seed=1)
     contact: object = RIGID if light else fc.UnilateralPenalty(20.0)
-    solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10)
-    step, orbit = next_to(solution)
+    step, orbit = next_to(fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10))
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
     motion = predict_motion(flow, 0.5, step, 1)
     assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
-    closed = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
-    assert closed is not None and closed.relative_gap_error < 1e-8
-    same = predict_motion(flow, 0.5, closed, 1)
-    assert same is not None and relative(same.gap_at(time), orbit.gap_at(time)) < 1e-7
-    assert same.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
+    prediction = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
+    assert prediction is not None and prediction.relative_gap_error < 1e-8
+    one_period_motion = predict_motion(flow, 0.5, prediction, 1)
+    assert (
+        one_period_motion is not None
+        and relative(one_period_motion.gap_at(time), orbit.gap_at(time)) < 1e-7
+    )
+    assert one_period_motion.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
 
 
 def test_twice_the_period() -> None:
@@ -450,46 +468,46 @@ def test_twice_the_period() -> None:
     _, orbit = next_to(solution)
     assert orbit.period == pytest.approx(solution.period)
     assert distance(solution, orbit) < 1e-4
-    once, later = orbit.gap_at(np.array([0.3, 0.3 + 0.5 * orbit.period]))
-    assert abs(once[0] - later[0]) > 0.1
-    assert orbit.gap_at(np.array([0.3 + orbit.period]))[0] == pytest.approx(once)
+    early_gap, late_gap = orbit.gap_at(np.array([0.3, 0.3 + 0.5 * orbit.period]))
+    assert abs(early_gap[0] - late_gap[0]) > 0.1
+    assert orbit.gap_at(np.array([0.3 + orbit.period]))[0] == pytest.approx(early_gap)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same orbit and the same prediction where M is not formed; its products are M's."""
     solution = fc.solve_harmonic_balance(light_chain(seed), 0.5, RIGID, harmonics=10)
-    expected, orbit = next_to(solution)
+    factor_prediction, orbit = next_to(solution)
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
-    found = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period)
-    again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period[0])
-    assert found is not None and found.relative_gap_error == pytest.approx(
-        expected.relative_gap_error, rel=0.05
+    prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period)
+    second_orbit = find_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period[0])
+    assert prediction is not None and prediction.relative_gap_error == pytest.approx(
+        factor_prediction.relative_gap_error, rel=0.05
     )
-    assert relative(found.monodromy, expected.monodromy) < 1e-10
-    assert again is not None and relative(again.state, orbit.state) < 1e-7
+    assert relative(prediction.monodromy, factor_prediction.monodromy) < 1e-10
+    assert second_orbit is not None and relative(second_orbit.state, orbit.state) < 1e-7
 
 
 def test_by_omega() -> None:
     """The orbit moves with the frequency as its derivative says."""
     flow, omega, step = exact_flow_or_none(light_chain(1), RIGID), 0.5, 1e-5
     orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
-    here, after, before = (one for one in orbits if one is not None)
-    system = FlowOrbitEquations(flow, omega, here.state)
-    at = system.linearise(system.start_unknown, 1.0)
-    slope = -at.solve(at.by_parameter) / (system.scale * omega)
-    assert relative(slope, (after.state - before.state) / (2.0 * step)) < 1e-5
+    middle_orbit, upper_orbit, lower_orbit = (orbit for orbit in orbits if orbit is not None)
+    system = FlowOrbitEquations(flow, omega, middle_orbit.state)
+    point = system.linearise(system.start_unknown, 1.0)
+    slope = -point.solve(point.by_parameter) / (system.scale * omega)
+    assert relative(slope, (upper_orbit.state - lower_orbit.state) / (2.0 * step)) < 1e-5
 
 
 def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
     orbits = FlowOrbitEquations(flow, 0.614, np.zeros(flow.size), 40)
-    found = find_attractor(orbits, orbits.start_unknown)
-    assert found.description == "settles to an orbit of 160 periods of the load"
-    assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
+    attractor = find_attractor(orbits, orbits.start_unknown)
+    assert attractor.description == "settles to an orbit of 160 periods of the load"
+    assert attractor.orbit is not None and abs(attractor.orbit.multipliers[0]) < 0.01
 
 
 @pytest.mark.parametrize("light", [False, True])
@@ -497,27 +515,32 @@ def test_coefficients(light: bool) -> None:
     """Gauss's rule between events against very many samples; without contact they are exact."""
     structure: fc.Structure = light_chain(2) if light else chain(pairs=3, seed=2)
     flow = exact_flow_or_none(structure, RIGID if light else fc.UnilateralPenalty(20.0))
-    settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
-    orbit = find_orbit(flow, 0.6, settled)
+    settled_state = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
+    orbit = find_orbit(flow, 0.6, settled_state)
     assert orbit is not None and orbit.events > 0
-    found, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
-    assert relative(found.gap, fourier_coefficients(orbit.gap_at(time), 6)) < 1e-6
-    assert relative(found.force, fourier_coefficients(orbit.force_at(time), 6)) < 1e-6
-    assert relative(found.displacement, fourier_coefficients(orbit.displacement_at(time), 6)) < 1e-6
-    many = orbit.coefficients(400)
-    assert relative(found.displacement, many.displacement[:13]) < 1e-12
-    assert relative(orbit.gap_at(time[::64]), evaluate_series(many.gap, 0.6, time[::64])) < 1e-3
+    coefficients, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
+    assert relative(coefficients.gap, fourier_coefficients(orbit.gap_at(time), 6)) < 1e-6
+    assert relative(coefficients.force, fourier_coefficients(orbit.force_at(time), 6)) < 1e-6
+    assert (
+        relative(coefficients.displacement, fourier_coefficients(orbit.displacement_at(time), 6))
+        < 1e-6
+    )
+    fine_coefficients = orbit.coefficients(400)
+    assert relative(coefficients.displacement, fine_coefficients.displacement[:13]) < 1e-12
+    assert (
+        relative(orbit.gap_at(time[::64]), evaluate_series(fine_coefficients.gap, 0.6, time[::64]))
+        < 1e-3
+    )
 
 
 def test_open_crack() -> None:
     """Without contact the orbit is the linear response, whatever the start."""
     structure = oscillator(clearance=100.0)
-    flow = known(structure, fc.UnilateralPenalty(1.0))
-    orbit = find_orbit(flow, 2.0, np.array([3.0, -1.0]))
+    orbit = find_orbit(known(structure, fc.UnilateralPenalty(1.0)), 2.0, np.array([3.0, -1.0]))
     assert orbit is not None and orbit.events == 0
     linear = fc.solve_linear(structure, 2.0)
-    expected = np.vstack([linear.displacement_coefficients, np.zeros((0, 1))])
-    assert orbit.coefficients(5).displacement == pytest.approx(expected, abs=1e-11)
+    linear_rows = np.vstack([linear.displacement_coefficients, np.zeros((0, 1))])
+    assert orbit.coefficients(5).displacement == pytest.approx(linear_rows, abs=1e-11)
     decay = np.exp(-0.05 * orbit.period)
     assert np.abs(orbit.multipliers) == pytest.approx([decay, decay])
 
@@ -534,18 +557,20 @@ def test_no_orbit_is_cheap() -> None:
 def test_search_without_guesses(monkeypatch: pytest.MonkeyPatch) -> None:
     """From rest along the motion, also to an orbit that it passes: a mass between two hard stops;
     where there is none, how near the motion came to where it was, in periods of the load."""
-    wandering = fc.Structure.from_matrices(
+    two_stop_structure = fc.Structure.from_matrices(
         [[1.0]], [[1.0]], gap=[[1.0, -1.0]], force_cos=[0.644], force_sin=[1.332],
         clearance=0.02127, damping=[[0.6113]],
     )  # fmt: skip
-    found = search_orbit(known(wandering, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
-    assert found.orbit is not None and not found.orbit.is_stable and found.orbit.residual < 1e-6
-    assert found.outcome_text == "exact orbit by following the motion"
-    driven = known(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
+    search = search_orbit(known(two_stop_structure, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
+    assert search.orbit is not None and not search.orbit.is_stable and search.orbit.residual < 1e-6
+    assert search.outcome_text == "exact orbit by following the motion"
+    linear_flow = known(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
     monkeypatch.setattr(SearchOptions, "period_budget", 300)
-    found = search_orbit(driven, 1.0, (), 3)
-    words = re.search(r"followed for (\d+) periods of the load, .* after (\d+)", found.outcome_text)
-    assert found.orbit is None and words is not None
+    search = search_orbit(linear_flow, 1.0, (), 3)
+    words = re.search(
+        r"followed for (\d+) periods of the load, .* after (\d+)", search.outcome_text
+    )
+    assert search.orbit is None and words is not None
     assert int(words[1]) % 3 == 0 and int(words[2]) % 3 == 0
 
 
@@ -587,7 +612,7 @@ def test_two_slopes_are_two_penalties(omega: float) -> None:
     orbit = fc.solve_harmonic_balance(rows, omega, penalties, tolerance=1e-2).orbit
     assert orbit is not None and orbit.measure([1])[0].penetration > 1.2 * depth
     pair, law = oscillator(gap, [0.1]), Layer(3.0, share, depth)
-    sampled = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
-    assert orbit.amplitude(1) == pytest.approx(sampled.amplitude(1), rel=1e-6)
-    force = sampled.faces["crack_force"]
+    sampled_solution = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
+    assert orbit.amplitude(1) == pytest.approx(sampled_solution.amplitude(1), rel=1e-6)
+    force = sampled_solution.faces["crack_force"]
     assert orbit.faces["crack_force"] == pytest.approx(force, rel=1e-5)

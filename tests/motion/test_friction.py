@@ -18,9 +18,9 @@ HERTZ = 2.0 * np.pi
 @cache
 def plate(name: str, ratio: float) -> tuple[fc.Structure, fc.Structure]:
     """A demonstration's plate with 10 modes and faces without mass, and its whole."""
-    whole = fc.build_structure(fc.Scene.load(ROOT / f"demos/{name}.toml"))
-    whole = whole.damped(fc.ModalDamping(ratio, 10))
-    return fc.reduce_structure(whole, modes=10, method="massless"), whole
+    full_plate = fc.build_structure(fc.Scene.load(ROOT / f"demos/{name}.toml"))
+    full_plate = full_plate.damped(fc.ModalDamping(ratio, 10))
+    return fc.reduce_structure(full_plate, modes=10, method="massless"), full_plate
 
 
 @cache
@@ -28,9 +28,9 @@ def solved(name: str, ratio: float, omega: float, mu: float) -> fc.PeriodicSolut
     """Its exact orbit."""
     structure, _ = plate(name, ratio)
     law = fc.CoulombFriction(RIGID, mu)
-    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=0.05, throw=False)
-    assert found.orbit is not None
-    return found
+    solution = fc.solve_harmonic_balance(structure, omega, law, tolerance=0.05, throw=False)
+    assert solution.orbit is not None
+    return solution
 
 
 # --- one oscillator -------------------------------------------------------------------------------
@@ -53,13 +53,13 @@ def test_loss_of_a_slide() -> None:
         ends = []
         for sign in (1.0, -1.0):
             time = np.linspace(0.0, orbit.period, 400)
-            near = time[np.argmax(sign * orbit.tangential_gap_at(time)[:, 0])]
-            best = minimize_scalar(
+            sampled_turn = time[np.argmax(sign * orbit.tangential_gap_at(time)[:, 0])]
+            turning_point = minimize_scalar(
                 lambda t, s=sign, o=orbit: -s * o.tangential_gap_at(np.array([t]))[0, 0],
-                bounds=(near - time[1], near + time[1]), method="bounded",
+                bounds=(sampled_turn - time[1], sampled_turn + time[1]), method="bounded",
                 options={"xatol": 1e-10},
             )  # fmt: skip
-            ends.append(-best.fun)
+            ends.append(-turning_point.fun)
         size = 0.5 * sum(ends)
         assert orbit.work.friction[0] == pytest.approx(4.0 * 0.3 * (size - 0.6), rel=1e-9)
 
@@ -91,33 +91,37 @@ def test_orbits(
     """Half peak-to-peak of the modes' part of the watched motion [um], loss by friction over that
     by damping, largest multiplier: of a prototype that shares no code with the program. The work of
     the load is that of both losses."""
-    found = solved(name, ratio, omega, mu)
-    orbit, (structure, whole) = found.orbit, plate(name, ratio)
-    modal = orbit.sampled.states[:, : orbit.flow.n_modes] @ structure.basis[whole.watched_dof]
-    assert np.ptp(modal) / 2e-6 == pytest.approx(tip, rel=3e-4)
+    solution = solved(name, ratio, omega, mu)
+    orbit, (structure, full_plate) = solution.orbit, plate(name, ratio)
+    tip_motion = (
+        orbit.sampled.states[:, : orbit.flow.n_modes] @ structure.basis[full_plate.watched_dof]
+    )
+    assert np.ptp(tip_motion) / 2e-6 == pytest.approx(tip, rel=3e-4)
     work = orbit.work
     assert work.friction.sum() / work.damping == pytest.approx(share, abs=6e-4)
     assert abs(orbit.multipliers[0]) == pytest.approx(largest, abs=2e-4)
     assert work.load == pytest.approx(work.damping + work.friction.sum(), rel=1e-9)
-    assert found.report.truncation < 0.025
+    assert solution.report.truncation < 0.025
 
 
 def test_laws_kept_by_harmonic_balance() -> None:
     """The forces of a wave keep Signorini's conditions and Coulomb's; the losses are stated."""
     structure, _ = plate("inclined_crack", 0.005)
     law = fc.CoulombFriction(RIGID, 0.3)
-    found = fc.solve_harmonic_balance(structure, 3183.0 * HERTZ, law, harmonics=20)
-    time = np.linspace(0.0, found.period, 500)
-    normal, drag = found.contact_force(time), found.tangential_force(time)
-    gap = found.gap(time)
+    solution = fc.solve_harmonic_balance(structure, 3183.0 * HERTZ, law, harmonics=20)
+    time = np.linspace(0.0, solution.period, 500)
+    normal, drag = solution.contact_force(time), solution.tangential_force(time)
+    gap = solution.gap(time)
     assert normal.min() >= 0.0 and gap.max() <= 1e-12 * np.abs(gap).max() + 1e-18
     assert np.all(np.abs(drag) <= 0.3 * normal * (1.0 + 1e-9) + 1e-12)
     exact = solved("inclined_crack", 0.005, 3183.0 * HERTZ, 0.3)
-    expected, seen = exact.orbit.sliding, found.indicators()
-    assert seen.friction_loss == pytest.approx(expected["friction_loss"], rel=0.01)
-    assert seen.slip_share == pytest.approx(expected["slip_share"], abs=0.01)
-    assert seen.stick_share + seen.slip_share == pytest.approx(seen.closed_share, abs=1e-12)
-    slide = found.tangential_gap(time) - exact.orbit.tangential_gap_at(time)
+    exact_sliding, indicators = exact.orbit.sliding, solution.indicators()
+    assert indicators.friction_loss == pytest.approx(exact_sliding["friction_loss"], rel=0.01)
+    assert indicators.slip_share == pytest.approx(exact_sliding["slip_share"], abs=0.01)
+    assert indicators.stick_share + indicators.slip_share == pytest.approx(
+        indicators.closed_share, abs=1e-12
+    )
+    slide = solution.tangential_gap(time) - exact.orbit.tangential_gap_at(time)
     assert np.abs(slide).max() < 0.02 * np.ptp(exact.orbit.tangential_gap_at(time))
 
 
@@ -125,12 +129,14 @@ def test_resonance_that_friction_halves() -> None:
     """Full Newton steps do not arrive: the coefficient grows along a path."""
     structure, _ = plate("inclined_crack", 0.005)
     law = fc.CoulombFriction(RIGID, 0.3)
-    found = fc.solve_harmonic_balance(structure, 3560.0 * HERTZ, law, harmonics=20)
+    solution = fc.solve_harmonic_balance(structure, 3560.0 * HERTZ, law, harmonics=20)
     exact = solved("inclined_crack", 0.005, 3560.0 * HERTZ, 0.3)
-    free = fc.solve_harmonic_balance(structure, 3560.0 * HERTZ, RIGID, harmonics=20)
-    assert found.amplitude() == pytest.approx(exact.amplitude(), rel=0.02)
-    assert exact.amplitude() < 0.52 * free.amplitude()
-    assert fc.floquet(structure, found).verdict == "stable"
+    frictionless_solution = fc.solve_harmonic_balance(
+        structure, 3560.0 * HERTZ, RIGID, harmonics=20
+    )
+    assert solution.amplitude() == pytest.approx(exact.amplitude(), rel=0.02)
+    assert exact.amplitude() < 0.52 * frictionless_solution.amplitude()
+    assert fc.floquet(structure, solution).verdict == "stable"
 
 
 # --- a published example --------------------------------------------------------------------------
@@ -153,9 +159,9 @@ def beam() -> tuple[np.ndarray, np.ndarray]:
     )  # fmt: skip
     stiffness, mass = np.zeros((2, 2 * n + 2, 2 * n + 2))
     for element in range(n):
-        at = slice(2 * element, 2 * element + 4)
-        stiffness[at, at] += k
-        mass[at, at] += m
+        element_dofs = slice(2 * element, 2 * element + 4)
+        stiffness[element_dofs, element_dofs] += k
+        mass[element_dofs, element_dofs] += m
     return stiffness[2:, 2:], mass[2:, 2:]
 
 
@@ -163,23 +169,25 @@ def nlstep_beam() -> tuple[fc.Structure, fc.CoulombFriction, int]:
     """The beam with 5 modes, rubbing at its fourth node, its law, and the dof of its tip."""
     stiffness, mass = beam()
     n, node, tip = len(mass), 4, 14  # w of the fourth node, and of the last one
-    held = np.delete(np.arange(n), node)
-    part = np.ix_(held, held)
+    held_dofs = np.delete(np.arange(n), node)
+    part = np.ix_(held_dofs, held_dofs)
     squares = np.linalg.eigvals(np.linalg.solve(mass[part], stiffness[part]))
     stuck = np.sort(np.sqrt(np.abs(squares)))
     assert stuck[:2] == pytest.approx([248.9733, 1660.4750], rel=1e-4)  # printed: of fewer modes
     # The pressure is that of a mass of its own on a spring, which the friction does not move.
-    both = [np.zeros((n + 1, n + 1)) for _ in range(2)]
-    for whole, own, last in zip(both, (mass, stiffness), (1.0, 1e4), strict=True):
-        whole[:n, :n], whole[n, n] = own, last
+    matrices = [np.zeros((n + 1, n + 1)) for _ in range(2)]
+    for extended_matrix, beam_matrix, added_entry in zip(
+        matrices, (mass, stiffness), (1.0, 1e4), strict=True
+    ):
+        extended_matrix[:n, :n], extended_matrix[n, n] = beam_matrix, added_entry
     gap, tangent, load, press = np.zeros((4, n + 1))
     gap[n], tangent[node], load[tip], press[n] = 1.0, 1.0, 200.0, 3000.0
     structure = fc.Structure.from_matrices(
-        *both, gap=gap, tangential=tangent, force_cos=load, force_mean=press,
+        *matrices, gap=gap, tangential=tangent, force_cos=load, force_mean=press,
         damping=fc.RayleighDamping(2.0 * 0.05 * stuck[0], 0.0),
     )  # fmt: skip
-    reduced = fc.reduce_structure(structure, modes=6, method="massless")
-    return reduced, fc.CoulombFriction(fc.UnilateralPenalty(1e4), 1.0), tip
+    reduced_structure = fc.reduce_structure(structure, modes=6, method="massless")
+    return reduced_structure, fc.CoulombFriction(fc.UnilateralPenalty(1e4), 1.0), tip
 
 
 # --- what cannot be used --------------------------------------------------------------------------
@@ -187,20 +195,22 @@ def nlstep_beam() -> tuple[fc.Structure, fc.CoulombFriction, int]:
 
 def test_refusals() -> None:
     structure, law = jenkins()
-    for bad in (-0.1, 0.0, np.nan, "much"):
+    for coefficient in (-0.1, 0.0, np.nan, "much"):
         with pytest.raises(fc.InputError, match="friction coefficient"):
-            fc.CoulombFriction(RIGID, bad)  # type: ignore[arg-type]
+            fc.CoulombFriction(RIGID, coefficient)  # type: ignore[arg-type]
     with pytest.raises(fc.InputError, match="UnilateralPenalty or UnilateralConstraint"):
         fc.CoulombFriction(fc.SmoothedPenalty(1.0, 1.0), 0.3)
-    stiff = fc.CoulombFriction(fc.UnilateralPenalty(1.0), 0.3)
+    penalty_friction = fc.CoulombFriction(fc.UnilateralPenalty(1.0), 0.3)
     with pytest.raises(fc.InputError, match=r"tangential stiffness.*without mass"):
-        fc.solve_harmonic_balance(structure, 1.0, stiff, harmonics=3)
-    plain = fc.Structure.from_matrices(
+        fc.solve_harmonic_balance(structure, 1.0, penalty_friction, harmonics=3)
+    pair_without_tangent = fc.Structure.from_matrices(
         np.eye(2), np.eye(2), gap=[0.0, 1.0], force_cos=[1.0, 0.0], damping=0.1 * np.eye(2)
     )
     with pytest.raises(fc.InputError, match="one with tangents"):
-        fc.solve_harmonic_balance(plain, 1.0, law, harmonics=3)
-    solution = fc.solve_harmonic_balance(plain, 1.0, fc.UnilateralPenalty(1.0), harmonics=3)
+        fc.solve_harmonic_balance(pair_without_tangent, 1.0, law, harmonics=3)
+    solution = fc.solve_harmonic_balance(
+        pair_without_tangent, 1.0, fc.UnilateralPenalty(1.0), harmonics=3
+    )
     for ask in (solution.tangential_gap, solution.tangential_force):
         with pytest.raises(fc.InputError, match="CoulombFriction"):
             ask(np.zeros(1))
@@ -224,6 +234,6 @@ def test_a_damper_that_never_slips_is_a_spring(harmonics: int) -> None:
     structure, law = jenkins()
     structure = structure.varied(load=np.diag([1.0, 0.2, 0.2]))
     solution = fc.solve_harmonic_balance(structure, 0.6, law, harmonics=harmonics)
-    expected = 0.2 / abs(1.5 - 0.6**2 + 0.04j * 0.6)
-    assert np.hypot(*solution.displacement_coefficients[1:3, 0]) == pytest.approx(expected)
+    exact_amplitude = 0.2 / abs(1.5 - 0.6**2 + 0.04j * 0.6)
+    assert np.hypot(*solution.displacement_coefficients[1:3, 0]) == pytest.approx(exact_amplitude)
     assert solution.iterations < 10

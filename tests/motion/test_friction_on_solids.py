@@ -39,29 +39,40 @@ def solved(**keys: Any) -> fc.Run[fc.PeriodicSolution]:
 def test_no_friction_is_the_limit_of_little() -> None:
     """To 1e-9; and lines are unit directions in the faces, along which rigid motions slide
     nothing."""
-    free, little = solved(contact__friction=0.0), solved(contact__friction=1e-9)
-    dof = free.watched_dof
-    assert little.result.amplitude(dof) == pytest.approx(free.result.amplitude(dof), rel=1e-9)
-    structure = little.structure.whole
-    normal, first = structure.gap, structure.tangential[:, : structure.n_pairs]
-    other = structure.tangential[:, structure.n_pairs :]
-    assert abs(normal.multiply(first)).max() < 1e-12
-    assert abs(first.multiply(other)).max() < 1e-12
-    assert first.nnz == pytest.approx(other.nnz, rel=0.1)
-    moved = np.zeros((3, structure.n_dofs))
+    frictionless_run, little_friction_run = (
+        solved(contact__friction=0.0),
+        solved(contact__friction=1e-9),
+    )
+    dof = frictionless_run.watched_dof
+    assert little_friction_run.result.amplitude(dof) == pytest.approx(
+        frictionless_run.result.amplitude(dof), rel=1e-9
+    )
+    structure = little_friction_run.structure.whole
+    normal, first_tangent = structure.gap, structure.tangential[:, : structure.n_pairs]
+    second_tangent = structure.tangential[:, structure.n_pairs :]
+    assert abs(normal.multiply(first_tangent)).max() < 1e-12
+    assert abs(first_tangent.multiply(second_tangent)).max() < 1e-12
+    assert first_tangent.nnz == pytest.approx(second_tangent.nnz, rel=0.1)
+    translations = np.zeros((3, structure.n_dofs))
     for axis in range(3):
         rows = structure.nodes.dofs[:, axis]
-        moved[axis, rows[rows >= 0]] = 1.0
-    assert structure.apply_tangential(moved) == pytest.approx(0.0, abs=1e-12)
+        translations[axis, rows[rows >= 0]] = 1.0
+    assert structure.apply_tangential(translations) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_turning_is_stated() -> None:
     """As an error by friction: twice its share of what friction changes."""
     keys = {"excitation.force_cos": [0.1, 0.0, 0.0], "excitation.frequency": 2700.0}
-    run, free = (fc.solve(BLADE.replace({**keys, "contact.friction": mu})) for mu in (0.4, 0.0))
+    run, frictionless_run = (
+        fc.solve(BLADE.replace({**keys, "contact.friction": mu})) for mu in (0.4, 0.0)
+    )
     contact = run.result.contact
     assert isinstance(contact, fc.CoulombFriction) and contact.turning
     name, dof = run.watched[0].column("amplitude"), run.watched_dof
-    with_it, without = (one.result.amplitude(dof) for one in (run, free))
-    stated = errors_of(run, run.result).parts["friction"][name].gci
-    assert stated == pytest.approx(2.0 * contact.turning * abs(without / with_it - 1.0), rel=0.02)
+    with_it, frictionless_amplitude = (
+        solved_run.result.amplitude(dof) for solved_run in (run, frictionless_run)
+    )
+    stated_error = errors_of(run, run.result).parts["friction"][name].gci
+    assert stated_error == pytest.approx(
+        2.0 * contact.turning * abs(frictionless_amplitude / with_it - 1.0), rel=0.02
+    )

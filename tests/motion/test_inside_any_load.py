@@ -16,6 +16,6 @@ def test_orbits_over_the_frequency() -> None:
     orbit = fc.solve_harmonic_balance(loaded(), 0.8, LAW, tolerance=1e-4).orbit
     unknown, step = family.unknown(orbit.state, 0.8), 1e-6
     ends = (family.linearise(unknown, p).residual for p in (step, -step))
-    above, below = ends
-    stated = family.linearise(unknown, 0.0).by_parameter
-    assert relative(stated, (above - below) / (2.0 * step)) < 1e-7
+    upper_residual, lower_residual = ends
+    by_parameter = family.linearise(unknown, 0.0).by_parameter
+    assert relative(by_parameter, (upper_residual - lower_residual) / (2.0 * step)) < 1e-7

@@ -31,8 +31,8 @@ def random_flow(seed: int, pairs: int, mu: float) -> ContactFlow:
         clearance=0.2 * draw.normal(size=pairs),
         damping=fc.ModalDamping(0.01),
     )
-    reduced = fc.reduce_structure(structure, modes=6, method="massless", reference=False)
-    return ContactFlow(reduced, CoulombFriction(RIGID, mu))
+    reduced_structure = fc.reduce_structure(structure, modes=6, method="massless", reference=False)
+    return ContactFlow(reduced_structure, CoulombFriction(RIGID, mu))
 
 
 @pytest.mark.parametrize(("pairs", "mu"), [(1, 0.3), (2, 0.05), (3, 0.6), (5, 0.2)])
@@ -41,20 +41,22 @@ def test_laws_at_every_instant(pairs: int, mu: float) -> None:
     their friction does not push."""
     flow = random_flow(pairs, pairs, mu)
     time = np.linspace(0.0, 60.0, 1000)
-    found = flow.advance(np.zeros(flow.size), 0.8, 60.0, instants=time).samples
-    normal, pulled = np.split(found.forces, 2, axis=1)
-    gap, moved = np.split(found.gaps, 2, axis=1)
-    large, long = np.abs(found.forces).max(), np.abs(found.gaps).max()
-    assert {0, 1, 2, 3} <= set(np.unique(found.pair_states))
-    assert normal.min() >= -1e-12 * large
-    assert gap.max() <= 1e-12 * long
-    assert np.abs(normal * gap).max() <= 1e-12 * large * long
-    assert (np.abs(pulled) - mu * normal).max() <= 1e-12 * large
-    step, stays = np.diff(moved, axis=0), found.pair_states[1:] == found.pair_states[:-1]
+    samples = flow.advance(np.zeros(flow.size), 0.8, 60.0, instants=time).samples
+    normal, tangential_force = np.split(samples.forces, 2, axis=1)
+    gap, slide = np.split(samples.gaps, 2, axis=1)
+    max_force, max_gap = np.abs(samples.forces).max(), np.abs(samples.gaps).max()
+    assert {0, 1, 2, 3} <= set(np.unique(samples.pair_states))
+    assert normal.min() >= -1e-12 * max_force
+    assert gap.max() <= 1e-12 * max_gap
+    assert np.abs(normal * gap).max() <= 1e-12 * max_force * max_gap
+    assert (np.abs(tangential_force) - mu * normal).max() <= 1e-12 * max_force
+    step, stays = np.diff(slide, axis=0), samples.pair_states[1:] == samples.pair_states[:-1]
     for state, sign in ((2, 1.0), (3, -1.0)):
-        slips = stays & (found.pair_states[1:] == state)
-        assert (sign * step[slips]).min() >= -1e-4 * long  # or it has turned twice
-        assert pulled[1:][slips] == pytest.approx(sign * mu * normal[1:][slips], abs=1e-12 * large)
+        slips = stays & (samples.pair_states[1:] == state)
+        assert (sign * step[slips]).min() >= -1e-4 * max_gap  # or it has turned twice
+        assert tangential_force[1:][slips] == pytest.approx(
+            sign * mu * normal[1:][slips], abs=1e-12 * max_force
+        )
 
 
 @pytest.mark.parametrize("pairs", [1, 2, 4])
@@ -64,17 +66,17 @@ def test_laws_from_any_state(pairs: int) -> None:
     for _ in range(20):
         flow = random_flow(pairs, pairs, 0.3)  # which knows no sets yet
         start = draw.normal(size=flow.size)
-        found = flow.advance(start, 0.8, 1e-3, instants=np.zeros(1)).samples
-        normal, pulled = np.split(found.forces, 2, axis=1)
-        gap = found.gaps[:, :pairs]
-        large, long = (
-            np.abs(found.forces_and_openings[:, : 2 * pairs]).max(),
-            np.abs(found.gaps).max(),
+        samples = flow.advance(start, 0.8, 1e-3, instants=np.zeros(1)).samples
+        normal, tangential_force = np.split(samples.forces, 2, axis=1)
+        gap = samples.gaps[:, :pairs]
+        max_force, max_gap = (
+            np.abs(samples.forces_and_openings[:, : 2 * pairs]).max(),
+            np.abs(samples.gaps).max(),
         )
-        assert normal.min() >= -1e-12 * large
-        assert gap.max() <= 1e-12 * long
-        assert (np.abs(pulled) - 0.3 * normal).max() <= 1e-12 * large
-        states |= set(found.pair_states.ravel().tolist())
+        assert normal.min() >= -1e-12 * max_force
+        assert gap.max() <= 1e-12 * max_gap
+        assert (np.abs(tangential_force) - 0.3 * normal).max() <= 1e-12 * max_force
+        states |= set(samples.pair_states.ravel().tolist())
     assert states == {0, 1, 2, 3}
 
 
@@ -93,13 +95,13 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
         change[2 * flow.n_modes :][~stuck] = 0.0  # where they are follows
         step = 1e-7
         ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
-        expected = (ends[0] - ends[1]) / (2.0 * step)
-        known = motion.track.tangent @ change
+        difference = (ends[0] - ends[1]) / (2.0 * step)
+        derivative = motion.track.tangent @ change
         moves = ~np.concatenate(
             [np.zeros(2 * flow.n_modes, dtype=bool), (motion.track.sets == 1).all(axis=0)]
         )
-        size = np.abs(known).max()
-        assert known[moves] == pytest.approx(expected[moves], abs=1e-6 * size)
+        size = np.abs(derivative).max()
+        assert derivative[moves] == pytest.approx(difference[moves], abs=1e-6 * size)
 
 
 def jenkins(limit: float) -> ContactFlow:
@@ -126,8 +128,7 @@ def test_jenkins_oscillator() -> None:
         start = flow.advance(start, omega, period).state
     orbit = find_orbit(flow, omega, start)
     time = np.arange(20_000) * period / 20_000
-    x = orbit.displacement_at(time)[:, 0]
-    amplitude = 0.5 * np.ptp(x)
+    amplitude = 0.5 * np.ptp(orbit.displacement_at(time)[:, 0])
     assert amplitude == pytest.approx(3.69236, abs=1e-5)
     assert 4.0 * limit * (amplitude - limit / 0.5) == pytest.approx(3.71084, abs=1e-5)
 
@@ -139,24 +140,28 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     draw, harmonics = np.random.default_rng(6), 4
     root = draw.normal(size=(2 * pairs, 2 * pairs))
     residual = 0.3 * root @ root.T / (2 * pairs) + np.eye(2 * pairs)
-    own = FrictionIntegrals(
+    integrals = FrictionIntegrals(
         CoulombFriction(RIGID, 0.4), harmonics, residual_compliance=residual, samples=512
     )
     gap = draw.normal(size=(2 * harmonics + 1, 2 * pairs))
     gap /= np.arange(1, 2 * harmonics + 2)[:, None]
     gap[0, :pairs] = 0.2
-    known = own.linearise(gap)
-    assert {0, 1, 2, 3} <= set(np.unique(known.contact_states))
+    wave_forces = integrals.linearise(gap)
+    assert {0, 1, 2, 3} <= set(np.unique(wave_forces.contact_states))
     change, step = draw.normal(size=gap.shape), 1e-7
-    ends = [own.force(gap + sign * step * change) for sign in (1.0, -1.0)]
-    expected = (ends[0] - ends[1]) / (2.0 * step)
-    assert known.apply(change) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
-    matrix = known.tangent().reshape(gap.size, gap.size)
+    ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
+    difference = (ends[0] - ends[1]) / (2.0 * step)
+    assert wave_forces.apply(change) == pytest.approx(
+        difference, abs=1e-6 * np.abs(difference).max()
+    )
+    matrix = wave_forces.tangent().reshape(gap.size, gap.size)
     product = (matrix @ change.ravel()).reshape(gap.shape)
-    assert product == pytest.approx(known.apply(change), abs=1e-12 * np.abs(expected).max())
-    ends = [replace(own, friction_scale=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
-    expected = (ends[0] - ends[1]) / (2.0 * step)
-    assert known.by_friction_scale() == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    assert product == pytest.approx(wave_forces.apply(change), abs=1e-12 * np.abs(difference).max())
+    ends = [replace(integrals, friction_scale=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
+    difference = (ends[0] - ends[1]) / (2.0 * step)
+    assert wave_forces.by_friction_scale() == pytest.approx(
+        difference, abs=1e-6 * np.abs(difference).max()
+    )
 
 
 @pytest.mark.parametrize(("size", "origin"), [(0.15, 0), (0.3, 32)])
@@ -176,10 +181,10 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     change, step = np.zeros((5, 2)), 1e-7
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
-    expected = (ends[0] - ends[1]) / (2.0 * step)
-    assert at_wave.apply(change) == pytest.approx(expected, abs=1e-6)
+    difference = (ends[0] - ends[1]) / (2.0 * step)
+    assert at_wave.apply(change) == pytest.approx(difference, abs=1e-6)
     assert at_wave.tangent().reshape(10, 10) @ change.ravel() == pytest.approx(
-        expected.ravel(), abs=1e-6
+        difference.ravel(), abs=1e-6
     )
 
 
@@ -188,13 +193,13 @@ def test_marches_of_one_step_or_many() -> None:
     draw = np.random.default_rng(8)
     root = draw.normal(size=(6, 6))
     sets = FrictionContactSolver(root @ root.T / 6.0 + np.eye(6), 0.5)
-    gaps, held = draw.normal(size=(200, 6)), np.zeros(3)
-    whole = sets.solve(gaps, held)[:3]
+    gaps, stuck_places = draw.normal(size=(200, 6)), np.zeros(3)
+    march_arrays = sets.solve(gaps, stuck_places)[:3]
     for instant, gap in enumerate(gaps):
-        forces, states, places, _ = sets.solve(gap[None], held)
-        held = places[0]
-        for part, one in zip(whole, (forces, states, places), strict=True):
-            assert part[instant] == pytest.approx(one[0], abs=1e-12)
+        forces, states, places, _ = sets.solve(gap[None], stuck_places)
+        stuck_places = places[0]
+        for part, step_array in zip(march_arrays, (forces, states, places), strict=True):
+            assert part[instant] == pytest.approx(step_array[0], abs=1e-12)
 
 
 def test_a_wave_is_marched_until_its_places_repeat() -> None:
@@ -203,12 +208,13 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     phase = 2.0 * np.pi / 3.0 * np.arange(3)
     compliance = np.eye(6)
     compliance[3:, 3:] += 0.25 * (1.0 - np.eye(3))
-    own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual_compliance=compliance)
+    integrals = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual_compliance=compliance)
     time = 2.0 * np.pi / 128 * np.arange(128)[:, None] - phase
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
-    forces, states, places, _ = own.march(gap)
+    forces, states, places, _ = integrals.march(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
-    again = own.friction_contact_solver.solve(gap, places[-1])[0]
-    assert again == pytest.approx(forces, abs=1e-10)
-    short = own.friction_contact_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
-    assert np.abs(short - forces).max() > 0.01
+    assert integrals.friction_contact_solver.solve(gap, places[-1])[0] == pytest.approx(
+        forces, abs=1e-10
+    )
+    two_periods = integrals.friction_contact_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
+    assert np.abs(two_periods - forces).max() > 0.01

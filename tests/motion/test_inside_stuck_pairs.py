@@ -16,10 +16,10 @@ RIGID = fc.UnilateralConstraint()
 def test_pairs_that_stick_all_the_time(share: float) -> None:
     """A mean load keeps the inclined crack closed: all pairs are named, and the motion is the same
     whatever the history, though the pairs stick in other places."""
-    _, whole = plate("inclined_crack", 0.005)
+    _, full_plate = plate("inclined_crack", 0.005)
     weights = np.diag([0.0, 1.0, 1.0])
     weights[0, 2] = -share  # towards the face below
-    structure = fc.reduce_structure(whole.varied(load=weights), modes=10, method="massless")
+    structure = fc.reduce_structure(full_plate.varied(load=weights), modes=10, method="massless")
     flow, omega = ContactFlow(structure, CoulombFriction(RIGID, 0.6)), 2.0 * np.pi * 3183.0
     period, tips, places = 2.0 * np.pi / omega, [], []
     draw = np.random.default_rng(4)
@@ -29,8 +29,10 @@ def test_pairs_that_stick_all_the_time(share: float) -> None:
             start = flow.advance(start, omega, period).state
         orbit = find_orbit(flow, omega, start)
         assert orbit is not None and orbit.stuck.tolist() == list(range(16))
-        modal = orbit.sampled.states[:, : flow.n_modes] @ structure.basis[whole.watched_dof]
-        tips.append(float(np.ptp(modal)))
+        tip_motion = (
+            orbit.sampled.states[:, : flow.n_modes] @ structure.basis[full_plate.watched_dof]
+        )
+        tips.append(float(np.ptp(tip_motion)))
         places.append(orbit.sampled.sticking_places[0])
     assert tips == pytest.approx([tips[0]] * 3, rel=1e-9)
     assert np.abs(places[0] - places[2]).max() > 1e-3 * np.abs(places[0]).max()

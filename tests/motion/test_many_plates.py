@@ -17,18 +17,24 @@ def differences(number: int) -> tuple[float, float] | None:
     modes, rigid or a penalty, 0.05 to 1 % of damping.
     """
     case = draw(SEED, number, "solution", "plate")
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=20, throw=False
     )
-    orbit = found.assessment.nearest_orbit if found.converged else None
+    orbit = solution.assessment.nearest_orbit if solution.converged else None
     if orbit is None:
         return None
     flow = case.flow(case.structure)
     shape, rate = np.split(orbit.state, 2) @ orbit.flow.modal_model.shapes.T
-    other = flow.orbit(flow.state(shape, rate), orbit.omega, orbit.period)
-    gap = orbit.gap_at(np.arange(len(other.gap)) * orbit.period / len(other.gap))
-    moduli = (np.sort(np.abs(values)) for values in (orbit.multipliers, other.multipliers))
-    return np.abs(gap - other.gap).max() / np.ptp(other.gap), np.abs(np.subtract(*moduli)).max()
+    reference_orbit = flow.orbit(flow.state(shape, rate), orbit.omega, orbit.period)
+    gap = orbit.gap_at(
+        np.arange(len(reference_orbit.gap)) * orbit.period / len(reference_orbit.gap)
+    )
+    moduli = (
+        np.sort(np.abs(values)) for values in (orbit.multipliers, reference_orbit.multipliers)
+    )
+    return np.abs(gap - reference_orbit.gap).max() / np.ptp(reference_orbit.gap), np.abs(
+        np.subtract(*moduli)
+    ).max()
 
 
 @pytest.mark.parametrize(
@@ -36,8 +42,8 @@ def differences(number: int) -> tuple[float, float] | None:
 )
 def test_orbits_of_plates(count: int) -> None:
     """The same gap to 3e-11 and multipliers to 1e-9."""
-    found = [one for one in map(differences, range(count)) if one is not None]
-    assert len(found) >= count - 2  # with 20 harmonics numbers 7 and 16 have none
-    gap, multipliers = np.max(found, axis=0)
+    cases = [case for case in map(differences, range(count)) if case is not None]
+    assert len(cases) >= count - 2  # with 20 harmonics numbers 7 and 16 have none
+    gap, multipliers = np.max(cases, axis=0)
     assert gap < 3e-11
     assert multipliers < 1e-9

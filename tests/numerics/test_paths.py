@@ -74,8 +74,7 @@ def follow(
 ) -> tuple[np.ndarray, np.ndarray, list[PathPoint]]:
     """x and p along the path up to p = end; every point lies on the curve."""
     points = []
-    start = np.array([x, 2.0])
-    path = Path(plane, point_on_path(plane, start, p), PathOptions(0.05, longest))
+    path = Path(plane, point_on_path(plane, np.array([x, 2.0]), p), PathOptions(0.05, longest))
     for point in islice(path.points(), 500):
         points.append(point)
         if point.parameter > end:
@@ -93,13 +92,13 @@ def test_path_passes_both_folds_of_a_cubic(longest: float) -> None:
     x, p, _ = follow(plane, -1.5, -1.875, 1.875, longest)
     assert np.all(np.diff(x) > 0.0)
     assert p[-1] > 1.875
-    growing = np.diff(p) > 0.0
-    first, second = np.flatnonzero(growing[1:] != growing[:-1]) + 1
+    is_growing = np.diff(p) > 0.0
+    first_fold, second_fold = np.flatnonzero(is_growing[1:] != is_growing[:-1]) + 1
     fold = 1.0 / np.sqrt(3.0)
-    assert growing[0] and not growing[first] and growing[second]
-    assert abs(x[first] + fold) < 0.35 and abs(x[second] - fold) < 0.35
-    assert p.max() > 0.0 and 0.2 < p[first] <= 2.0 / 3.0 * fold
-    assert -2.0 / 3.0 * fold <= p[second] < -0.2
+    assert is_growing[0] and not is_growing[first_fold] and is_growing[second_fold]
+    assert abs(x[first_fold] + fold) < 0.35 and abs(x[second_fold] - fold) < 0.35
+    assert p.max() > 0.0 and 0.2 < p[first_fold] <= 2.0 / 3.0 * fold
+    assert -2.0 / 3.0 * fold <= p[second_fold] < -0.2
 
 
 @pytest.mark.parametrize("longest", [0.2, 1.0])
@@ -156,10 +155,14 @@ def test_once_round_a_circle() -> None:
     plane, start = circle()
     events = Fold(), ZeroCrossing(lambda point: float(point.unknown[0])), ClosedLoop(start, plane)
     path = Path(plane, start, PathOptions(0.05, max_step=0.3), events)
-    met = [one for stretch in path for one in stretch.located_events]
-    places = [(float(at.unknown[0]), at.parameter) for event, at in met if event is events[0]]
+    located_events = [located_event for stretch in path for located_event in stretch.located_events]
+    places = [
+        (float(event_point.unknown[0]), event_point.parameter)
+        for event, event_point in located_events
+        if event is events[0]
+    ]
     assert np.allclose(places, [(0.0, 1.0), (0.0, -1.0)], atol=1e-7)
-    zeros = [at.parameter for event, at in met if event is events[1]]
+    zeros = [event_point.parameter for event, event_point in located_events if event is events[1]]
     assert np.allclose(zeros, [1.0, -1.0], atol=1e-10)
     assert path.end_reason is EndReason.REACHED and path.event is events[2]
     assert (
@@ -193,25 +196,25 @@ def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> N
     """Where it is not found between two points: as long as they are not too short, then the path
     ends before it."""
     plane, start = circle()
-    locate, tried = Target.locate, list[float]()
+    locate, step_sizes = Target.locate, list[float]()
 
     def fails(
         self: Target, system: Plane, ends: tuple[PathPoint, PathPoint], rtol: float
     ) -> object:
-        tried.append(ends[1].parameter - ends[0].parameter)
-        return locate(self, system, ends, rtol) if len(tried) > most else None
+        step_sizes.append(ends[1].parameter - ends[0].parameter)
+        return locate(self, system, ends, rtol) if len(step_sizes) > n_failures else None
 
     monkeypatch.setattr(Target, "locate", fails)
-    for most in (2, 99):
-        tried.clear()
+    for n_failures in (2, 99):
+        step_sizes.clear()
         path = Path(plane, start, PathOptions(0.1, max_step=0.3), [Target(0.7)])
-        found = path.run_to_terminal_event()
-        assert all(after < before for before, after in pairwise(tried))
-        if most == 2:
-            assert found is not None and found.parameter == 0.7 and len(tried) == 3
+        end_point = path.run_to_terminal_event()
+        assert all(next_size < size for size, next_size in pairwise(step_sizes))
+        if n_failures == 2:
+            assert end_point is not None and end_point.parameter == 0.7 and len(step_sizes) == 3
         else:
             assert path.end_reason is EndReason.END_LOST and path.last_point.parameter < 0.7
-            assert tried[-1] < 1e-5 and len(tried) < 20
+            assert step_sizes[-1] < 1e-5 and len(step_sizes) < 20
 
 
 def test_what_equations_raise_ends_a_path() -> None:
@@ -224,11 +227,11 @@ def test_what_equations_raise_ends_a_path() -> None:
 
     plane = Plane(fails, lambda x, p: 1.0, lambda x, p: -1.0)
     start = point_on_path(plane, np.array([0.0, 2.0]), 0.0)
-    path, met = Path(plane, start, PathOptions(0.1, 1.0)), 0
+    path, n_points = Path(plane, start, PathOptions(0.1, 1.0)), 0
     with pytest.raises(KeyboardInterrupt):
         for _ in path.points():
-            met += 1
-    assert met > 1 and path.last_point.parameter <= 0.5
+            n_points += 1
+    assert n_points > 1 and path.last_point.parameter <= 0.5
 
 
 # --- exact orbits ---------------------------------------------------------------------------------
@@ -244,20 +247,20 @@ def test_equations_of_a_path(light: bool) -> None:
     if light:
         structure, contact = fc.reduce_structure(structure, modes=6, method="massless"), RIGID
     flow = exact_flow_or_none(structure, contact)
-    settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
-    system, step = FlowOrbitEquations(flow, 0.6, settled), 1e-6
+    settled_state = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
+    system, step = FlowOrbitEquations(flow, 0.6, settled_state), 1e-6
     x = 1.05 * system.start_unknown
-    at = system.linearise(x, 1.02)
-    moved = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
-    assert relative(at.residual, system.scale * moved - x) < 1e-12
+    linearisation = system.linearise(x, 1.02)
+    end_state = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
+    assert relative(linearisation.residual, system.scale * end_state - x) < 1e-12
     ends = [system.linearise(x, 1.02 + h).residual for h in (step, -step)]
-    assert relative(at.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
+    assert relative(linearisation.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     change = np.random.default_rng(0).normal(size=flow.size)
     ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
-    assert relative(at.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
-    first = solve_in_plane(system, system.start_unknown, 1.0, None, tolerance=1e-11)
+    assert relative(linearisation.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
+    solution = solve_in_plane(system, system.start_unknown, 1.0, None, tolerance=1e-11)
     options = PathOptions(0.01, max_step=0.05, max_steps=6, span=(0.9, 1.1))
-    points = list(Path(system, point_on_path(system, first.unknown, 1.0), options).points())
+    points = list(Path(system, point_on_path(system, solution.unknown, 1.0), options).points())
     assert len(points) > 4
     for point in points:
         orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
@@ -284,26 +287,31 @@ class Narrow:
 def test_without_a_sign_no_way_back(number: int) -> None:
     """A step may land on the far side of a narrow resonance, where the path seems to come back."""
     begin, system = -1.0 - 0.013 * number, Narrow()
-    first = -system.linearise(np.zeros(3), begin).residual
-    reached = begin
-    start = point_on_path(system, first, begin)  # type: ignore[arg-type]
+    start_unknown = -system.linearise(np.zeros(3), begin).residual
+    parameter = begin
+    start = point_on_path(system, start_unknown, begin)  # type: ignore[arg-type]
     options = PathOptions(0.1, max_step=0.1, min_cosine=0.85, max_steps=200)
     for point in Path(system, start, options).points():  # type: ignore[arg-type]
-        assert point.parameter > reached
-        reached = point.parameter
-    assert reached > 1.0
+        assert point.parameter > parameter
+        parameter = point.parameter
+    assert parameter > 1.0
 
 
 def test_rounding_does_not_grow_with_the_stiffness() -> None:
     """The slope is bounded by the inverse of R_inf: a stiffer law is solved as sharply."""
     structure = fc.reduce_structure(chain("modal", pairs=3), modes=6, method="massless")
-    first = structure.omega[0]
-    sharp = []
+    first_omega = structure.omega[0]
+    roundings = []
     for law in (fc.UnilateralPenalty(0.1), fc.UnilateralPenalty(1e20), fc.UnilateralConstraint()):
-        problem = fc.Problem(structure.varied(damping=1e-4), first, law, 5)  # in resonance
-        family = EQUATIONS_CLASS_BY_PARAMETER["omega"](problem, 0.99 * first, 1.01 * first)
-        sharp.append(family.rounding(0.5))
-    assert sharp[1:] == pytest.approx(sharp[2] * np.ones(2)) and sharp[0] < sharp[2] < 1e-7
+        problem = fc.Problem(structure.varied(damping=1e-4), first_omega, law, 5)  # in resonance
+        family = EQUATIONS_CLASS_BY_PARAMETER["omega"](
+            problem, 0.99 * first_omega, 1.01 * first_omega
+        )
+        roundings.append(family.rounding(0.5))
+    assert (
+        roundings[1:] == pytest.approx(roundings[2] * np.ones(2))
+        and roundings[0] < roundings[2] < 1e-7
+    )
 
 
 # --- full steps -----------------------------------------------------------------------------------
@@ -328,17 +336,19 @@ def equations(kind: str) -> Any:
 def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     """Full steps of SNES from near the path's end, and that end, in the kernel and called back."""
     system = equations(kind)
-    begun = solve_at(system, system.linear_gap, 0.0, tolerance=1e-12)
-    start = point_on_path(system, begun.unknown, 0.0)
-    found = Path(
+    start_solution = solve_at(system, system.linear_gap, 0.0, tolerance=1e-12)
+    start = point_on_path(system, start_solution.unknown, 0.0)
+    end_point = Path(
         system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]
     ).run_to_terminal_event()
-    assert found is not None and found.parameter == 1.0
-    near = found.unknown * (1.0 + 1e-3 * np.random.default_rng(0).normal(size=found.unknown.shape))
+    assert end_point is not None and end_point.parameter == 1.0
+    disturbed_unknown = end_point.unknown * (
+        1.0 + 1e-3 * np.random.default_rng(0).normal(size=end_point.unknown.shape)
+    )
     with SystemSnes(system) as newton:
-        at, converged, count = newton.solve_and_linearise(near, 1.0, 1e-12, 20)
-    assert converged and 0 < count < 10
-    assert relative(at.unknown, found.unknown) < 1e-10
+        point, is_converged, count = newton.solve_and_linearise(disturbed_unknown, 1.0, 1e-12, 20)
+    assert is_converged and 0 < count < 10
+    assert relative(point.unknown, end_point.unknown) < 1e-10
 
 
 # --- linear systems whose matrix is not formed ----------------------------------------------------
@@ -355,41 +365,41 @@ def system(size: int = 40, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 def test_solution_to_a_tolerance(tolerance: float) -> None:
     """That of LAPACK, and a residual below what is allowed."""
     matrix, right = system()
-    found = gmres(lambda v: (matrix @ v.ravel()).reshape(v.shape), right, tolerance)
-    assert found.shape == right.shape
-    left = matrix @ found.ravel() - right.ravel()
+    solution = gmres(lambda v: (matrix @ v.ravel()).reshape(v.shape), right, tolerance)
+    assert solution.shape == right.shape
+    left = matrix @ solution.ravel() - right.ravel()
     assert np.linalg.norm(left) <= 1.001 * tolerance * np.linalg.norm(right)
     exact = np.linalg.solve(matrix, right.ravel())
-    assert relative(found.ravel(), exact) < np.linalg.cond(matrix) * tolerance
+    assert relative(solution.ravel(), exact) < np.linalg.cond(matrix) * tolerance
 
 
 def test_too_few_iterations_give_the_best() -> None:
     """The least residual in the Krylov space: that of a least-squares problem, and no applications
     beyond."""
-    matrix, right = system()
-    asked = []
+    matrix, rhs = system()
+    applied_vectors = []
 
     def apply(vector: np.ndarray) -> np.ndarray:
-        asked.append(vector)
+        applied_vectors.append(vector)
         return (matrix @ vector.ravel()).reshape(vector.shape)
 
     lefts = []
-    for most in (1, 5, 15):
-        del asked[:]
-        found = gmres(apply, right, 1e-14, most)
-        assert len(asked) <= most + 1
-        space = [right.ravel()]
-        while len(space) < most:
+    for max_iterations in (1, 5, 15):
+        del applied_vectors[:]
+        solution = gmres(apply, rhs, 1e-14, max_iterations)
+        assert len(applied_vectors) <= max_iterations + 1
+        space = [rhs.ravel()]
+        while len(space) < max_iterations:
             space.append(matrix @ space[-1])
         basis = np.linalg.qr(np.array(space).T)[0]
-        best = basis @ np.linalg.lstsq(matrix @ basis, right.ravel(), rcond=None)[0]
-        assert relative(found.ravel(), best) < 1e-6
-        lefts.append(np.linalg.norm(matrix @ found.ravel() - right.ravel()))
+        least_squares_solution = basis @ np.linalg.lstsq(matrix @ basis, rhs.ravel(), rcond=None)[0]
+        assert relative(solution.ravel(), least_squares_solution) < 1e-6
+        lefts.append(np.linalg.norm(matrix @ solution.ravel() - rhs.ravel()))
     assert lefts[0] > lefts[1] > lefts[2] > 1e-6
 
 
 def test_nothing_is_solved_by_nothing() -> None:
     """A right-hand side of zeros."""
-    matrix, right = system()
-    found = gmres(lambda v: (matrix @ v.ravel()).reshape(v.shape), 0.0 * right, 1e-9)
-    assert np.array_equal(found, np.zeros_like(right))
+    matrix, rhs = system()
+    solution = gmres(lambda v: (matrix @ v.ravel()).reshape(v.shape), 0.0 * rhs, 1e-9)
+    assert np.array_equal(solution, np.zeros_like(rhs))

@@ -29,8 +29,8 @@ def random_structure(rng: np.random.Generator, dofs: int, pairs: int, damping: s
     root, basis = rng.normal(size=(dofs, dofs)), rng.normal(size=(dofs, dofs))
     mass = root @ root.T / dofs + np.eye(dofs)
     shapes = scipy.linalg.eigh(basis @ basis.T, mass)[1]
-    back = mass @ shapes
-    stiffness = (back * rng.uniform(0.25, 9.0, dofs)) @ back.T
+    mass_shapes = mass @ shapes
+    stiffness = (mass_shapes * rng.uniform(0.25, 9.0, dofs)) @ mass_shapes.T
     root = rng.normal(size=(dofs, dofs))
     rule: Any = {
         "none": None,
@@ -50,15 +50,23 @@ def scale_of(array: np.ndarray) -> float:
     return float(np.abs(array).max(initial=1e-300))
 
 
-def same(one: fc.TimeHistory, other: fc.TimeHistory, allowed: float) -> None:
+def same(history: fc.TimeHistory, expected_history: fc.TimeHistory, tolerance: float) -> None:
     """Gaps, forces, motion, state and energy."""
-    pairs = [(one.gap, other.gap), (one.contact_force, other.contact_force)]
-    pairs += [(one.recorded, other.recorded), *zip(one.final_state, other.final_state, strict=True)]
-    motion = scale_of(other.recorded)
-    for first, second in pairs:
-        size = max(scale_of(second), 1e-3 * motion)
-        assert np.abs(first - second).max(initial=0.0) <= allowed * size
-    assert one.created_energy == pytest.approx(other.created_energy, abs=100.0 * allowed)
+    pairs = [
+        (history.gap, expected_history.gap),
+        (history.contact_force, expected_history.contact_force),
+    ]
+    pairs += [
+        (history.recorded, expected_history.recorded),
+        *zip(history.final_state, expected_history.final_state, strict=True),
+    ]
+    motion = scale_of(expected_history.recorded)
+    for signal, expected_signal in pairs:
+        size = max(scale_of(expected_signal), 1e-3 * motion)
+        assert np.abs(signal - expected_signal).max(initial=0.0) <= tolerance * size
+    assert history.created_energy == pytest.approx(
+        expected_history.created_energy, abs=100.0 * tolerance
+    )
 
 
 # --- schemes of steps -----------------------------------------------------------------------------
@@ -75,11 +83,11 @@ def test_central_differences(dofs: int, pairs: int, damping: str, rigid: bool, s
     law: Any = fc.UnilateralConstraint() if rigid else fc.UnilateralPenalty(20.0)
     steps = int(1.5 * fc.stable_steps_per_period(structure, 1.1, law))
     start = 0.3 * rng.normal(size=(2, dofs))
-    asked = March(structure, 1.1, law, 2, steps, initial=(start[0], start[1]))
+    march_options = March(structure, 1.1, law, 2, steps, initial=(start[0], start[1]))
     makers: tuple[Any, ...] = (
         central_differences._ModalDifferences, central_differences._CentralDifferences
     )  # fmt: skip
-    same(*(march(asked, made(asked)) for made in makers), 1e-10)  # type: ignore[misc]
+    same(*(march(march_options, make_march(march_options)) for make_march in makers), 1e-10)  # type: ignore[misc]
 
 
 # --- exponential steps ----------------------------------------------------------------------------
@@ -90,25 +98,28 @@ def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tup
     modes = flow.modal_model
     count, pairs = modes.gaps_by_mode.shape
     damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
-    whole = np.zeros((2 * count + pairs,) * 2)
-    whole[:count, count : 2 * count] = np.eye(count)
-    whole[count : 2 * count, :count] = -np.diag(modes.squares)
-    whole[count : 2 * count, count : 2 * count] = -damping
-    whole[count : 2 * count, 2 * count :] = modes.gaps_by_mode
-    found = scipy.linalg.expm(flow.step_size * whole)
-    moved, pushed = found[: 2 * count, : 2 * count], 0.5 * found[: 2 * count, 2 * count :]
-    rows, static = flow.gap_rows, flow.residual_flexibility + np.diag(flow.softness)
-    compliance = static + rows @ pushed
+    system_matrix = np.zeros((2 * count + pairs,) * 2)
+    system_matrix[:count, count : 2 * count] = np.eye(count)
+    system_matrix[count : 2 * count, :count] = -np.diag(modes.squares)
+    system_matrix[count : 2 * count, count : 2 * count] = -damping
+    system_matrix[count : 2 * count, 2 * count :] = modes.gaps_by_mode
+    exponential = scipy.linalg.expm(flow.step_size * system_matrix)
+    state_transition, force_transition = (
+        exponential[: 2 * count, : 2 * count],
+        0.5 * exponential[: 2 * count, 2 * count :],
+    )
+    rows, static_compliance = flow.gap_rows, flow.residual_flexibility + np.diag(flow.softness)
+    compliance = static_compliance + rows @ force_transition
 
-    now = start - flow.steady_states[0]
-    force = solve_complementarity(static, rows @ now + flow.linear_gap[0])
+    state = start - flow.steady_states[0]
+    force = solve_complementarity(static_compliance, rows @ state + flow.linear_gap[0])
     states, forces = [start], [force]
     for step in range(1, steps + 1):
-        now = moved @ now - pushed @ force
+        state = state_transition @ state - force_transition @ force
         phase = step % flow.steps_per_period
-        force = solve_complementarity(compliance, rows @ now + flow.linear_gap[phase])
-        now = now - pushed @ force
-        states.append(now + flow.steady_states[phase])
+        force = solve_complementarity(compliance, rows @ state + flow.linear_gap[phase])
+        state = state - force_transition @ force
+        states.append(state + flow.steady_states[phase])
         forces.append(force)
     return np.array(states), np.array(forces)
 
@@ -123,11 +134,11 @@ def test_exponential_steps(dofs: int, pairs: int, damping: str, steps: int, seed
     )
     flow = ExponentialFlow(structure, 1.1, fc.UnilateralPenalty(20.0), steps)
     start = 0.3 * rng.normal(size=2 * len(flow.modal_model.squares))
-    found = flow.advance(start, 2)
+    march = flow.advance(start, 2)
     states, forces = by_exponentials(flow, start, 2 * steps)
-    assert np.abs(found.states - states).max() <= 1e-12 * scale_of(states) * steps
-    assert np.abs(found.forces - forces).max(initial=0.0) <= 1e-11 * scale_of(forces)
-    assert np.array_equal(found.is_closed, forces > 0.0)
+    assert np.abs(march.states - states).max() <= 1e-12 * scale_of(states) * steps
+    assert np.abs(march.forces - forces).max(initial=0.0) <= 1e-11 * scale_of(forces)
+    assert np.array_equal(march.is_closed, forces > 0.0)
 
 
 # --- the flow by exponential steps ----------------------------------------------------------------
@@ -149,12 +160,12 @@ def test_product_of_multipliers_without_contact(damping: str) -> None:
     """exp(-T tr C), whatever the step (Liouville), for the damping of dense matrices."""
     structure = chain(damping).varied(clearance=1e3)
     mass, matrix, _ = dense_matrices(structure)
-    expected = np.exp(-2.0 * np.pi / 0.8 * np.trace(np.linalg.solve(mass, matrix)))
+    determinant = np.exp(-2.0 * np.pi / 0.8 * np.trace(np.linalg.solve(mass, matrix)))
     for steps in (5, 64):
         flow = ExponentialFlow(structure, 0.8, PENALTY, steps)
         start, units = flow.steady_states[0], np.eye(len(flow.steady_states[0]))
-        found = [flow.advance(start + unit).states[-1] - start for unit in units]
-        assert np.linalg.det(found) == pytest.approx(expected, rel=1e-9)
+        monodromy = [flow.advance(start + unit).states[-1] - start for unit in units]
+        assert np.linalg.det(monodromy) == pytest.approx(determinant, rel=1e-9)
 
 
 @pytest.mark.parametrize("case", ["rigid", "penalty", "stiff mass"])
@@ -169,26 +180,38 @@ def test_no_step_is_too_long(
         "stiff mass": (paper_structure, fc.UnilateralPenalty(1e11)),
     }[case]
     for count in {1, structure.n_pairs}:
-        closed = np.arange(structure.n_pairs) < count
+        is_closed = np.arange(structure.n_pairs) < count
         flow = ExponentialFlow(structure, 2000.0, law, 4)
         squares, pairs = flow.modal_model.squares, flow.modal_model.gaps_by_mode
-        soft = flow.residual_flexibility + np.diag(flow.softness)
-        rest = -(pairs @ closed) / squares  # under unit forces of the closed pairs
-        pressed = rest @ pairs - soft @ closed + 1e9 * np.abs(rest @ pairs).max() * ~closed
-        held = structure.varied(load=0.0, clearance=pressed - structure.clearance)
-        stiff = pairs[:, closed] @ np.linalg.inv(soft[np.ix_(closed, closed)]) @ pairs[:, closed].T
-        least = np.linalg.eigvalsh(soft[np.ix_(closed, closed)])[0]
+        compliance = flow.residual_flexibility + np.diag(flow.softness)
+        rest = -(pairs @ is_closed) / squares  # under unit forces of the closed pairs
+        rest_clearance = (
+            rest @ pairs - compliance @ is_closed + 1e9 * np.abs(rest @ pairs).max() * ~is_closed
+        )
+        pressed_structure = structure.varied(
+            load=0.0, clearance=rest_clearance - structure.clearance
+        )
+        contact_stiffness = (
+            pairs[:, is_closed]
+            @ np.linalg.inv(compliance[np.ix_(is_closed, is_closed)])
+            @ pairs[:, is_closed].T
+        )
+        min_compliance = np.linalg.eigvalsh(compliance[np.ix_(is_closed, is_closed)])[0]
         start = np.random.default_rng(2).normal(size=(2, len(squares)))
-        start[0] /= np.sqrt(np.linalg.eigvalsh(np.diag(squares) + stiff)[-1])
-        start *= np.sqrt(0.1 * least) / np.linalg.norm(start)  # no force falls by more than a half
+        start[0] /= np.sqrt(np.linalg.eigvalsh(np.diag(squares) + contact_stiffness)[-1])
+        start *= np.sqrt(0.1 * min_compliance) / np.linalg.norm(
+            start
+        )  # no force falls by more than a half
         for steps in (4, 16, 32, 64, 128, 256, 512, 4096):
-            march = ExponentialFlow(held, 2000.0, law, steps).advance(
+            march = ExponentialFlow(pressed_structure, 2000.0, law, steps).advance(
                 np.concatenate([rest + start[0], start[1]])
             )
-            assert np.all(march.is_closed == closed)
+            assert np.all(march.is_closed == is_closed)
             shape, rate = np.split(march.states, 2, axis=1)
-            moved = shape - rest
-            energy = (rate**2).sum(axis=1) + (moved * (squares * moved + moved @ stiff)).sum(axis=1)
+            deviation = shape - rest
+            energy = (rate**2).sum(axis=1) + (
+                deviation * (squares * deviation + deviation @ contact_stiffness)
+            ).sum(axis=1)
             assert np.diff(energy).max() < 1e-9 * energy[0]
 
 

@@ -15,20 +15,20 @@ def test_linear_motion(damping: str) -> None:
     rng = np.random.default_rng(2)
     n, omega = 4, 1.7
     stiffness, random = random_stiffness(rng, n), rng.normal(size=(n, n))
-    given = {"modal": fc.ModalDamping(0.03), "matrix": 0.1 * random @ random.T}.get(damping)
+    damping_form = {"modal": fc.ModalDamping(0.03), "matrix": 0.1 * random @ random.T}.get(damping)
     force = rng.normal(size=(3, n))
     structure = fc.Structure.from_matrices(
         np.eye(n), stiffness, gap=np.ones(n), force_mean=force[0], force_cos=force[1],
-        force_sin=force[2], damping=given, clearance=1e6,
+        force_sin=force[2], damping=damping_form, clearance=1e6,
     )  # fmt: skip
-    full = dense_matrices(structure)[1]
+    damping_matrix = dense_matrices(structure)[1]
     history = integrate_events(
         structure, omega, fc.UnilateralPenalty(1.0), periods=2, steps_per_period=50
     )
     # states u, v, 1, cos, sin
     flow = np.zeros((2 * n + 3, 2 * n + 3))
     flow[:n, n : 2 * n] = np.eye(n)
-    flow[n : 2 * n] = np.hstack([-stiffness, -full, force.T])
+    flow[n : 2 * n] = np.hstack([-stiffness, -damping_matrix, force.T])
     flow[2 * n + 1, 2 * n + 2], flow[2 * n + 2, 2 * n + 1] = -omega, omega
     start = np.zeros(2 * n + 3)
     start[2 * n : 2 * n + 2] = 1.0
@@ -40,12 +40,12 @@ def test_linear_motion(damping: str) -> None:
 def test_overdamped_motion(ratio: float) -> None:
     """A mass that creeps at 2 ratio w, no contact: the matrix exponential; and a linear solution,
     which has no error and is stable."""
-    one = np.ones((1, 1))
+    unit = np.ones((1, 1))
     structure = fc.Structure.from_matrices(
-        one, one, gap=one, force_cos=[1.0], damping=2.0 * ratio * one, clearance=100.0
+        unit, unit, gap=unit, force_cos=[1.0], damping=2.0 * ratio * unit, clearance=100.0
     )
     law = fc.UnilateralPenalty(1.0)
-    history = integrate_events(structure, 1.0, law, periods=1, initial=(one[0] * 3.0, one[0]))
+    history = integrate_events(structure, 1.0, law, periods=1, initial=(unit[0] * 3.0, unit[0]))
     flow = np.zeros((4, 4))
     flow[0, 1], flow[1, :3], flow[2, 3], flow[3, 2] = 1.0, (-1.0, -2.0 * ratio, 1.0), 1.0, -1.0
     exact = [(expm(time * flow) @ (3.0, 1.0, 1.0, 0.0))[0] for time in history.time]
@@ -58,7 +58,7 @@ def test_brief_contacts_are_not_missed() -> None:
     """Grazing a stiff stop for a time far below the grid: the motion behind it is that of the
     closed form, which is early by the flight that the stop cuts off."""
     structure = fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=np.ones(1), clearance=1.0)
-    law, inside = fc.UnilateralPenalty(1e4), np.sqrt(1.0 + 1e4)
+    law, omega_in_contact = fc.UnilateralPenalty(1e4), np.sqrt(1.0 + 1e4)
     for excess in (1e-2, 1e-4, 1e-8, -1e-8):
         amplitude = 1.0 + excess
         start = (np.array([-amplitude]), np.zeros(1))
@@ -67,15 +67,20 @@ def test_brief_contacts_are_not_missed() -> None:
         )
         speed = np.sqrt(max(amplitude**2 - 1.0, 0.0))
         meets = np.pi - np.arctan2(speed, 1.0)
-        leaves = meets + 2.0 * np.arctan2(speed / inside, 1.0 - 1e4 / inside**2) / inside
+        leaves = (
+            meets
+            + 2.0
+            * np.arctan2(speed / omega_in_contact, 1.0 - 1e4 / omega_in_contact**2)
+            / omega_in_contact
+        )
         later = history.time[history.time > np.pi] - leaves
-        behind = np.cos(later) - speed * np.sin(later)
+        exact_motion = np.cos(later) - speed * np.sin(later)
         if speed == 0.0:  # the stop is not met
-            behind = -amplitude * np.cos(later + leaves)
-        found = history.displacement([0])[-len(later) :, 0]
-        np.testing.assert_allclose(found, behind, rtol=0.0, atol=1e-9)
-        moved, rate = (part[0] for part in history.final_state)
-        assert moved**2 + rate**2 == pytest.approx(amplitude**2, rel=1e-10)
+            exact_motion = -amplitude * np.cos(later + leaves)
+        displacement = history.displacement([0])[-len(later) :, 0]
+        np.testing.assert_allclose(displacement, exact_motion, rtol=0.0, atol=1e-9)
+        final_displacement, rate = (part[0] for part in history.final_state)
+        assert final_displacement**2 + rate**2 == pytest.approx(amplitude**2, rel=1e-10)
 
 
 def test_rigid_pairs_without_mass(light_lips: fc.Structure) -> None:
@@ -96,12 +101,12 @@ def test_the_papers_data_are_unstable(paper_structure: fc.Structure) -> None:
     plate, law = fc.reduce_structure(paper_structure, modes=10), fc.UnilateralPenalty(1e11)
     solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=20)
     assert floquet(plate, solution).verdict == "irregular"
-    found = floquet(
+    stability = floquet(
         plate, fc.solve_harmonic_balance(plate, 2000.0, law, tolerance=0.1, throw=False)
     )
-    assert found.refined
-    assert found.verdict == "unstable"
-    assert np.abs(found.multipliers[0]) > 1.01
+    assert stability.refined
+    assert stability.verdict == "unstable"
+    assert np.abs(stability.multipliers[0]) > 1.01
 
 
 def test_indicators_leave_out_the_beginning() -> None:
@@ -126,15 +131,20 @@ def test_indicators_leave_out_the_beginning() -> None:
 def test_few_instants_tell_few_harmonics(steps: int) -> None:
     """Of orders beyond half of them nothing is known: they are those of others."""
     law = fc.UnilateralPenalty(1.0)
-    few, many = (
+    coarse_run, fine_run = (
         integrate_events(oscillator(), 0.9, law, periods=60, steps_per_period=n).indicators()
         for n in (steps, 256)
     )
     if steps == 3:
-        assert np.isnan([few.ratio_2_1, few.ratio_largest, few.largest_order]).all()
+        assert np.isnan(
+            [coarse_run.ratio_2_1, coarse_run.ratio_largest, coarse_run.largest_order]
+        ).all()
         return
-    assert few.ratio_2_1 == pytest.approx(many.ratio_2_1, rel=0.01)
-    assert few.ratio_largest == few.ratio_2_1 and few.largest_order == many.largest_order == 2.0
+    assert coarse_run.ratio_2_1 == pytest.approx(fine_run.ratio_2_1, rel=0.01)
+    assert (
+        coarse_run.ratio_largest == coarse_run.ratio_2_1
+        and coarse_run.largest_order == fine_run.largest_order == 2.0
+    )
 
 
 @pytest.mark.parametrize("rounding", [-1e-17, 0.0, 1e-17])

@@ -26,28 +26,28 @@ def by_runge_kutta(
 ) -> np.ndarray:
     """Gaps from rest by DOP853, contact at each instant by Lawson and Hanson's method."""
     rows, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    pairs, count, seen = structure.n_pairs, len(squares), shapes.T @ rows
+    pairs, count, modal_rows = structure.n_pairs, len(squares), shapes.T @ rows
     damping = np.diag(structure.rate) if structure.rate.ndim == 1 else structure.rate
     residual = rows.T @ structure.residual_flexibility @ rows
     root = np.linalg.cholesky(residual + springs * np.eye(pairs))
-    load, static = structure.force @ shapes, structure.force @ structure.residual_flexibility
+    load, static_motion = structure.force @ shapes, structure.force @ structure.residual_flexibility
 
     def parts(t: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         wave = np.array([1.0, np.cos(omega * t), np.sin(omega * t)])
-        gap = state[:count] @ seen + (wave @ static) @ rows - structure.clearance
+        gap = state[:count] @ modal_rows + (wave @ static_motion) @ rows - structure.clearance
         return wave, gap, scipy.optimize.nnls(root.T, np.linalg.solve(root, gap))[0]
 
     def rate(t: float, state: np.ndarray) -> np.ndarray:
         wave, _, force = parts(t, state)
         spring = squares * state[:count] + damping @ state[count:]
-        return np.concatenate([state[count:], wave @ load - spring - seen @ force])
+        return np.concatenate([state[count:], wave @ load - spring - modal_rows @ force])
 
-    found = scipy.integrate.solve_ivp(
+    history = scipy.integrate.solve_ivp(
         rate, (0.0, duration), np.zeros(2 * count), "DOP853", instants, rtol=1e-9, atol=1e-11
     )
-    assert found.success
+    assert history.success
     gaps = []
-    for t, state in zip(found.t, found.y.T, strict=True):
+    for t, state in zip(history.t, history.y.T, strict=True):
         _, gap, force = parts(t, state)
         gaps.append(gap - residual @ force)
     return np.array(gaps)
@@ -64,19 +64,19 @@ def test_exact_without_contact(damping: str, steps: int) -> None:
     mass, matrix, stiffness = dense_matrices(structure)
     system = np.zeros((23, 23))
     system[:10, 10:20] = np.eye(10)
-    right = np.hstack([-stiffness, -matrix, structure.force.T])
-    system[10:20] = np.linalg.solve(mass, right)
+    acceleration_rows = np.hstack([-stiffness, -matrix, structure.force.T])
+    system[10:20] = np.linalg.solve(mass, acceleration_rows)
     system[21, 22], system[22, 21] = -omega, omega  # 1, cos and sin
     rng = np.random.default_rng(1)
     start = rng.normal(size=10), rng.normal(size=10)
     history = integrate_exponential(
         structure, omega, PENALTY, periods=2, steps_per_period=steps, initial=start
     )
-    begun = np.concatenate([*start, [1.0, 1.0, 0.0]])
-    exact = np.array([scipy.linalg.expm(t * system) @ begun for t in history.time])
+    initial_state = np.concatenate([*start, [1.0, 1.0, 0.0]])
+    exact = np.array([scipy.linalg.expm(t * system) @ initial_state for t in history.time])
     assert relative(history.displacement(range(10)), exact[:, :10]) < 1e-9
-    last = scipy.linalg.expm(4.0 * np.pi / omega * system) @ begun
-    assert relative(np.concatenate(history.final_state), last[:20]) < 1e-9
+    final_state = scipy.linalg.expm(4.0 * np.pi / omega * system) @ initial_state
+    assert relative(np.concatenate(history.final_state), final_state[:20]) < 1e-9
 
 
 def test_free_motion_of_a_free_structure() -> None:
@@ -88,8 +88,8 @@ def test_free_motion_of_a_free_structure() -> None:
         structure, 1.0, PENALTY, periods=3, steps_per_period=7, initial=(np.zeros(10), speed)
     )
     centre = history.displacement(range(10)) @ np.diag(mass) / np.trace(mass)
-    expected = history.time * (np.diag(mass) @ speed) / np.trace(mass)
-    assert relative(centre, expected) < 1e-11
+    exact_centre = history.time * (np.diag(mass) @ speed) / np.trace(mass)
+    assert relative(centre, exact_centre) < 1e-11
     assert abs(history.created_energy) < 1e-12
 
 
@@ -135,11 +135,11 @@ def test_energy_balance_is_of_second_order(damping: str) -> None:
     """Of contact that begins and ends, without penetration; the load's work by trapezoids."""
     structure, errors = massless(chain(damping), 4), []
     for steps in COUNTS:
-        found = [
+        histories = [
             integrate_exponential(structure, omega, RIGID, periods=4, steps_per_period=steps)
             for omega in (0.6, 0.7, 0.8, 0.9)
         ]
-        errors.append(np.mean([abs(history.created_energy) for history in found]))
+        errors.append(np.mean([abs(history.created_energy) for history in histories]))
     assert log_slope(COUNTS, errors) < -1.7 and errors[-1] < 1e-4
 
 
@@ -160,15 +160,17 @@ def test_bar_against_a_rigid_wall(modes: int, steps: int) -> None:
         initial=(np.zeros(structure.n_dofs), speed),
     )  # fmt: skip
     force, step = history.contact_force[:, 0], history.time[1]
-    closed = np.flatnonzero(force > 0.0)
-    assert closed[-1] - closed[0] + 1 == len(closed)
-    assert closed[0] * step == pytest.approx(2e-5, abs=step)
-    assert (closed[-1] + 1) * step == pytest.approx(1e-4, rel=0.01)
-    assert force[closed].mean() == pytest.approx(4e9, rel=0.02)
+    closed_steps = np.flatnonzero(force > 0.0)
+    assert closed_steps[-1] - closed_steps[0] + 1 == len(closed_steps)
+    assert closed_steps[0] * step == pytest.approx(2e-5, abs=step)
+    assert (closed_steps[-1] + 1) * step == pytest.approx(1e-4, rel=0.01)
+    assert force[closed_steps].mean() == pytest.approx(4e9, rel=0.02)
     assert force.sum() * step == pytest.approx(4e9 * 8e-5, rel=0.01)
-    after = history.final_state[1][0] / np.sqrt(8000.0 * 0.2)  # of the motion as a rigid body
-    assert abs(after) == pytest.approx(100.0, rel=0.02)
-    assert np.sign(after) == -np.sign(speed[0])
+    rebound_speed = history.final_state[1][0] / np.sqrt(
+        8000.0 * 0.2
+    )  # of the motion as a rigid body
+    assert abs(rebound_speed) == pytest.approx(100.0, rel=0.02)
+    assert np.sign(rebound_speed) == -np.sign(speed[0])
     assert history.gap.max() < 1e-9 * np.abs(history.gap).max()
 
 
@@ -199,29 +201,29 @@ def test_created_energy_is_refused(damping: str) -> None:
             integrate_exponential(
                 massless(structure, 9), 0.5, RIGID, periods=60, steps_per_period=steps
             )
-        found = integrate_exponential(
+        history = integrate_exponential(
             massless(structure, 8), 0.5, RIGID, periods=60, steps_per_period=steps
         )
-        assert abs(found.created_energy) < 0.05
+        assert abs(history.created_energy) < 0.05
 
 
 def test_march_goes_on_from_its_end() -> None:
     """Two periods, and one after the other; fewer records are the same records."""
     structure = massless(chain(), 4)
     options: dict[str, Any] = {"steps_per_period": 32}
-    whole = integrate_exponential(structure, 0.8, RIGID, periods=3, **options)
-    first = integrate_exponential(structure, 0.8, RIGID, periods=2, **options)
-    last = integrate_exponential(
-        structure, 0.8, RIGID, periods=1, initial=first.final_state, **options
+    whole_run = integrate_exponential(structure, 0.8, RIGID, periods=3, **options)
+    first_run = integrate_exponential(structure, 0.8, RIGID, periods=2, **options)
+    last_run = integrate_exponential(
+        structure, 0.8, RIGID, periods=1, initial=first_run.final_state, **options
     )
-    assert relative(last.gap, whole.gap[64:]) < 1e-11
-    kept = integrate_exponential(
+    assert relative(last_run.gap, whole_run.gap[64:]) < 1e-11
+    short_record = integrate_exponential(
         structure, 0.8, RIGID, periods=3, record_periods=1, dofs=[4], **options
     )
-    assert np.array_equal(kept.gap, whole.gap[64:])
-    assert relative(kept.displacement([4]), whole.displacement([4])[64:]) < 1e-12
-    closing = whole.structure.whole.apply_bt(whole.structure.expand(whole.recorded))
-    assert relative(closing - structure.clearance, whole.gap) < 1e-9
+    assert np.array_equal(short_record.gap, whole_run.gap[64:])
+    assert relative(short_record.displacement([4]), whole_run.displacement([4])[64:]) < 1e-12
+    closing_gap = whole_run.structure.whole.apply_bt(whole_run.structure.expand(whole_run.recorded))
+    assert relative(closing_gap - structure.clearance, whole_run.gap) < 1e-9
 
 
 def test_settled_march_is_the_balanced_orbit(soft_plate: fc.Structure) -> None:

@@ -17,30 +17,30 @@ def test_exponential_steps_are_of_second_order() -> None:
     """Of the inclined crack from the exact orbit on: gaps over the last period; losses."""
     structure, _ = plate("inclined_crack", 0.005)
     omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
-    found = solved("inclined_crack", 0.005, omega, 0.3)
-    orbit, off = found.orbit, []
+    solution = solved("inclined_crack", 0.005, omega, 0.3)
+    orbit, errors = solution.orbit, []
     size = np.ptp(orbit.gap)
     for steps in (256, 512, 1024):
         history = fc.integrate_exponential(
-            structure, omega, law, periods=150, steps_per_period=steps, initial=found,
+            structure, omega, law, periods=150, steps_per_period=steps, initial=solution,
             record_periods=1,
         )  # fmt: skip
-        off.append(float(np.abs(history.gap - orbit.gap_at(history.time)).max() / size))
+        errors.append(float(np.abs(history.gap - orbit.gap_at(history.time)).max() / size))
         slide = history.tangential_gap - orbit.tangential_gap_at(history.time)
         assert np.abs(slide).max() < 6e-2 * (512 / steps) ** 2 * size
         loss = history.indicators().friction_loss
         assert loss == pytest.approx(orbit.work.friction.sum(), rel=4e-3 * (1024 / steps) ** 2)
-    assert off[-1] < 3.2e-4 and all(3.0 < a / b < 5.0 for a, b in pairwise(off))
+    assert errors[-1] < 3.2e-4 and all(3.0 < a / b < 5.0 for a, b in pairwise(errors))
 
 
 def test_events_follow_the_orbit() -> None:
     structure, _ = plate("inclined_crack", 0.005)
     omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
-    found = solved("inclined_crack", 0.005, omega, 0.3)
+    solution = solved("inclined_crack", 0.005, omega, 0.3)
     history = fc.integrate_events(
-        structure, omega, law, periods=200, steps_per_period=128, initial=found, record_periods=1
+        structure, omega, law, periods=200, steps_per_period=128, initial=solution, record_periods=1
     )
-    exact = found.orbit.gap_at(history.time)
+    exact = solution.orbit.gap_at(history.time)
     np.testing.assert_allclose(history.gap, exact, atol=2e-6 * np.ptp(exact))
 
 
@@ -64,24 +64,26 @@ def chain(unmoved: int = 0) -> fc.Structure:
 def test_pairs_with_mass() -> None:
     """Central differences converge to the exact orbit of pairs with springs; those of a large
     structure, step by step, are the same."""
-    law, omega, off = fc.CoulombFriction(fc.UnilateralPenalty(8.0), 0.4, 5.0), 0.9, []
+    law, omega, errors = fc.CoulombFriction(fc.UnilateralPenalty(8.0), 0.4, 5.0), 0.9, []
     structure = chain()
-    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-2, throw=False)
-    orbit = found.orbit
+    solution = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-2, throw=False)
+    orbit = solution.orbit
     assert orbit is not None and orbit.sliding["slip_share"] > 0.02
     for steps in (256, 2048):
         history = fc.integrate_central_difference(
-            structure, omega, law, periods=60, steps_per_period=steps, initial=found
+            structure, omega, law, periods=60, steps_per_period=steps, initial=solution
         )
-        last = slice(-steps, None)
-        exact = orbit.gap_at(history.time[last])
-        off.append(float(np.abs(history.gap[last] - exact).max() / np.ptp(exact)))
-    assert off[1] < 2e-4 and off[1] < 0.1 * off[0]
-    ends = [
-        fc.integrate_central_difference(one, omega, law, periods=2, steps_per_period=64)
-        for one in (structure, chain(unmoved=700))
+        last_period = slice(-steps, None)
+        exact = orbit.gap_at(history.time[last_period])
+        errors.append(float(np.abs(history.gap[last_period] - exact).max() / np.ptp(exact)))
+    assert errors[1] < 2e-4 and errors[1] < 0.1 * errors[0]
+    forces = [
+        fc.integrate_central_difference(
+            chain_structure, omega, law, periods=2, steps_per_period=64
+        ).tangential_force
+        for chain_structure in (structure, chain(unmoved=700))
     ]
-    np.testing.assert_allclose(*(one.tangential_force for one in ends), atol=1e-10)  # type: ignore[misc]
+    np.testing.assert_allclose(*forces, atol=1e-10)
     with pytest.raises(fc.InputError, match="tangential stiffness"):
         rigid = fc.CoulombFriction(fc.UnilateralPenalty(8.0), 0.3)
         fc.integrate_central_difference(structure, omega, rigid, periods=1, steps_per_period=64)
@@ -93,20 +95,22 @@ def test_curves(tmp_path: Path, how: dict[str, float]) -> None:
     """Over the frequency and the coefficient: points are solutions, also when read again."""
     structure, _ = plate("inclined_crack", 0.005)
     omega, law = 3150.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
-    over = fc.continue_frequency(structure, omega, 1.02 * omega, law, **how)  # type: ignore[arg-type]
-    assert over.complete
-    index = len(over) // 2
-    alone = fc.solve_harmonic_balance(structure, float(over.omega[index]), law, throw=False, **how)  # type: ignore[arg-type]
-    assert over.amplitude()[index] == pytest.approx(alone.amplitude(), rel=5e-3)
-    loss = over.indicators().friction_loss
-    assert loss[index] == pytest.approx(alone.indicators().friction_loss, rel=2e-2)
-    fc.save(over, tmp_path / "curve.h5")
-    read = fc.load(tmp_path / "curve.h5", structure, law)
-    np.testing.assert_allclose(read.indicators().friction_loss, loss, rtol=1e-6)
-    rubbing = fc.continue_parameter(structure, omega, law, "friction", 1.0, 2.0, **how)  # type: ignore[arg-type]
-    assert rubbing.complete
+    curve = fc.continue_frequency(structure, omega, 1.02 * omega, law, **how)  # type: ignore[arg-type]
+    assert curve.complete
+    index = len(curve) // 2
+    solution = fc.solve_harmonic_balance(
+        structure, float(curve.omega[index]), law, throw=False, **how
+    )  # type: ignore[arg-type]
+    assert curve.amplitude()[index] == pytest.approx(solution.amplitude(), rel=5e-3)
+    loss = curve.indicators().friction_loss
+    assert loss[index] == pytest.approx(solution.indicators().friction_loss, rel=2e-2)
+    fc.save(curve, tmp_path / "curve.h5")
+    loaded_curve = fc.load(tmp_path / "curve.h5", structure, law)
+    np.testing.assert_allclose(loaded_curve.indicators().friction_loss, loss, rtol=1e-6)
+    friction_curve = fc.continue_parameter(structure, omega, law, "friction", 1.0, 2.0, **how)  # type: ignore[arg-type]
+    assert friction_curve.complete
     harder = fc.CoulombFriction(RIGID, 0.6)
-    alone = fc.solve_harmonic_balance(structure, omega, harder, throw=False, **how)  # type: ignore[arg-type]
-    assert rubbing.amplitude()[-1] == pytest.approx(alone.amplitude(), rel=5e-3)
+    solution = fc.solve_harmonic_balance(structure, omega, harder, throw=False, **how)  # type: ignore[arg-type]
+    assert friction_curve.amplitude()[-1] == pytest.approx(solution.amplitude(), rel=5e-3)
     with pytest.raises(fc.InputError, match="no friction"):
         fc.continue_parameter(structure, omega, RIGID, "friction", 1.0, 2.0, **how)  # type: ignore[arg-type]

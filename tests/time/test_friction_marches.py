@@ -50,54 +50,58 @@ def test_order(method: Method) -> None:
     """The slide of the Jenkins oscillator against its exact orbit: order 2, fitted."""
     structure, law = jenkins()
     orbit = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-4).orbit
-    counts, off = 2 ** np.arange(7, 12), []
+    counts, errors = 2 ** np.arange(7, 12), []
     for steps in counts.tolist():
         history = last_period(method, structure, law, steps)
         exact = orbit.tangential_gap_at(history.time)
-        off.append(np.abs(history.tangential_gap - exact).max())
-    order = -np.polyfit(np.log(counts), np.log(off), 1)[0]
+        errors.append(np.abs(history.tangential_gap - exact).max())
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
     assert order == pytest.approx(2.0, abs=0.25)
 
 
 def test_energy_of_pairs_with_mass() -> None:
     """Over a settled period the load's work is what damping and friction take: to rounding while
     the pair is closed; where it opens, too, but for what closing between steps creates."""
-    for pressed, least in ((1.0, 1e-9), (0.3, 1e-4)):
-        structure, missing = rubbing(pressed=pressed), []
+    for pressed, max_missing in ((1.0, 1e-9), (0.3, 1e-4)):
+        structure, missing_shares = rubbing(pressed=pressed), []
         for steps in (128, 512):
             history = last_period(fc.integrate_central_difference, structure, RUBBING, steps)
             assert np.any(history.gap < 0.0) == (pressed < 1.0)
-            moved, phase, force = history.recorded, 0.9 * history.time[:, None], structure.force
+            motion, phase, force = history.recorded, 0.9 * history.time[:, None], structure.force
             load = force[0] + np.cos(phase) * force[1] + np.sin(phase) * force[2]
-            twice = np.roll(moved, -1, axis=0) - np.roll(moved, 1, axis=0)
+            twice = np.roll(motion, -1, axis=0) - np.roll(motion, 1, axis=0)
             work = 0.5 * np.sum(load * twice)
             damping = 0.1 * np.sum(twice**2) / 4.0 * steps * 0.9 / (2.0 * np.pi)
             friction = history.indicators().friction_loss
             assert 0.02 * work < friction < work
-            missing.append(abs(work - damping - friction) / work)
-        assert missing[1] < least and missing[1] < max(1e-9, 0.25 * missing[0])
+            missing_shares.append(abs(work - damping - friction) / work)
+        assert missing_shares[1] < max_missing and missing_shares[1] < max(
+            1e-9, 0.25 * missing_shares[0]
+        )
 
 
 @pytest.mark.parametrize("unmoved", [0, 700])
 def test_without_friction_central_differences(unmoved: int) -> None:
     structure = rubbing(unmoved)
-    free, none = (
+    no_mu, small_mu = (
         fc.integrate_central_difference(structure, 0.9, law, periods=3, steps_per_period=64)
         for law in (SOFT, fc.CoulombFriction(SOFT, 1e-300, 5.0))
     )
-    np.testing.assert_allclose(none.gap, free.gap, atol=1e-12 * np.ptp(free.gap))
-    np.testing.assert_allclose(none.recorded, free.recorded, atol=1e-12 * np.ptp(free.recorded))
+    np.testing.assert_allclose(small_mu.gap, no_mu.gap, atol=1e-12 * np.ptp(no_mu.gap))
+    np.testing.assert_allclose(
+        small_mu.recorded, no_mu.recorded, atol=1e-12 * np.ptp(no_mu.recorded)
+    )
 
 
 def test_without_friction_exponential_steps() -> None:
     structure, _ = plate("inclined_crack", 0.005)
-    free, none = (
+    no_mu, small_mu = (
         fc.integrate_exponential(structure, 3183.0 * HERTZ, law, periods=5, steps_per_period=256)
         for law in (RIGID, fc.CoulombFriction(RIGID, 1e-300))
     )
-    np.testing.assert_allclose(none.gap, free.gap, atol=1e-12 * np.ptp(free.gap))
-    force = free.contact_force
-    np.testing.assert_allclose(none.contact_force, force, atol=1e-12 * np.ptp(force))
+    np.testing.assert_allclose(small_mu.gap, no_mu.gap, atol=1e-12 * np.ptp(no_mu.gap))
+    force = no_mu.contact_force
+    np.testing.assert_allclose(small_mu.contact_force, force, atol=1e-12 * np.ptp(force))
 
 
 @pytest.mark.parametrize(
@@ -112,22 +116,24 @@ def test_without_friction_exponential_steps() -> None:
 def test_run_that_goes_on(tmp_path: Path, method: Method, unmoved: int, close: float) -> None:
     """Pairs remember where they stick, in files too; what forgets it goes elsewhere."""
     structure, options = rubbing(unmoved), {"steps_per_period": 256}
-    whole = method(structure, 0.9, RUBBING, periods=5, **options)
-    first = method(structure, 0.9, RUBBING, periods=3, **options)
-    fc.save(first, tmp_path / "first.h5")
-    again = fc.load(tmp_path / "first.h5", structure)
-    assert all(map(np.array_equal, again.final_state, first.final_state))
-    size = np.ptp(whole.tangential_force)
-    off = []
-    for state in (again.final_state, again.final_state[:2]):
+    whole_run = method(structure, 0.9, RUBBING, periods=5, **options)
+    first_run = method(structure, 0.9, RUBBING, periods=3, **options)
+    fc.save(first_run, tmp_path / "first.h5")
+    loaded_run = fc.load(tmp_path / "first.h5", structure)
+    assert all(map(np.array_equal, loaded_run.final_state, first_run.final_state))
+    size = np.ptp(whole_run.tangential_force)
+    errors = []
+    for state in (loaded_run.final_state, loaded_run.final_state[:2]):
         rest = method(structure, 0.9, RUBBING, periods=2, initial=state, **options)
-        off.append(np.abs(rest.tangential_force - whole.tangential_force[-512:]).max() / size)
-    assert off[0] < close < 0.02 < off[1]
+        errors.append(
+            np.abs(rest.tangential_force - whole_run.tangential_force[-512:]).max() / size
+        )
+    assert errors[0] < close < 0.02 < errors[1]
     with pytest.raises(fc.InputError, match="places"):
-        wrong = *first.final_state[:2], np.zeros(3)
-        method(structure, 0.9, RUBBING, periods=1, initial=wrong, **options)
+        wrong_state = *first_run.final_state[:2], np.zeros(3)
+        method(structure, 0.9, RUBBING, periods=1, initial=wrong_state, **options)
     with pytest.raises(fc.InputError, match="two arrays, with friction a third"):
-        method(structure, 0.9, SOFT, periods=1, initial=first.final_state, **options)
+        method(structure, 0.9, SOFT, periods=1, initial=first_run.final_state, **options)
 
 
 @BOTH
@@ -135,17 +141,17 @@ def test_start_on_the_orbit(method: Method) -> None:
     """A solution hands over where its pairs stick: the first period is the orbit already, as near
     as the harmonics are; its displacement and velocity alone begin another motion."""
     structure = rubbing()
-    found = fc.solve_harmonic_balance(structure, 0.9, RUBBING, tolerance=1e-3, throw=False)
-    orbit, coefficients = found.orbit, found.displacement_coefficients
+    solution = fc.solve_harmonic_balance(structure, 0.9, RUBBING, tolerance=1e-3, throw=False)
+    orbit, coefficients = solution.orbit, solution.displacement_coefficients
     orders = np.arange(1, len(coefficients) // 2 + 1)
     velocity = 0.9 * orders @ coefficients[2::2]
-    moved = coefficients[0] + coefficients[1::2].sum(axis=0)
-    off = []
-    for start in (found, (moved, velocity)):
+    displacement = coefficients[0] + coefficients[1::2].sum(axis=0)
+    errors = []
+    for start in (solution, (displacement, velocity)):
         history = method(structure, 0.9, RUBBING, periods=1, steps_per_period=1024, initial=start)
         exact = orbit.tangential_force_at(history.time)
-        off.append(np.abs(history.tangential_force - exact).max() / np.ptp(exact))
-    assert off[0] < 2e-3 and off[0] < 0.1 * off[1], off
+        errors.append(np.abs(history.tangential_force - exact).max() / np.ptp(exact))
+    assert errors[0] < 2e-3 and errors[0] < 0.1 * errors[1], errors
 
 
 @pytest.mark.nightly
@@ -161,13 +167,12 @@ def test_scene_that_goes_on(tmp_path: Path) -> None:
         run = fc.integrate(scene.replace(changes), MPI.COMM_SELF)
         run.save(tmp_path / "integration.h5")
         runs.append(run.result)
-    whole, first, rest = runs
-    count, size = len(rest.time), np.ptp(whole.tangential_force)
-    off = rest.tangential_force - whole.tangential_force[-count:]
-    assert np.abs(off).max() < 1e-6 * size and len(first.final_state) == 3
-    solved = fc.solve(scene, MPI.COMM_SELF)
-    solved.save(tmp_path / "solution.h5")
+    whole_run, first_run, rest = runs
+    count, size = len(rest.time), np.ptp(whole_run.tangential_force)
+    difference = rest.tangential_force - whole_run.tangential_force[-count:]
+    assert np.abs(difference).max() < 1e-6 * size and len(first_run.final_state) == 3
+    fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
     changes = {"integration.periods": 1, "integration.initial": str(tmp_path / "solution.h5")}
     assert fc.integrate(scene.replace(changes), MPI.COMM_SELF).result.friction == 0.3
-    free = scene.replace(changes | {"contact.friction": 0.0})
-    assert fc.integrate(free, MPI.COMM_SELF).result.friction is None
+    frictionless_scene = scene.replace(changes | {"contact.friction": 0.0})
+    assert fc.integrate(frictionless_scene, MPI.COMM_SELF).result.friction is None

@@ -77,16 +77,16 @@ def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     n = 5
     mass = np.diag(rng.uniform(1.0, 2.0, n))
     stiffness = random_stiffness(rng, n)
-    given = {
+    damping_form = {
         "modal": fc.ModalDamping(0.05),
         "few modes": fc.ModalDamping(0.05, 2),
         "rayleigh": fc.RayleighDamping(0.3, 0.02),
         "matrix": 0.3 * mass + 0.02 * stiffness,
     }.get(damping)
     structure = fc.Structure.from_matrices(  # its pair never closes
-        mass, stiffness, gap=np.eye(n, 1), damping=given, clearance=1e3
+        mass, stiffness, gap=np.eye(n, 1), damping=damping_form, clearance=1e3
     )
-    full = dense_matrices(structure)[1]
+    damping_matrix = dense_matrices(structure)[1]
     start = rng.normal(size=(2, n))
     period, steps = 5.0, 4000
     history = fc.integrate_central_difference(
@@ -98,21 +98,27 @@ def test_damping_forms_against_matrix_exponential(damping: str) -> None:
         initial=(start[0], start[1]),
     )
     inverse = np.linalg.inv(mass)
-    flow = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ full]])
-    last = steps - 1
-    exact = (expm(flow * history.time[last]) @ start.ravel())[:n]
-    found = history.displacement(range(n))[last]
-    assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(start[0])
+    flow = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping_matrix]]
+    )
+    last_step = steps - 1
+    exact = (expm(flow * history.time[last_step]) @ start.ravel())[:n]
+    displacement = history.displacement(range(n))[last_step]
+    assert np.linalg.norm(displacement - exact) < 1e-4 * np.linalg.norm(start[0])
 
 
 def test_step_beyond_the_stable_one_is_refused(soft_plate: fc.Structure) -> None:
     """dt <= 2 / omega_max with the pairs closed; the error names the least number of steps."""
-    highest = fc.solve_modes(soft_plate.tied(1e9), soft_plate.n_dofs).omega[-1]
-    least = fc.stable_steps_per_period(soft_plate, 2000.0, LAW)
-    assert (2.0 * np.pi / 2000.0) / least < 2.0 / highest < (2.0 * np.pi / 2000.0) / (least - 1)
-    with pytest.raises(fc.InputError, match=f"steps_per_period.*>= {least}"):
+    highest_omega = fc.solve_modes(soft_plate.tied(1e9), soft_plate.n_dofs).omega[-1]
+    min_steps = fc.stable_steps_per_period(soft_plate, 2000.0, LAW)
+    assert (
+        (2.0 * np.pi / 2000.0) / min_steps
+        < 2.0 / highest_omega
+        < (2.0 * np.pi / 2000.0) / (min_steps - 1)
+    )
+    with pytest.raises(fc.InputError, match=f"steps_per_period.*>= {min_steps}"):
         fc.integrate_central_difference(
-            soft_plate, 2000.0, LAW, periods=1, steps_per_period=least - 1
+            soft_plate, 2000.0, LAW, periods=1, steps_per_period=min_steps - 1
         )
 
 
@@ -122,15 +128,15 @@ def test_stable_limit_is_sharp_without_contact_events() -> None:
         np.eye(1), np.eye(1), gap=np.ones(1), clearance=-1e3, force_sin=np.ones(1)
     )
     law = fc.UnilateralPenalty(99.0)  # always closed: frequency 10
-    least = fc.stable_steps_per_period(structure, 1.0, law)
-    assert least == 32  # 10 pi = 31.4
+    min_steps = fc.stable_steps_per_period(structure, 1.0, law)
+    assert min_steps == 32  # 10 pi = 31.4
     rest = -990.0  # x + 99 (x + 1000) = 0
     history = fc.integrate_central_difference(
         structure,
         1.0,
         law,
         periods=50,
-        steps_per_period=least,
+        steps_per_period=min_steps,
         initial=(np.full(1, rest + 1.0), np.zeros(1)),
     )
     assert np.abs(history.displacement([0]) - rest).max() < 2.0
@@ -139,46 +145,48 @@ def test_stable_limit_is_sharp_without_contact_events() -> None:
 def test_contact_that_creates_energy_is_an_error(paper_structure: fc.Structure) -> None:
     """Close to the stable limit stiff contact feeds the motion: an error, not a wave of 1e107 m."""
     law = fc.UnilateralPenalty(1e11)
-    least = fc.stable_steps_per_period(paper_structure, 2000.0, law)
+    min_steps = fc.stable_steps_per_period(paper_structure, 2000.0, law)
     with pytest.raises(fc.ConvergenceError, match="times the energy put in"):
         fc.integrate_central_difference(
-            paper_structure, 2000.0, law, periods=400, steps_per_period=least + 40, dofs=[]
+            paper_structure, 2000.0, law, periods=400, steps_per_period=min_steps + 40, dofs=[]
         )
 
 
 def test_created_energy_is_of_second_order() -> None:
     """Like dt^2, in the mean over steps that meet the contact at other phases."""
-    chained, law = chain("none"), fc.UnilateralPenalty(4.0)
+    chain_structure, law = chain("none"), fc.UnilateralPenalty(4.0)
     counts: list[int] = [200, 400, 800, 1600, 3200]
-    created = []
+    created_energies = []
     for steps in counts:
-        near = range(steps, steps + 56, 7)
+        step_counts = range(steps, steps + 56, 7)
         histories = [
-            [release(count) for count in near],
+            [release(count) for count in step_counts],
             [
                 fc.integrate_central_difference(
-                    chained, 0.8, law, periods=2, steps_per_period=count, dofs=()
+                    chain_structure, 0.8, law, periods=2, steps_per_period=count, dofs=()
                 )
-                for count in near
+                for count in step_counts
             ],
         ]
-        created.append([np.mean([h.created_energy**2 for h in row]) ** 0.5 for row in histories])
-    for sizes in np.transpose(created):
+        created_energies.append(
+            [np.mean([h.created_energy**2 for h in row]) ** 0.5 for row in histories]
+        )
+    for sizes in np.transpose(created_energies):
         assert log_slope(counts, sizes) == pytest.approx(-2.0, abs=0.2)
 
 
 def test_lumped_mass(soft_plate: fc.Structure) -> None:
     """The plate with its lumped mass moves as its own exact flow says; its steps may be longer."""
-    lumped, options = soft_plate.lumped(), {"periods": 3, "steps_per_period": 1024}
-    history = fc.integrate_central_difference(lumped, 2000.0, LAW, **options)
-    exact = fc.integrate_events(lumped, 2000.0, LAW, **options)
+    lumped_plate, options = soft_plate.lumped(), {"periods": 3, "steps_per_period": 1024}
+    history = fc.integrate_central_difference(lumped_plate, 2000.0, LAW, **options)
+    exact = fc.integrate_events(lumped_plate, 2000.0, LAW, **options)
     assert relative(history.gap, exact.gap) < 1e-3
-    assert fc.solve_modes(lumped, 1).omega[0] < fc.solve_modes(soft_plate, 1).omega[0]
-    steps, more = (
+    assert fc.solve_modes(lumped_plate, 1).omega[0] < fc.solve_modes(soft_plate, 1).omega[0]
+    steps, consistent_steps = (
         fc.stable_steps_per_period(plate, 2000.0, fc.UnilateralConstraint())
-        for plate in (lumped, soft_plate)
+        for plate in (lumped_plate, soft_plate)
     )
-    assert steps < more
+    assert steps < consistent_steps
 
 
 def motion(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
@@ -203,28 +211,32 @@ def test_same_motion_on_one_and_two_ranks(
 
 def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Structure) -> None:
     """Recorded displacement is that of the whole structure, by every way of recording."""
-    reduced = fc.reduce_structure(soft_plate, modes=50)
+    reduced_plate = fc.reduce_structure(soft_plate, modes=50)
     corner = soft_plate.find_dof((0.1, 0.1), "x")
     options = {"periods": 2, "steps_per_period": 512}
-    whole = fc.integrate_central_difference(soft_plate, 2000.0, LAW, **options)  # type: ignore[arg-type]
+    full_history = fc.integrate_central_difference(soft_plate, 2000.0, LAW, **options)  # type: ignore[arg-type]
     for dofs in (None, [corner]):
-        history = fc.integrate_central_difference(reduced, 2000.0, LAW, dofs=dofs, **options)  # type: ignore[arg-type]
-        difference = history.displacement([corner]) - whole.displacement([corner])
-        assert np.abs(difference).max() < 1e-6 * np.abs(whole.displacement([corner])).max()
+        history = fc.integrate_central_difference(reduced_plate, 2000.0, LAW, dofs=dofs, **options)  # type: ignore[arg-type]
+        difference = history.displacement([corner]) - full_history.displacement([corner])
+        assert np.abs(difference).max() < 1e-6 * np.abs(full_history.displacement([corner])).max()
 
 
 @pytest.mark.parametrize("modes", [20, 40])
 def test_reduced_structure_against_the_exact_flow(modes: int) -> None:
     """Order 2 against its own exact flow; with all modes, against that of the whole chain."""
-    whole, law = chain("modal", n=40), fc.UnilateralPenalty(4.0)
-    reduced = fc.reduce_structure(whole, modes=modes)
+    full_structure, law = chain("modal", n=40), fc.UnilateralPenalty(4.0)
+    reduced_structure = fc.reduce_structure(full_structure, modes=modes)
     exact = fc.integrate_events(
-        whole if modes == whole.n_dofs else reduced, 0.8, law, periods=2, steps_per_period=64
+        full_structure if modes == full_structure.n_dofs else reduced_structure,
+        0.8,
+        law,
+        periods=2,
+        steps_per_period=64,
     )
     counts, errors = (128, 256, 512, 1024), []
     for steps in counts:
         history = fc.integrate_central_difference(
-            reduced, 0.8, law, periods=2, steps_per_period=steps
+            reduced_structure, 0.8, law, periods=2, steps_per_period=steps
         )
         errors.append(relative(history.gap[:: steps // 64], exact.gap))
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
@@ -233,8 +245,8 @@ def test_reduced_structure_against_the_exact_flow(modes: int) -> None:
 
 def test_the_stable_step_without_penetration(soft_plate: fc.Structure) -> None:
     """It is that with open pairs, longer than with any spring; what is no law is refused."""
-    least = fc.stable_steps_per_period(soft_plate, 2000.0, fc.UnilateralConstraint())
-    assert least <= fc.stable_steps_per_period(soft_plate, 2000.0, fc.UnilateralPenalty(1e6))
+    min_steps = fc.stable_steps_per_period(soft_plate, 2000.0, fc.UnilateralConstraint())
+    assert min_steps <= fc.stable_steps_per_period(soft_plate, 2000.0, fc.UnilateralPenalty(1e6))
     with pytest.raises(fc.InputError, match="contact"):
         fc.stable_steps_per_period(soft_plate, 2000.0, "rigid")  # type: ignore[arg-type]
 
@@ -245,23 +257,23 @@ def test_a_run_goes_on_from_another(damping: str) -> None:
     structure, law = chain(damping), fc.UnilateralPenalty(4.0)
     ten = fc.integrate_events(structure, 0.8, law, periods=10, record_periods=1)
     five = fc.integrate_events(structure, 0.8, law, periods=5)
-    more = fc.integrate_events(
+    continued_run = fc.integrate_events(
         structure, 0.8, law, periods=5, initial=five.final_state, record_periods=1
     )
-    assert np.allclose(more.gap, ten.gap, atol=1e-9 * np.abs(ten.gap).max())
+    assert np.allclose(continued_run.gap, ten.gap, atol=1e-9 * np.abs(ten.gap).max())
     errors, counts = [], (200, 400, 800)
     for steps in counts:
-        whole, first = (
+        whole_run, first_run = (
             fc.integrate_central_difference(
                 structure, 0.8, law, periods=periods, steps_per_period=steps, record_periods=1
             )
             for periods in (10, 5)
         )
-        second = fc.integrate_central_difference(
-            structure, 0.8, law, periods=5, steps_per_period=steps, initial=first.final_state,
+        second_run = fc.integrate_central_difference(
+            structure, 0.8, law, periods=5, steps_per_period=steps, initial=first_run.final_state,
             record_periods=1,
         )  # fmt: skip
-        errors.append(np.abs(second.gap - whole.gap).max() / np.abs(whole.gap).max())
+        errors.append(np.abs(second_run.gap - whole_run.gap).max() / np.abs(whole_run.gap).max())
     if damping == "none":  # the acceleration does not depend on the velocity
         assert max(errors) < 1e-12
     else:
@@ -294,17 +306,17 @@ def test_a_stopped_run_loses_nothing(tmp_path: Path) -> None:
             structure, 0.8, law, periods=periods, steps_per_period=steps, **options
         )
 
-    whole, handler = run(8), signal.getsignal(signal.SIGINT)
+    whole_run, handler = run(8), signal.getsignal(signal.SIGINT)
     law.left = 7 * steps // 2
     part = run(8)
     assert part.periods == 4 and signal.getsignal(signal.SIGINT) == handler
-    assert np.array_equal(part.gap, whole.gap[: 4 * steps])
+    assert np.array_equal(part.gap, whole_run.gap[: 4 * steps])
     fc.save(part, tmp_path / "part.h5")
-    again = fc.load(tmp_path / "part.h5", structure)
-    assert np.array_equal(again.gap, part.gap) and again.periods == 4
-    rest = run(4, initial=again.final_state)
-    size = np.abs(whole.gap).max()
-    assert np.abs(rest.gap - whole.gap[4 * steps :]).max() < 2e-3 * size
+    loaded_run = fc.load(tmp_path / "part.h5", structure)
+    assert np.array_equal(loaded_run.gap, part.gap) and loaded_run.periods == 4
+    rest = run(4, initial=loaded_run.final_state)
+    size = np.abs(whole_run.gap).max()
+    assert np.abs(rest.gap - whole_run.gap[4 * steps :]).max() < 2e-3 * size
     with pytest.raises(fc.InputError, match="structure"):
         fc.load(tmp_path / "part.h5", chain(n=12, pairs=3))
     (tmp_path / "other.h5").write_text("no history")
@@ -320,7 +332,7 @@ def test_created_energy_of_a_smoothed_law() -> None:
         [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], clearance=0.1, damping=[[0.1]]
     )
     counts: list[int] = [400, 800, 1600]
-    created = []
+    created_energies = []
     for steps in counts:
         histories = [
             fc.integrate_central_difference(
@@ -328,8 +340,10 @@ def test_created_energy_of_a_smoothed_law() -> None:
             )
             for count in range(steps, steps + 7)
         ]
-        created.append(np.mean([one.created_energy**2 for one in histories]) ** 0.5)
-    assert log_slope(counts, created) == pytest.approx(-2.0, abs=0.2)
+        created_energies.append(
+            np.mean([history.created_energy**2 for history in histories]) ** 0.5
+        )
+    assert log_slope(counts, created_energies) == pytest.approx(-2.0, abs=0.2)
 
 
 # --- energy, and contact without penetration ---------------------------------------------------
@@ -399,10 +413,10 @@ def test_paper_plate_without_penetration(start: int | None, soft_plate: fc.Struc
     """Settles, from rest or from few harmonics, on the harmonic balance of the same constraint; the
     mean force is its."""
     solution = fc.solve_harmonic_balance(soft_plate, 2000.0, RIGID, harmonics=40)
-    few = start and fc.solve_harmonic_balance(soft_plate, 2000.0, RIGID, harmonics=start)
+    start_solution = start and fc.solve_harmonic_balance(soft_plate, 2000.0, RIGID, harmonics=start)
     history = fc.integrate_central_difference(
         soft_plate, 2000.0, RIGID, periods=200, steps_per_period=512, settle=1e-4,
-        record_periods=1, initial=few,
+        record_periods=1, initial=start_solution,
     )  # fmt: skip
     assert history.settled < 1e-4 and history.periods > 5
     assert relative(history.gap, solution.gap(history.time)) < 5e-3
@@ -425,11 +439,17 @@ def test_limit_of_stiff_penalty_in_lasting_contact() -> None:
     assert np.abs(rigid.gap).max() < 1e-12
     errors, forces = [], []
     for k in stiffnesses:
-        soft = fc.integrate_central_difference(
+        soft_history = fc.integrate_central_difference(
             structure, 0.6, fc.UnilateralPenalty(k), periods=4, steps_per_period=steps
         )
-        last = slice(3 * steps, None)
-        errors.append(relative(soft.displacement([1])[last], rigid.displacement([1])[last]))
-        forces.append(relative(soft.contact_force[last], rigid.contact_force[last]))
+        last_period = slice(3 * steps, None)
+        errors.append(
+            relative(
+                soft_history.displacement([1])[last_period], rigid.displacement([1])[last_period]
+            )
+        )
+        forces.append(
+            relative(soft_history.contact_force[last_period], rigid.contact_force[last_period])
+        )
     assert log_slope(stiffnesses, errors) == pytest.approx(-1.0, abs=0.1)
     assert errors[-1] < 1e-2 and forces[-1] < 2e-2

@@ -54,11 +54,11 @@ def test_bad_arguments_are_named(
 ) -> None:
     """One error that names the key, whatever is wrong with its value, from every scheme."""
     for value in values:
-        given: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "omega": 2000.0, "contact": LAW, "periods": 1, "steps_per_period": 512,
         } | {key.split()[0]: value}  # fmt: skip
         with pytest.raises(fc.InputError) as caught:
-            scheme(soft_plate, **given)
+            scheme(soft_plate, **arguments)
         assert caught.value.key == key, value
 
 
@@ -83,22 +83,25 @@ def test_recording(scheme: Scheme, soft_plate: fc.Structure) -> None:
     options: dict[str, Any] = {"periods": 5, "steps_per_period": 320}
     rounding = 1e-14  # products with fewer rows may round otherwise
     everything = scheme(soft_plate, 2000.0, LAW, **options)
-    some = scheme(soft_plate, 2000.0, LAW, record_periods=2, dofs=[3, 40], **options)
-    assert len(everything.time) == 5 * 320 and len(some.time) == 2 * 320
-    for found, whole in (
-        (some.time, everything.time),
-        (some.gap, everything.gap),
-        (some.contact_force, everything.contact_force),
-        (some.displacement([40, 3]), everything.displacement([40, 3])),
+    partial_run = scheme(soft_plate, 2000.0, LAW, record_periods=2, dofs=[3, 40], **options)
+    assert len(everything.time) == 5 * 320 and len(partial_run.time) == 2 * 320
+    for record, expected_record in (
+        (partial_run.time, everything.time),
+        (partial_run.gap, everything.gap),
+        (partial_run.contact_force, everything.contact_force),
+        (partial_run.displacement([40, 3]), everything.displacement([40, 3])),
     ):
-        assert np.abs(found - whole[-640:]).max() <= rounding * np.abs(whole).max()
+        assert (
+            np.abs(record - expected_record[-640:]).max()
+            <= rounding * np.abs(expected_record).max()
+        )
     assert np.allclose(np.diff(everything.time), everything.time[1])
     gap = everything.displacement(range(50)) @ soft_plate.gap.toarray()
     assert np.allclose(gap, everything.gap, atol=1e-20)
     with pytest.raises(fc.InputError, match="dofs"):
-        some.displacement([5])
-    more = scheme(soft_plate, 2000.0, LAW, record_periods=7, **options)
-    assert np.array_equal(more.gap, everything.gap)
+        partial_run.displacement([5])
+    long_record = scheme(soft_plate, 2000.0, LAW, record_periods=7, **options)
+    assert np.array_equal(long_record.gap, everything.gap)
 
 
 @all_schemes
@@ -119,18 +122,18 @@ def test_distance_that_is_left(omega: float, settle: float) -> None:
     """The last periods of a motion tell where it goes; one more period changes it by as much, or by
     twice that."""
     structure, law = two_masses(1.0), fc.UnilateralPenalty(1.0)
-    found, exact = (
-        fc.integrate_events(structure, omega, law, periods=4000, settle=left, record_periods=4)
-        for left in (settle, 1e-11)
+    history, exact = (
+        fc.integrate_events(structure, omega, law, periods=4000, settle=level, record_periods=4)
+        for level in (settle, 1e-11)
     )
-    left = []
-    for of in (lambda one: one.gap + structure.clearance, lambda one: one.displacement()):
-        near, wave = (one.by_period(of(one))[-1] for one in (found, exact))
-        moving = np.sum((wave - wave.mean(axis=0)) ** 2)
-        size = math.sqrt(moving + min(np.sum(wave**2) - moving, moving))
-        left.append(np.linalg.norm(near - wave) / size)
-    assert found.distance == pytest.approx(max(left), rel=0.02)
-    assert found.distance > 0.4 * found.settled
+    distances = []
+    for quantity in (lambda run: run.gap + structure.clearance, lambda run: run.displacement()):
+        motion, wave = (run.by_period(quantity(run))[-1] for run in (history, exact))
+        moving_square = np.sum((wave - wave.mean(axis=0)) ** 2)
+        size = math.sqrt(moving_square + min(np.sum(wave**2) - moving_square, moving_square))
+        distances.append(np.linalg.norm(motion - wave) / size)
+    assert history.distance == pytest.approx(max(distances), rel=0.02)
+    assert history.distance > 0.4 * history.settled
 
 
 @pytest.mark.parametrize("scheme", WITH_MASS, ids=NAMES)
@@ -147,10 +150,10 @@ def test_history_in_one_line(scheme: Scheme) -> None:
     """How far it went, whether it settled, and how many pairs there are."""
     structure, law = chain(), fc.UnilateralPenalty(4.0)
     two = scheme(structure, 0.8, law, periods=2, steps_per_period=64)
-    settled = f", settled to {two.settled:.0e}"
-    assert repr(two) == f"TimeHistory(2 periods of 64 steps{settled}, 3 pairs)"
-    one = scheme(oscillator(), 0.8, law, periods=1, steps_per_period=64)
-    assert repr(one) == "TimeHistory(1 period of 64 steps, 1 pair)"
+    settled_text = f", settled to {two.settled:.0e}"
+    assert repr(two) == f"TimeHistory(2 periods of 64 steps{settled_text}, 3 pairs)"
+    one_period = scheme(oscillator(), 0.8, law, periods=1, steps_per_period=64)
+    assert repr(one_period) == "TimeHistory(1 period of 64 steps, 1 pair)"
 
 
 def test_all_schemes_march_alike() -> None:
@@ -169,27 +172,26 @@ def test_all_schemes_march_alike() -> None:
 
 def test_lips_without_mass_are_refused(wide_plate: fc.Structure) -> None:
     """By steps that need mass, and with them the stable step."""
-    reduced = fc.reduce_structure(wide_plate, modes=10, method="massless")
+    reduced_plate = fc.reduce_structure(wide_plate, modes=10, method="massless")
     with pytest.raises(fc.InputError, match="'free_interface', or march by integrate_expo"):
-        fc.integrate_central_difference(reduced, 2000.0, LAW, periods=1, steps_per_period=512)
+        fc.integrate_central_difference(reduced_plate, 2000.0, LAW, periods=1, steps_per_period=512)
     with pytest.raises(fc.InputError, match="mass at its faces"):
-        fc.stable_steps_per_period(reduced, 2000.0, LAW)
+        fc.stable_steps_per_period(reduced_plate, 2000.0, LAW)
 
 
 def test_exponential_without_pairs(wide_plate: fc.Structure) -> None:
     """The linear motion, whose end is judged by the modes alone: what has no mass is at rest."""
-    whole = fc.Structure.from_matrices(
+    full_structure = fc.Structure.from_matrices(
         wide_plate.mass, wide_plate.stiffness, gap=None, damping=fc.ModalDamping(0.05),
         force_sin=wide_plate.force[2],
     )  # fmt: skip
-    reduced = fc.reduce_structure(whole, modes=10, method="massless")
-    corner = int(np.argmax(np.abs(whole.force[2])))
-    found = fc.integrate_exponential(reduced, 2000.0, LAW, periods=60, settle=1e-6)
-    assert 20 < found.periods < 60 and found.gap.shape[1] == 0
-    motion = found.by_period(found.displacement([corner]))[-1]
-    linear = fc.solve_linear(whole, 2000.0)
-    expected = linear.displacement(found.time[-512:], [corner])
-    assert relative(motion, expected) < 1e-3
+    reduced_structure = fc.reduce_structure(full_structure, modes=10, method="massless")
+    corner = int(np.argmax(np.abs(full_structure.force[2])))
+    history = fc.integrate_exponential(reduced_structure, 2000.0, LAW, periods=60, settle=1e-6)
+    assert 20 < history.periods < 60 and history.gap.shape[1] == 0
+    motion = history.by_period(history.displacement([corner]))[-1]
+    linear = fc.solve_linear(full_structure, 2000.0)
+    assert relative(motion, linear.displacement(history.time[-512:], [corner])) < 1e-3
 
 
 @pytest.mark.parametrize(("mean", "clearance"), [(-1000.0, 0.0), (1000.0, 0.0), (0.0, 1e6)])
@@ -201,13 +203,13 @@ def test_means_do_not_make_a_motion_settle(mean: float, clearance: float) -> Non
         [[1.0]], [[1.0]], gap=[1.0], force_mean=[mean], force_sin=[1.0], clearance=clearance,
         damping=[[0.02]],
     )  # fmt: skip
-    law, closed = fc.UnilateralPenalty(10.0), mean > 0.0
-    found = fc.integrate_events(
+    law, is_closed = fc.UnilateralPenalty(10.0), mean > 0.0
+    history = fc.integrate_events(
         structure, 0.7, law, periods=1000, settle=1e-3, record_periods=4
     )  # fmt: skip
-    exact = 1.0 / abs((11.0 if closed else 1.0) - 0.49 + 0.014j)
-    assert found.settled < 1e-3
-    assert found.indicators().amplitude == pytest.approx(exact, rel=3.0 * found.distance)
+    exact = 1.0 / abs((11.0 if is_closed else 1.0) - 0.49 + 0.014j)
+    assert history.settled < 1e-3
+    assert history.indicators().amplitude == pytest.approx(exact, rel=3.0 * history.distance)
 
 
 def test_a_longer_period_is_told_by_what_moves() -> None:
@@ -215,9 +217,9 @@ def test_a_longer_period_is_told_by_what_moves() -> None:
     structure = fc.Structure.from_matrices(
         [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], damping=[[0.2]]
     )
-    found = fc.integrate_events(
+    history = fc.integrate_events(
         structure, 3.4, fc.UnilateralPenalty(100.0), periods=150, record_periods=4
     )
-    assert found.change(2) < 1e-9 < 0.1 < found.change() == pytest.approx(found.settled)
+    assert history.change(2) < 1e-9 < 0.1 < history.change() == pytest.approx(history.settled)
     with pytest.raises(fc.InputError, match="periods"):
-        found.change(4)
+        history.change(4)

@@ -45,35 +45,34 @@ class Beam:
     @cache  # noqa: B019
     def beam_roots(self, share: float) -> np.ndarray:
         """First three beta L of Euler and Bernoulli's beam with the spring at the crack."""
-        at, spring = self.crack_at / self.length, self.spring(share)
+        position, spring = self.crack_at / self.length, self.spring(share)
 
         def shapes(x: float, order: int) -> np.ndarray:
             """Derivatives of cos, sin, cosh, sinh of beta x over beta^order."""
             cos, sin, cosh, sinh = np.cos(x), np.sin(x), np.cosh(x), np.sinh(x)
-            turned = [[cos, sin], [-sin, cos], [-cos, -sin], [sin, -cos]][order % 4]
-            return np.array([*turned, *((cosh, sinh), (sinh, cosh))[order % 2]])
+            circular_pair = [[cos, sin], [-sin, cos], [-cos, -sin], [sin, -cos]][order % 4]
+            return np.array([*circular_pair, *((cosh, sinh), (sinh, cosh))[order % 2]])
 
         def determinant(beta: float) -> float:
             zero, rows = np.zeros(4), []
             rows += [np.concatenate([shapes(0.0, k), zero]) for k in (0, 1)]
             rows += [np.concatenate([zero, shapes(beta, k)]) / np.cosh(beta) for k in (2, 3)]
-            here = [shapes(beta * at, k) for k in range(4)]
-            rows += [np.concatenate([here[k], -here[k]]) for k in (0, 2, 3)]
-            rows += [np.concatenate([-here[1] - spring * beta * here[2], here[1]])]
+            shape = [shapes(beta * position, k) for k in range(4)]
+            rows += [np.concatenate([shape[k], -shape[k]]) for k in (0, 2, 3)]
+            rows += [np.concatenate([-shape[1] - spring * beta * shape[2], shape[1]])]
             return float(np.linalg.det(rows))
 
         grid = np.linspace(0.5, 9.0, 300)
         values = [determinant(beta) for beta in grid]
-        found = [
+        roots = [
             brentq(determinant, grid[i], grid[i + 1], xtol=1e-13)
             for i in range(len(grid) - 1) if values[i] * values[i + 1] < 0.0
         ]  # fmt: skip
-        return np.array(found[:3])
+        return np.array(roots[:3])
 
     def beam_ratios(self, share: float) -> np.ndarray:
         """Frequencies over those of the uncracked beam."""
-        ratios: np.ndarray = (self.beam_roots(share) / self.beam_roots(0.0)) ** 2
-        return ratios
+        return (self.beam_roots(share) / self.beam_roots(0.0)) ** 2
 
     def scene(self, share: float, **changes: Any) -> fc.Scene:
         """The beam upright, as a plate; share 0 is without a crack."""
@@ -102,13 +101,11 @@ class Beam:
         lengthwise = structure.nodes.dofs[:, 1]
         axial = np.sum(modes.shapes[lengthwise[lengthwise >= 0]] ** 2, axis=0)
         bending = axial < 0.5 * np.sum(modes.shapes**2, axis=0)
-        found: np.ndarray = modes.omega[bending][:3]
-        return found
+        return modes.omega[bending][:3]
 
     def plate_ratios(self, share: float) -> np.ndarray:
         """Frequencies over those of the uncracked plate."""
-        ratios: np.ndarray = self.frequencies(share) / self.frequencies(0.0)
-        return ratios
+        return self.frequencies(share) / self.frequencies(0.0)
 
 
 THIN = Beam(
@@ -146,8 +143,8 @@ def draw_ratios(axes: Any) -> None:
         for mode in range(3):
             name = f"{beam.name}, mode {mode + 1}"
             axes.plot(depths, lines[:, mode], f"C{mode}{style}", lw=1, label=name)
-            found = [beam.plate_ratios(share)[mode] for share in SHARES]
-            axes.plot(SHARES, found, f"C{mode}{mark}", ms=4)
+            ratios = [beam.plate_ratios(share)[mode] for share in SHARES]
+            axes.plot(SHARES, ratios, f"C{mode}{mark}", ms=4)
     axes.set(xlabel="depth of the crack a / h", ylabel="frequency / uncracked", xlim=(0.0, 0.61))
     axes.legend(fontsize="x-small", title="lines: beam with a spring; marks: plate")
 
@@ -171,19 +168,19 @@ def open_crack_in_a_beam() -> list[Row]:
     """
     rows = []
     for beam in (THIN, THICK):
-        given = max(
+        table_error = max(
             float(np.abs(beam.beam_ratios(share) - ratios).max())
             for share, ratios in beam.ratios.items()
         )
         name = f"{beam.name}: spring here against the other program's, largest"
-        rows += [Row(name, given, 0.0, 6e-5, absolute=True)]
+        rows += [Row(name, table_error, 0.0, 6e-5, absolute=True)]
         for share in SHARES:
-            found, theory = beam.plate_ratios(share), beam.beam_ratios(share)
+            plate_ratios, theory = beam.plate_ratios(share), beam.beam_ratios(share)
             for mode in range(3):
-                coupled = beam is THICK and mode == 2 and share >= 0.4
-                allowed = 3e-3 if not coupled else 5e-3 if share < 0.5 else None
+                is_coupled = beam is THICK and mode == 2 and share >= 0.4
+                tolerance = 3e-3 if not is_coupled else 5e-3 if share < 0.5 else None
                 name = f"{beam.name}: a / h = {share:g}, mode {mode + 1}"
-                rows += [Row(name, found[mode], theory[mode], allowed)]
+                rows += [Row(name, plate_ratios[mode], theory[mode], tolerance)]
     return rows
 
 
@@ -191,10 +188,14 @@ def open_crack_in_a_beam() -> list[Row]:
 def breathing_curve() -> tuple[fc.ResponseCurve, int]:
     """The deep beam with a crack of half its depth near its first resonance, and the tip's dof."""
     plate = fc.build_structure(THICK.scene(0.5))
-    reduced = fc.reduce_structure(plate, modes=8, method="massless")
-    uncracked = THICK.frequencies(0.0)[0]
+    reduced_structure = fc.reduce_structure(plate, modes=8, method="massless")
+    uncracked_omega = THICK.frequencies(0.0)[0]
     curve = fc.continue_frequency(
-        reduced, 0.94 * uncracked, 0.905 * uncracked, fc.UnilateralConstraint(), harmonics=5
+        reduced_structure,
+        0.94 * uncracked_omega,
+        0.905 * uncracked_omega,
+        fc.UnilateralConstraint(),
+        harmonics=5,
     )
     return curve, plate.find_dof((THICK.depth, THICK.length), "x")
 
@@ -213,9 +214,9 @@ def bilinear(beam: Beam, share: float) -> float:
 def free_breathing(beam: Beam, share: float) -> float:
     """Frequency of the free motion with a breathing crack, over the uncracked beam's."""
     plate = fc.build_structure(beam.scene(share))
-    reduced = fc.reduce_structure(plate, modes=8, method="free_interface")
-    free = free_frequency(reduced, fc.UnilateralPenalty(1e10), 1e-3, harmonics=7)
-    return float(free / beam.frequencies(0.0)[0])
+    reduced_structure = fc.reduce_structure(plate, modes=8, method="free_interface")
+    omega = free_frequency(reduced_structure, fc.UnilateralPenalty(1e10), 1e-3, harmonics=7)
+    return float(omega / beam.frequencies(0.0)[0])
 
 
 def draw_breathing(axes: Any) -> None:
@@ -233,8 +234,8 @@ def draw_breathing(axes: Any) -> None:
     for beam, colour in ((THIN, "C2"), (THICK, "C1")):
         inset.plot(depths, [bilinear(beam, share) for share in depths], "k:")
         inset.plot(depths, [beam.beam_ratios(share)[0] for share in depths], "0.7", lw=1)
-        found = [free_breathing(beam, share) for share in BREATHING]
-        inset.plot(BREATHING, found, f"{colour}o", ms=4)
+        ratios = [free_breathing(beam, share) for share in BREATHING]
+        inset.plot(BREATHING, ratios, f"{colour}o", ms=4)
     inset.set_title("over a / h; grey: open", fontsize="small")
     inset.tick_params(labelsize="small")
 
@@ -254,12 +255,12 @@ def breathing_crack_in_a_beam() -> list[Row]:
     excites other modes; 1 % is allowed.
     """
     curve, dof = breathing_curve()
-    uncracked = THICK.frequencies(0.0)[0]
-    peak = float(curve.omega[np.argmax(curve.amplitude(dof))] / uncracked)
+    uncracked_omega = THICK.frequencies(0.0)[0]
+    peak = float(curve.omega[np.argmax(curve.amplitude(dof))] / uncracked_omega)
     plate = fc.build_structure(THICK.scene(0.5))
-    tied = float(fc.solve_modes(plate, 1, lips="tied").omega[0] / uncracked)
+    bonded_ratio = float(fc.solve_modes(plate, 1, lips="tied").omega[0] / uncracked_omega)
     rows = [
-        Row("bonded crack", tied, 1.0, 1e-3),
+        Row("bonded crack", bonded_ratio, 1.0, 1e-3),
         Row("peak of the response", peak, bilinear(THICK, 0.5), 0.01),
     ]
     for beam in (THIN, THICK):

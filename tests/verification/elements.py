@@ -22,11 +22,11 @@ MESHES = (8, 16, 32, 64)
 def wave(x: np.ndarray, frequency: float, order: int, *, fourth: bool = False) -> np.ndarray:
     """sin^2(f pi x), or sin^4, or a derivative, by cosines of multiples of 2 f pi x."""
     weights = (3.0 / 8.0, -0.5, 1.0 / 8.0) if fourth else (0.5, -0.5, 0.0)
-    found = np.zeros_like(x)
+    wave_values = np.zeros_like(x)
     for multiple, weight in enumerate(weights):
         rate = 2.0 * np.pi * frequency * multiple
-        found += weight * rate**order * np.cos(rate * x + 0.5 * np.pi * order)
-    return found
+        wave_values += weight * rate**order * np.cos(rate * x + 0.5 * np.pi * order)
+    return wave_values
 
 
 WAVES = ((1.0, (1.0, 1.0)), (-0.7, (2.0, 1.0)))
@@ -42,13 +42,13 @@ def made(x: np.ndarray, y: np.ndarray, component: int, along: tuple[int, int]) -
 def body_force(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """-div sigma in plane stress with E = 1: (2, ...)."""
     normal, shear = 1.0 / (1.0 - POISSON**2), 0.5 / (1.0 + POISSON)
-    mixed = POISSON * normal + shear
+    mixed_modulus = POISSON * normal + shear
     return -np.array(
         [
             normal * made(x, y, 0, (2, 0)) + shear * made(x, y, 0, (0, 2))
-            + mixed * made(x, y, 1, (1, 1)),
+            + mixed_modulus * made(x, y, 1, (1, 1)),
             normal * made(x, y, 1, (0, 2)) + shear * made(x, y, 1, (2, 0))
-            + mixed * made(x, y, 0, (1, 1)),
+            + mixed_modulus * made(x, y, 0, (1, 1)),
         ]
     )  # fmt: skip
 
@@ -58,8 +58,8 @@ def lagrange(order: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     nodes = np.linspace(0.0, 1.0, order + 1)
     values, slopes = [], []
     for i in range(order + 1):
-        others = np.delete(nodes, i)
-        polynomial = np.poly1d(others, r=True) / np.prod(nodes[i] - others)
+        other_nodes = np.delete(nodes, i)
+        polynomial = np.poly1d(other_nodes, r=True) / np.prod(nodes[i] - other_nodes)
         values.append(polynomial(at))
         slopes.append(polynomial.deriv()(at))
     return np.array(values).T, np.array(slopes).T
@@ -74,35 +74,35 @@ def errors_of_the_made(cells: int, order: int) -> tuple[float, float]:
     mesh = {"layout": "grid", "columns": cells, "rows": cells, "order": order}
     structure = fc.build_structure(cracked_plate(1.0, 1.0, [], mesh))
     points, dofs = structure.nodes.points, structure.nodes.dofs
-    free = dofs >= 0
+    is_free = dofs >= 0
     load = np.zeros(structure.n_dofs)
-    load[dofs[free]] = body_force(*points.T).T[free]
-    found = scipy.sparse.linalg.spsolve(
+    load[dofs[is_free]] = body_force(*points.T).T[is_free]
+    displacement = scipy.sparse.linalg.spsolve(
         csr(structure.stiffness).tocsc(), csr(structure.mass) @ load, "MMD_AT_PLUS_A"
     )
     count = order * cells + 1
     place = np.round(points * (count - 1)).astype(int)
     values = np.zeros((2, count, count))
     for component in (0, 1):
-        here = free[:, component]
-        values[(component, *place[here].T)] = found[dofs[here, component]]
+        is_free_here = is_free[:, component]
+        values[(component, *place[is_free_here].T)] = displacement[dofs[is_free_here, component]]
     gauss, weights = np.polynomial.legendre.leggauss(6)
     gauss, weights = 0.5 * (gauss + 1.0), 0.5 * weights / cells
     shapes, slopes = lagrange(order, gauss)
     nodes = order * np.arange(cells)[:, None] + np.arange(order + 1)
-    at = ((np.arange(cells)[:, None] + gauss) / cells).ravel()
-    x, y = np.meshgrid(at, at, indexing="ij")
+    gauss_points = ((np.arange(cells)[:, None] + gauss) / cells).ravel()
+    x, y = np.meshgrid(gauss_points, gauss_points, indexing="ij")
     weight = np.outer(np.tile(weights, cells), np.tile(weights, cells))
     errors = np.zeros(2)
     for component in (0, 1):
         blocks = values[component][nodes[:, None, :, None], nodes[None, :, None, :]]
-        for kind, along, (one, two) in (
+        for kind, derivatives, (x_table, y_table) in (
             (0, (0, 0), (shapes, shapes)),
             (1, (1, 0), (cells * slopes, shapes)),
             (1, (0, 1), (shapes, cells * slopes)),
         ):
-            field = np.einsum("ijab,pa,qb->ipjq", blocks, one, two).reshape(x.shape)
-            errors[kind] += np.sum(weight * (field - made(x, y, component, along)) ** 2)
+            field = np.einsum("ijab,pa,qb->ipjq", blocks, x_table, y_table).reshape(x.shape)
+            errors[kind] += np.sum(weight * (field - made(x, y, component, derivatives)) ** 2)
     return float(np.sqrt(errors[0])), float(np.sqrt(errors[1]))
 
 
@@ -119,8 +119,7 @@ def draw_made(axes: Any) -> None:
     sizes = 1.0 / np.array(MESHES)
     for order, errors in made_errors().items():
         for kind, word in enumerate(("displacement", "gradient")):
-            slope = log_slope(sizes[-2:], errors[-2:, kind])
-            name = f"order {order}, {word}: {slope:.2f}"
+            name = f"order {order}, {word}: {log_slope(sizes[-2:], errors[-2:, kind]):.2f}"
             axes.loglog(
                 sizes, errors[:, kind], f"C{order}{'o-' if kind == 0 else 's--'}", label=name
             )
@@ -145,8 +144,8 @@ def manufactured_solution() -> list[Row]:
     for order, errors in made_errors().items():
         for kind, word in enumerate(("displacement", "gradient")):
             slope = log_slope(1.0 / np.array(MESHES[-2:]), errors[-2:, kind])
-            expected = order + 1 - kind
-            rows += [Row(f"order {order}: {word}", slope, expected, 0.05, absolute=True)]
+            expected_order = order + 1 - kind
+            rows += [Row(f"order {order}: {word}", slope, expected_order, 0.05, absolute=True)]
     return rows
 
 
@@ -204,10 +203,10 @@ def smallest_cell(lips: int, grading: float) -> float:
 def towards_the_tip() -> list[Row]:
     """Only the cells at the tip become smaller; without lateral contraction."""
     limit, lips, gradings = crack_limit(0.0)[0], 14, (2.0, 32.0)
-    found = [cracked_modes(graded(0.1, lips, grading), 0.0) for grading in gradings]
+    dofs_and_omegas = [cracked_modes(graded(0.1, lips, grading), 0.0) for grading in gradings]
     sizes = [smallest_cell(lips, grading) for grading in gradings]
-    errors = [omega[0] / limit - 1.0 for _, omega in found]
-    order, dofs = log_slope(sizes, errors), found[1][0] / found[0][0]
+    errors = [omega[0] / limit - 1.0 for _, omega in dofs_and_omegas]
+    order, dofs = log_slope(sizes, errors), dofs_and_omegas[1][0] / dofs_and_omegas[0][0]
     name = "the same, times the dofs; reference: equal cells"
     return [
         Row("nu = 0: order of frequency 1 in the smallest cell", order, 1.0, 0.1, absolute=True),
@@ -219,14 +218,13 @@ def draw_crack_order(axes: Any) -> None:
     """Errors of the first frequency over the dofs."""
     limit = crack_limit()[0]
     for order, cells in UNIFORM.items():
-        found = [cracked_modes(grid(count, order)) for count in cells]
-        errors = [omega[0] / limit - 1.0 for _, omega in found]
-        slope = log_slope(1.0 / np.array(cells), errors)
-        name = f"equal cells, order {order}: h^{slope:.2f}"
-        axes.loglog([dofs for dofs, _ in found], errors, "o-", label=name)
-    found = [cracked_modes(mesh) for mesh in GRADED]
-    errors = [omega[0] / limit - 1.0 for _, omega in found]
-    axes.loglog([dofs for dofs, _ in found], errors, "s-", label="graded, order 2")
+        dofs_and_omegas = [cracked_modes(grid(count, order)) for count in cells]
+        errors = [omega[0] / limit - 1.0 for _, omega in dofs_and_omegas]
+        name = f"equal cells, order {order}: h^{log_slope(1.0 / np.array(cells), errors):.2f}"
+        axes.loglog([dofs for dofs, _ in dofs_and_omegas], errors, "o-", label=name)
+    dofs_and_omegas = [cracked_modes(mesh) for mesh in GRADED]
+    errors = [omega[0] / limit - 1.0 for _, omega in dofs_and_omegas]
+    axes.loglog([dofs for dofs, _ in dofs_and_omegas], errors, "s-", label="graded, order 2")
     axes.set(xlabel="dofs", ylabel="relative error of the first frequency")
     axes.legend(fontsize="small")
 
@@ -254,9 +252,9 @@ def frequencies_with_a_crack() -> list[Row]:
     omega = cracked_modes(GRADED[-1])[1]
     for mode in (0, 1):
         rows += [Row(f"frequency {mode + 1}, graded mesh", omega[mode], limit[mode], 2e-3)]
-    coarse = cracked_modes(grid(32, 2))[1]
+    coarse_omegas = cracked_modes(grid(32, 2))[1]
     for mode in (0, 1):
-        share = (omega[mode] - limit[mode]) / (coarse[mode] - limit[mode])
+        share = (omega[mode] - limit[mode]) / (coarse_omegas[mode] - limit[mode])
         name = f"frequency {mode + 1}: error of the graded mesh over that of 32 x 32 equal cells"
         rows += [Row(name, share, 0.0, 0.3, absolute=True)]
     return rows + towards_the_tip()
@@ -314,15 +312,17 @@ def energy_release_on_three_meshes() -> list[Row]:
     405-413; `fc.grid_convergence`); that of F is half of that of F^2.
     """
     values = np.array(releases())
-    found = release_convergence()
-    limit, reference = found.extrapolated, mean_tada()
+    convergence = release_convergence()
+    limit, reference = convergence.extrapolated, mean_tada()
     rows = [
-        Row(f"F, {columns} cells across", float(np.sqrt(value / GROWTH)), reference, allowed)
-        for columns, value, allowed in zip(COLUMNS, values, (None, None, 0.01), strict=True)
+        Row(f"F, {columns} cells across", float(np.sqrt(value / GROWTH)), reference, tolerance)
+        for columns, value, tolerance in zip(COLUMNS, values, (None, None, 0.01), strict=True)
     ]
     return [
         *rows,
-        Row("order of the energy", found.order, 1.0, 0.1, absolute=True),
+        Row("order of the energy", convergence.order, 1.0, 0.1, absolute=True),
         Row("F, extrapolated", float(np.sqrt(limit / GROWTH)), reference, 0.005),
-        Row("grid convergence index of F, 40 cells", 0.5 * found.gci, 0.0, 0.02, absolute=True),
+        Row(
+            "grid convergence index of F, 40 cells", 0.5 * convergence.gci, 0.0, 0.02, absolute=True
+        ),
     ]

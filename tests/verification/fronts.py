@@ -49,16 +49,16 @@ class Front:
     @cache  # noqa: B019
     def displacement(self) -> np.ndarray:
         """Of the nodes when it is pulled: (n, 3) [m]."""
-        solver, (found, load) = PETSc.KSP().create(), self.structure.stiffness.createVecs()
+        solver, (vector, load) = PETSc.KSP().create(), self.structure.stiffness.createVecs()
         solver.setOperators(self.structure.stiffness)
         solver.setType("preonly")
         solver.getPC().setType("cholesky")
         solver.getPC().setFactorSolverType("mumps")
         load.array[:] = self.structure.force[0]
-        solver.solve(load, found)
-        moved = np.array(found.array_r)
+        solver.solve(load, vector)
+        free_motion = np.array(vector.array_r)
         dofs = self.structure.nodes.dofs
-        return np.where(dofs >= 0, moved[np.maximum(dofs, 0)], 0.0)
+        return np.where(dofs >= 0, free_motion[np.maximum(dofs, 0)], 0.0)
 
     def energy(self, shift: np.ndarray) -> float:
         """Elastic energy of the cells at the front [J], whose nodes are shifted by (n_front, 3)
@@ -70,14 +70,19 @@ class Front:
         slopes = np.linalg.inv(sides).transpose(0, 2, 1)
         slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
         volumes = np.abs(np.linalg.det(sides)) / 6.0
-        near, far = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0, (5.0 - np.sqrt(5.0)) / 20.0
+        near_weight, far_weight = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0, (5.0 - np.sqrt(5.0)) / 20.0
         total = 0.0
         for corner in range(4):
-            at = np.full(4, far)
-            at[corner] = near
-            one, two = EDGES.T
-            middle = at[one, None] * slopes[:, two] + at[two, None] * slopes[:, one]
-            basis = np.concatenate([(4.0 * at - 1.0)[:, None] * slopes, 4.0 * middle], axis=1)
+            barycentric = np.full(4, far_weight)
+            barycentric[corner] = near_weight
+            first_corners, second_corners = EDGES.T
+            middle = (
+                barycentric[first_corners, None] * slopes[:, second_corners]
+                + barycentric[second_corners, None] * slopes[:, first_corners]
+            )
+            basis = np.concatenate(
+                [(4.0 * barycentric - 1.0)[:, None] * slopes, 4.0 * middle], axis=1
+            )
             gradient = np.einsum("cnx,cny->cxy", self.displacement()[cells], basis)
             strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
             trace = np.trace(strain, axis1=1, axis2=2)
@@ -93,8 +98,8 @@ class Front:
         shift = step * weights[:, None] * self.ways
         lengths = np.linalg.norm(np.diff(self.points[self.nodes], axis=0), axis=1)
         area = step * float((lengths * (weights[1:] + weights[:-1])).sum() / 2.0)
-        released = (self.energy(-shift) - self.energy(shift)) / (2.0 * area)
-        return float(np.sqrt(released * YOUNG / (1.0 - self.poisson**2)))
+        release_rate = (self.energy(-shift) - self.energy(shift)) / (2.0 * area)
+        return float(np.sqrt(release_rate * YOUNG / (1.0 - self.poisson**2)))
 
 
 @cache
@@ -124,8 +129,10 @@ def pulled(shape: str, elements: int) -> Front:
     corners = np.unique(structure.nodes.cells[:, :4])
     x, y, z = structure.nodes.points[corners].T
     x, z = (x - 0.015) / 0.008, (THICKNESS - z) / 0.003
-    away = np.hypot(x, z) - 1.0 if shape == "ellipse" else structure.nodes.points[corners, 0] - 0.01
-    on_front = (np.abs(y - 0.5 * HEIGHT) < 1e-9) & (np.abs(away) < 1e-6)
+    front_distance = (
+        np.hypot(x, z) - 1.0 if shape == "ellipse" else structure.nodes.points[corners, 0] - 0.01
+    )
+    on_front = (np.abs(y - 0.5 * HEIGHT) < 1e-9) & (np.abs(front_distance) < 1e-6)
     nodes, angles = corners[on_front], np.arctan2(np.maximum(z, 0.0), x)[on_front]
     order = np.argsort(angles if shape == "ellipse" else z[on_front])
     nodes, angles = nodes[order], angles[order]
@@ -170,8 +177,8 @@ def at_stations(elements: int) -> tuple[np.ndarray, ...]:
     on the line through the last two, as the program has it."""
     front = pulled("ellipse", elements)
     stations, rows, _ = front_functionals(solid(), front.structure)
-    free = front.structure.nodes.mesh_dofs.restrict_to_free(front.displacement().ravel())
-    one, two, three = (rows @ free).reshape(-1, 3).T
+    motion = front.structure.nodes.mesh_dofs.restrict_to_free(front.displacement().ravel())
+    K_I, K_II, K_III = (rows @ motion).reshape(-1, 3).T
     x, _, z = np.array([station.point for station in stations]).T
     angles = np.arctan2(np.abs(THICKNESS - z) / 0.003, (x - 0.015) / 0.008)
     reach = np.pi / (len(angles) - 1)
@@ -179,8 +186,8 @@ def at_stations(elements: int) -> tuple[np.ndarray, ...]:
     theirs = np.array([newman_mean(at, reach) for at in angles])
     for means in (of_energy, theirs):
         means[[0, -1]] = 1.5 * means[[0, -1]] - 0.5 * means[[1, -2]]
-    both = np.sqrt(one**2 + two**2 + three**2 / (1.0 - front.poisson))
-    return angles, one, both, of_energy, theirs
+    equivalent_intensity = np.sqrt(K_I**2 + K_II**2 + K_III**2 / (1.0 - front.poisson))
+    return angles, K_I, equivalent_intensity, of_energy, theirs
 
 
 def furthest(ratios: np.ndarray) -> float:
@@ -193,10 +200,10 @@ def draw_front(axes: Any) -> None:
     angles = np.linspace(0.0, np.pi, 200)
     axes.plot(np.degrees(angles), newman(angles) / 1e3, "k:", lw=1, label="Newman and Raju")
     for elements, mark in ((4, "o"), (6, "s")):
-        found = np.array(along_the_front(elements)) * [newman_mean(at) for at in ANGLES]
-        axes.plot(np.degrees(ANGLES), found / 1e3, mark, label=f"{elements} elements")
-    at, one, *_ = at_stations(6)
-    axes.plot(np.degrees(at), one / 1e3, "k+", label="6 elements, interaction integral")
+        intensities = np.array(along_the_front(elements)) * [newman_mean(angle) for angle in ANGLES]
+        axes.plot(np.degrees(ANGLES), intensities / 1e3, mark, label=f"{elements} elements")
+    station_angles, K_I, *_ = at_stations(6)
+    axes.plot(np.degrees(station_angles), K_I / 1e3, "k+", label="6 elements, interaction integral")
     label(
         axes, xlabel="angle from the face [degrees]", ylabel="K [kPa m$^{1/2}$]", ylim=(0.0, None)
     )
@@ -226,26 +233,31 @@ def stress_intensity_along_a_front() -> list[Row]:
     """
     rows = []
     edge = STRESS * np.sqrt(np.pi * 0.01) * tada("edge", 0.01 / WIDTH)
-    for elements, allowed in ((4, 0.04), (7, 0.03)):
+    for elements, tolerance in ((4, 0.04), (7, 0.03)):
         front = pulled("through", elements)
-        found = front.intensity(np.ones(len(front.nodes)))
+        intensity = front.intensity(np.ones(len(front.nodes)))
         name = f"through, {elements} elements to the mouth: K / (s sqrt(pi a)), over Tada's"
-        rows += [Row(name, found / edge, 1.0, allowed)]
-    for elements, allowed in ((4, 0.07), (6, 0.06)):
+        rows += [Row(name, intensity / edge, 1.0, tolerance)]
+    for elements, tolerance in ((4, 0.07), (6, 0.06)):
         front = pulled("ellipse", elements)
         mean = front.intensity(np.ones(len(front.nodes))) / newman_mean(None)
-        rows += [Row(f"ellipse, {elements} elements: rms of K, over Newman's", mean, 1.0, allowed)]
+        rows += [
+            Row(f"ellipse, {elements} elements: rms of K, over Newman's", mean, 1.0, tolerance)
+        ]
     rows += [
-        Row(f"ellipse, 6 elements: K at {np.degrees(at):.0f} degrees, over theirs", found, 1.0, 0.1)
-        for at, found in zip(ANGLES, along_the_front(6), strict=True)
+        Row(f"ellipse, 6 elements: K at {np.degrees(at):.0f} degrees, over theirs", ratio, 1.0, 0.1)
+        for at, ratio in zip(ANGLES, along_the_front(6), strict=True)
     ]
-    _, one, both, of_energy, theirs = at_stations(6)
-    ratios, name = both / of_energy, "stations: K of the integral over that of the energy release"
-    over = one / theirs
+    _, K_I, equivalent_intensity, of_energy, theirs = at_stations(6)
+    ratios, name = (
+        equivalent_intensity / of_energy,
+        "stations: K of the integral over that of the energy release",
+    )
+    K_I_ratios = K_I / theirs
     return [
         *rows,
         Row(f"{name}, furthest off inside", furthest(ratios[1:-1]), 1.0, 0.025),
         Row(f"{name}, furthest off at the face", furthest(ratios[[0, -1]]), 1.0, 0.04),
-        Row("stations: smallest K_I over theirs", over.min(), 1.0, 0.07),
-        Row("stations: largest K_I over theirs", over.max(), 1.0, 0.03),
+        Row("stations: smallest K_I over theirs", K_I_ratios.min(), 1.0, 0.07),
+        Row("stations: largest K_I over theirs", K_I_ratios.max(), 1.0, 0.03),
     ]

@@ -63,22 +63,22 @@ def contact_release() -> list[Row]:
     frequency = np.sqrt(1.01e6 / 100.0)
     contact = np.pi / frequency
     start = (np.zeros(1), np.ones(1))
-    low, high = 0.9 * contact, 1.1 * contact
+    lower_time, upper_time = 0.9 * contact, 1.1 * contact
     for _ in range(45):  # the instant of release
-        middle = 0.5 * (low + high)
-        held = exactly(heavy_mass(), STIFF, start, middle).final_state[0][0] > 0.0
-        low, high = (middle, high) if held else (low, middle)
+        middle = 0.5 * (lower_time + upper_time)
+        in_contact = exactly(heavy_mass(), STIFF, start, middle).final_state[0][0] > 0.0
+        lower_time, upper_time = (middle, upper_time) if in_contact else (lower_time, middle)
     time = np.linspace(0.0, (1.0 - 1e-10) * contact, 2001)
     flown = exactly(heavy_mass(), STIFF, start, time[-1] + time[1], steps=len(time))
     force = flown.contact_force[:, 0]
     steps, step = release().contact_force[:, 0], release().time[1]
-    after = exactly(heavy_mass(), STIFF, start, 1.01 * contact).final_state[1][0]
-    free = -np.cos(10.0 * 0.01 * contact)
+    rebound_speed = exactly(heavy_mass(), STIFF, start, 1.01 * contact).final_state[1][0]
+    exact_speed = -np.cos(10.0 * 0.01 * contact)
     return [
-        Row("contact lasts [s], exact flow", 0.5 * (low + high), contact, 1e-9),
+        Row("contact lasts [s], exact flow", 0.5 * (lower_time + upper_time), contact, 1e-9),
         Row("largest force [N], exact flow", force.max(), 1e6 / frequency, 1e-9),
         Row("impulse [N s], exact flow", simpson(force, x=time), 2e6 / frequency**2, 1e-9),
-        Row("speed afterwards, share of the first", after, free, 1e-9),
+        Row("speed afterwards, share of the first", rebound_speed, exact_speed, 1e-9),
         Row("contact lasts [s], steps", np.count_nonzero(steps) * step, contact, 1e-3),
         Row("largest force [N], steps", steps.max(), 1e6 / frequency, 1e-4),
         Row("impulse [N s], steps", steps.sum() * step, 2e6 / frequency**2, 1e-4),
@@ -114,13 +114,13 @@ def several_shocks() -> list[Row]:
     rows = []
     for shock in range(4):
         middle = shock * (contact + flight) + 0.5 * contact
-        near = np.flatnonzero(np.abs(time - middle) < 0.6 * contact)
-        top = near[np.argmax(force[near])]
+        near_steps = np.flatnonzero(np.abs(time - middle) < 0.6 * contact)
+        top = near_steps[np.argmax(force[near_steps])]
         parabola = np.polyfit(time[top - 9 : top + 10] - middle, force[top - 9 : top + 10], 2)
-        at = middle - 0.5 * parabola[1] / parabola[0]
-        impulse = simpson(force[near], x=time[near])
+        instant = middle - 0.5 * parabola[1] / parabola[0]
+        impulse = simpson(force[near_steps], x=time[near_steps])
         rows += [
-            Row(f"shock {shock + 1}: instant of the largest force [s]", at, middle, 1e-6),
+            Row(f"shock {shock + 1}: instant of the largest force [s]", instant, middle, 1e-6),
             Row(f"shock {shock + 1}: largest force [N]", force[top], 9950.371902, 1e-5),
             Row(f"shock {shock + 1}: impulse [N s]", impulse, 198.0198020, 1e-5),
         ]
@@ -134,13 +134,15 @@ def free_motion(energy: float) -> float:
     Free for 2 (pi - arccos(d / A)) / w1 of a period, A = sqrt(2 E / k). In contact x oscillates
     about d kc / (k + kc) with w2^2 = k + kc, begins at d and turns where its speed is zero.
     """
-    stiffness, stop, at = 10.0, 50.0, 0.01
-    free = np.pi - np.arccos(at / np.sqrt(2.0 * energy / stiffness))
-    inside = np.sqrt(stiffness + stop)
-    speed = np.sqrt(2.0 * energy - stiffness * at**2)
-    rest = at * stop / (stiffness + stop)
-    held = np.arctan2(speed / inside, at - rest)
-    return float(1.0 / (2.0 * free / np.sqrt(stiffness) + 2.0 * held / inside))
+    stiffness, stop, clearance = 10.0, 50.0, 0.01
+    free_phase = np.pi - np.arccos(clearance / np.sqrt(2.0 * energy / stiffness))
+    omega_in_contact = np.sqrt(stiffness + stop)
+    speed = np.sqrt(2.0 * energy - stiffness * clearance**2)
+    rest = clearance * stop / (stiffness + stop)
+    contact_phase = np.arctan2(speed / omega_in_contact, clearance - rest)
+    return float(
+        1.0 / (2.0 * free_phase / np.sqrt(stiffness) + 2.0 * contact_phase / omega_in_contact)
+    )
 
 
 def balanced(energy: float) -> float:
@@ -154,8 +156,8 @@ ENERGIES = (0.00650108331626, 0.00658129654238)
 
 def clearance_oscillator() -> fc.Structure:
     """m = 1, k = 10 and a clearance of 0.01."""
-    one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, 10.0 * one, gap=one, clearance=0.01)
+    unit = np.ones((1, 1))
+    return fc.Structure.from_matrices(unit, 10.0 * unit, gap=unit, clearance=0.01)
 
 
 def draw_free_motion(axes: Any) -> None:
@@ -190,21 +192,24 @@ def free_motion_with_a_clearance() -> list[Row]:
     for energy, value in zip(ENERGIES, (0.64663104, 0.64701472), strict=True):
         rows += [Row(f"E = {energy:.6g} J: balanced, H = 60 [Hz]", balanced(energy), value, 1e-6)]
         rows += [Row(f"E = {energy:.6g} J: closed form [Hz]", free_motion(energy), value, 1e-8)]
-    energy, wrong = ENERGIES[0], 0.64621695
+    energy, published_hertz = ENERGIES[0], 0.64621695
     start = np.array([np.sqrt(2.0 * energy / 10.0)])
-    for name, frequency, allowed in (
-        ("of the closed form", free_motion(energy), 1e-12), ("published as analytic", wrong, None)
+    for name, frequency, tolerance in (
+        ("of the closed form", free_motion(energy), 1e-12),
+        ("published as analytic", published_hertz, None),
     ):  # fmt: skip
-        after = exactly(structure, law, (-start, np.zeros(1)), 1.0 / frequency).final_state[1][0]
-        speed = float(after / np.sqrt(2.0 * energy))
+        end_velocity = exactly(structure, law, (-start, np.zeros(1)), 1.0 / frequency).final_state[
+            1
+        ][0]
+        speed = float(end_velocity / np.sqrt(2.0 * energy))
         name = f"speed after a period {name}, of the largest"
-        rows += [Row(name, speed, 0.0, allowed, absolute=True)]
-    rest, inside = 0.01 * 50.0 / 60.0, np.sqrt(60.0)
-    free = np.pi - np.arccos(0.01 / np.sqrt(2.0 * energy / 10.0))
-    held = np.arccos((0.01 - rest) / np.sqrt(2.0 * energy / 60.0))
-    short = float(0.5 / (free / np.sqrt(10.0) + held / inside))
-    rows += [Row("without the term, as published [Hz]", short, wrong, 1e-8)]
-    rows += [Row("closed form, as published [Hz]", free_motion(energy), wrong, None)]
+        rows += [Row(name, speed, 0.0, tolerance, absolute=True)]
+    rest, omega_in_contact = 0.01 * 50.0 / 60.0, np.sqrt(60.0)
+    free_phase = np.pi - np.arccos(0.01 / np.sqrt(2.0 * energy / 10.0))
+    contact_phase = np.arccos((0.01 - rest) / np.sqrt(2.0 * energy / 60.0))
+    shortened_hertz = float(0.5 / (free_phase / np.sqrt(10.0) + contact_phase / omega_in_contact))
+    rows += [Row("without the term, as published [Hz]", shortened_hertz, published_hertz, 1e-8)]
+    rows += [Row("closed form, as published [Hz]", free_motion(energy), published_hertz, None)]
     return rows
 
 
@@ -245,17 +250,17 @@ def bar_against_a_wall() -> list[Row]:
     """
     history = flying_bar()
     force, step = history.contact_force[:, 0], history.time[1]
-    closed = np.flatnonzero(force > 0.0)
-    carried = history.structure.basis.T @ dense_matrices(free_bar(200))[0].sum(axis=0)
-    after = -float(carried @ history.final_state[1][: len(carried)]) / 1600.0
+    closed_steps = np.flatnonzero(force > 0.0)
+    momentum_row = history.structure.basis.T @ dense_matrices(free_bar(200))[0].sum(axis=0)
+    rebound_speed = -float(momentum_row @ history.final_state[1][: len(momentum_row)]) / 1600.0
     return [
-        Row("touches at [s]", closed[0] * step, 2e-5, step, absolute=True),
-        Row("leaves at [s]", (closed[-1] + 1) * step, 1e-4, 0.015),
-        Row("steps with a break of the contact", closed[-1] - closed[0] + 1 - len(closed), 0, 0.0,
-            absolute=True),
-        Row("mean pressure [Pa]", force[closed].mean(), 4e9, 0.02),
+        Row("touches at [s]", closed_steps[0] * step, 2e-5, step, absolute=True),
+        Row("leaves at [s]", (closed_steps[-1] + 1) * step, 1e-4, 0.015),
+        Row("steps with a break of the contact",
+            closed_steps[-1] - closed_steps[0] + 1 - len(closed_steps), 0, 0.0, absolute=True),
+        Row("mean pressure [Pa]", force[closed_steps].mean(), 4e9, 0.02),
         Row("impulse [N s]", force.sum() * step, 3.2e5, 0.01),
-        Row("speed back, mean of the bar [m/s]", after, 100.0, 0.02),
+        Row("speed back, mean of the bar [m/s]", rebound_speed, 100.0, 0.02),
         Row("largest penetration, share of the clearance", max(history.gap.max(), 0.0) / 2e-3, 0.0,
             1e-9, absolute=True),
     ]  # fmt: skip
@@ -285,11 +290,10 @@ def orbit_between_stops() -> tuple[np.ndarray, np.ndarray]:
         return np.concatenate([v, inverse @ force])
 
     def flow(state: np.ndarray, instants: np.ndarray | None = None) -> np.ndarray:
-        found = solve_ivp(
+        integration = solve_ivp(
             rate, (0.0, period), state, "DOP853", instants, rtol=1e-10, atol=1e-12, max_step=0.2
         )
-        values: np.ndarray = found.y
-        return values
+        return integration.y
 
     state = np.zeros(4)
     for _ in range(3):
@@ -348,11 +352,13 @@ def stops_on_both_sides() -> list[Row]:
     for mass in (0, 1):
         name = f"mass {mass + 1}"
         spectrum = np.fft.rfft(motion[:, mass]) / len(time)
-        own = np.fft.rfft(ours[:, mass]) / len(time)
-        rows += [Row(f"{name}: mean", own[0].real, spectrum[0].real, 1e-4)]
+        our_spectrum = np.fft.rfft(ours[:, mass]) / len(time)
+        rows += [Row(f"{name}: mean", our_spectrum[0].real, spectrum[0].real, 1e-4)]
         for k in (1, 2, 3):
-            rows += [Row(f"{name}: abs(X{k})", 2 * abs(own[k]), 2 * abs(spectrum[k]), 1e-4)]
+            rows += [
+                Row(f"{name}: abs(X{k})", 2 * abs(our_spectrum[k]), 2 * abs(spectrum[k]), 1e-4)
+            ]
         for word, extreme in (("largest", np.max), ("smallest", np.min)):
-            found, value = extreme(ours[:, mass]), extreme(motion[:, mass])
-            rows += [Row(f"{name}: {word} displacement", float(found), float(value), 1e-4)]
+            our_extreme, value = extreme(ours[:, mass]), extreme(motion[:, mass])
+            rows += [Row(f"{name}: {word} displacement", float(our_extreme), float(value), 1e-4)]
     return rows

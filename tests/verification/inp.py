@@ -25,8 +25,8 @@ def calculix() -> str | None:
     program = shutil.which("ccx")
     if not program:
         return None
-    said = subprocess.run([program, "-v"], capture_output=True, text=True, check=False).stdout
-    return f"CalculiX {said.split()[-1]}"
+    output = subprocess.run([program, "-v"], capture_output=True, text=True, check=False).stdout
+    return f"CalculiX {output.split()[-1]}"
 
 
 def mesh_lines(
@@ -46,12 +46,12 @@ def mesh_lines(
     thickness = scene.geometry.thickness
     cells = structure.nodes.cells[:, : CORNERS[element]]
     cells = cells if solid else _counterclockwise(points, cells)
-    used = np.unique(cells)
-    clamped, held = np.argwhere(dofs < 0), np.setdiff1d(used, followers)
-    lines = ["*NODE, NSET=FRONT", *_nodes(points, used, 0, 0.0)]
+    used_nodes = np.unique(cells)
+    clamped_dofs, leaders = np.argwhere(dofs < 0), np.setdiff1d(used_nodes, followers)
+    lines = ["*NODE, NSET=FRONT", *_nodes(points, used_nodes, 0, 0.0)]
     if layer:
         cells = np.hstack([cells, cells + len(points)])
-        lines += ["*NODE, NSET=BACK", *_nodes(points, used, len(points), thickness)]
+        lines += ["*NODE, NSET=BACK", *_nodes(points, used_nodes, len(points), thickness)]
     lines += [f"*ELEMENT, TYPE={element}, ELSET=PLATE"]
     lines += [
         f"{i + 1}, " + ", ".join(str(node + 1) for node in cell) for i, cell in enumerate(cells)
@@ -67,18 +67,20 @@ def mesh_lines(
     lines += [] if solid or layer else [f"{thickness:.13e}"]
     lines += ["*BOUNDARY"]
     for shift in (0, len(points)) if layer else (0,):
-        lines += [f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped if node in held]
+        lines += [
+            f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped_dofs if node in leaders
+        ]
     return lines + (["FRONT, 3", "BACK, 3"] if layer else [])
 
 
 def _counterclockwise(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     a, b, c = (points[cells[:, corner]] for corner in range(3))
-    one, two = b - a, c - a
-    turned = one[:, 0] * two[:, 1] < one[:, 1] * two[:, 0]
+    first_edge, second_edge = b - a, c - a
+    is_clockwise = first_edge[:, 0] * second_edge[:, 1] < first_edge[:, 1] * second_edge[:, 0]
     if cells.shape[1] != 6:
-        assert not turned.any()
+        assert not is_clockwise.any()
         return cells
-    return np.where(turned[:, None], cells[:, [0, 2, 1, 5, 4, 3]], cells)
+    return np.where(is_clockwise[:, None], cells[:, [0, 2, 1, 5, 4, 3]], cells)
 
 
 def _nodes(points: np.ndarray, used: np.ndarray, shift: int, z: float) -> list[str]:
@@ -106,12 +108,12 @@ def ties(structure: fc.Structure) -> list[str]:
     places = {int(dof): place for place, dof in np.ndenumerate(structure.nodes.dofs)}
     lines = []
     for column in structure.apply_bt(np.eye(structure.n_dofs)).T:
-        used = np.flatnonzero(column)
+        tied_dofs = np.flatnonzero(column)
         terms = [
             f"{places[int(dof)][0] + 1}, {places[int(dof)][1] + 1}, {column[dof]:.13e}"
-            for dof in used
+            for dof in tied_dofs
         ]
-        lines += ["*EQUATION", str(len(used)), ", ".join(terms)]
+        lines += ["*EQUATION", str(len(tied_dofs)), ", ".join(terms)]
     return lines
 
 
@@ -124,8 +126,8 @@ def contact_lines(structure: fc.Structure, scene: fc.Scene) -> list[str]:
     for number, cell in enumerate(cells):
         for side in range(4):
             if on_line[cell[[side, (side + 1) % 4]]].all():
-                above = y[cell].mean() > scene.crack.height
-                faces[bool(above)] += [f"{number + 1}, S{side + 3}"]
+                is_above = y[cell].mean() > scene.crack.height
+                faces[bool(is_above)] += [f"{number + 1}, S{side + 3}"]
     return [
         "*SURFACE, NAME=LOWER", *faces[False], "*SURFACE, NAME=UPPER", *faces[True],
         "*SURFACE INTERACTION, NAME=LIPS", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",
@@ -143,8 +145,8 @@ def run(lines: list[str]) -> str:
 def _run_in(folder: Path, lines: list[str]) -> str:
     (folder / "plate.inp").write_text("\n".join(lines) + "\n")
     command = [str(shutil.which("ccx")), "-i", "plate"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:]
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stdout[-2000:]
     return (folder / "plate.dat").read_text()
 
 
@@ -176,13 +178,13 @@ def nodal_diameters(
 
     CalculiX takes real and imaginary parts of a sector for two, and finds each frequency twice.
     """
-    most = sectors // 2
-    select = f"*SELECT CYCLIC SYMMETRY MODES, NMIN=0, NMAX={most}"
+    max_diameter = sectors // 2
+    select = f"*SELECT CYCLIC SYMMETRY MODES, NMIN=0, NMAX={max_diameter}"
     table = _modes(lines, [str(2 * families), select], loads)
     rows = re.findall(r"^ +\d+ +\d+ +\S+E\S+ +(\S+E\S+) +\S+E\S+ +\S+E\S+$", table, re.M)
-    found = np.array(rows, dtype=float).reshape(most + 1, families, 2)
-    assert np.allclose(found[..., 0], found[..., 1], rtol=1e-6)
-    return found[..., 0]
+    hertz = np.array(rows, dtype=float).reshape(max_diameter + 1, families, 2)
+    assert np.allclose(hertz[..., 0], hertz[..., 1], rtol=1e-6)
+    return hertz[..., 0]
 
 
 def _modes(lines: list[str], wanted: list[str], loads: list[str] | None) -> str:
@@ -215,13 +217,16 @@ def transient(
     kept if a place is given.
     """
     period = 2.0 * np.pi / scene.excitation.omega
-    step, back = period / steps, len(structure.nodes.points)
+    step, node_shift = period / steps, len(structure.nodes.points)
     lines = mesh_lines(structure, scene, "C3D8") + contact_lines(structure, scene)
     for kind, values in zip(("DISPLACEMENT", "VELOCITY"), initial, strict=True):
         if values.any():
-            lines += [f"*INITIAL CONDITIONS, TYPE={kind}", *_values(structure, values, (0, back))]
+            lines += [
+                f"*INITIAL CONDITIONS, TYPE={kind}",
+                *_values(structure, values, (0, node_shift)),
+            ]
     limits = f", {1e-6 * step:.13e}, {step:.13e}"
-    load = _values(structure, 0.5 * structure.force[2], (0, back))
+    load = _values(structure, 0.5 * structure.force[2], (0, node_shift))
     return _marched(
         lines, scene, structure, ["*DYNAMIC, ALPHA=0.0", limits], load, steps, periods, initial[0],
         deck,
@@ -237,8 +242,8 @@ def linear_transient(
         mesh_lines(structure, scene, element),
         _values(structure, structure.force[2], (0,)),
     )
-    how, rest = ["*DYNAMIC, DIRECT, ALPHA=0.0", ""], np.zeros(structure.n_dofs)
-    return _marched(lines, scene, structure, how, load, steps, periods, rest)
+    dynamic_step, rest = ["*DYNAMIC, DIRECT, ALPHA=0.0", ""], np.zeros(structure.n_dofs)
+    return _marched(lines, scene, structure, dynamic_step, load, steps, periods, rest)
 
 
 def _marched(
@@ -275,15 +280,15 @@ def _values(structure: fc.Structure, values: np.ndarray, shifts: tuple[int, ...]
 def _displacements(table: str, structure: fc.Structure) -> np.ndarray:
     """Of all dofs, from tables of the front's nodes, one an instant."""
     dofs = structure.nodes.dofs
-    found = []
+    displacements = []
     for part in table.split("displacements")[1:]:
         values = np.zeros(structure.n_dofs)
         for row in _numbers(part):
             for axis, dof in enumerate(dofs[int(row[0]) - 1]):
                 if dof >= 0:
                     values[dof] = float(row[1 + axis])
-        found += [values]
-    return np.array(found)
+        displacements += [values]
+    return np.array(displacements)
 
 
 def _numbers(table: str) -> list[list[str]]:

@@ -43,8 +43,8 @@ def meshed(
 
     def size(_dimension: int, _tag: int, *place: float) -> float:
         aways = np.linalg.norm(front - place[:3], axis=1)
-        own, away = sizes[aways.argmin()], aways.min()
-        return float(min(own + coarser * max(away - 1.5 * own, 0.0), largest))
+        nearest_size, distance = sizes[aways.argmin()], aways.min()
+        return float(min(nearest_size + coarser * max(distance - 1.5 * nearest_size, 0.0), largest))
 
     with TemporaryDirectory() as folder:
         path = str(Path(folder) / "solid.msh")
@@ -54,23 +54,25 @@ def meshed(
             model.occ.fragment(body, face)
             model.occ.synchronize()
             ends = {tag: np.array(model.getBoundingBox(2, tag)) for _, tag in model.getEntities(2)}
-            low = min(at[1] for at in ends.values())
-            below = [tag for tag, at in ends.items() if at[4] < 0.9 * low]
-            flat = 1e-3 * abs(low)
-            crack = [tag for tag, at in ends.items() if np.abs(at[[1, 4]]).max() < flat]
+            lower_y = min(box[1] for box in ends.values())
+            lower_tags = [tag for tag, box in ends.items() if box[4] < 0.9 * lower_y]
+            height_tolerance = 1e-3 * abs(lower_y)
+            crack = [
+                tag for tag, box in ends.items() if np.abs(box[[1, 4]]).max() < height_tolerance
+            ]
             model.setPhysicalName(3, model.addPhysicalGroup(3, [1]), "solid")
-            for tags, name in ((below, "clamp"), (crack, "crack")):
+            for tags, name in ((lower_tags, "clamp"), (crack, "crack")):
                 model.setPhysicalName(2, model.addPhysicalGroup(2, tags), name)
             for key in ("FromPoints", "ExtendFromBoundary", "FromCurvature"):
                 gmsh.option.setNumber(f"Mesh.MeshSize{key}", 0)
             model.mesh.setSizeCallback(size)
             model.mesh.generate(3)
             gmsh.write(path)
-        given = {"mesh.layout": "file", "mesh.file": path, "crack": None, "sweep": None}
-        given |= {"mesh.size": None, "mesh.lip_elements": None, "geometry.width": None}
-        given |= {"geometry.height": None, "geometry.thickness": None}
-        given |= {"excitation.point": (0.0, round(-low, 6), 0.0)}
-        scene = solid().replace(given)
+        changes = {"mesh.layout": "file", "mesh.file": path, "crack": None, "sweep": None}
+        changes |= {"mesh.size": None, "mesh.lip_elements": None, "geometry.width": None}
+        changes |= {"geometry.height": None, "geometry.thickness": None}
+        changes |= {"excitation.point": (0.0, round(-lower_y, 6), 0.0)}
+        scene = solid().replace(changes)
         return scene, prepare(scene, MPI.COMM_SELF, whole=True).structure
 
 
@@ -81,14 +83,14 @@ def displaced(structure: fc.Structure, load: np.ndarray, held: np.ndarray) -> np
     diagonal = matrix.getDiagonal()
     diagonal.array[dofs[dofs >= 0]] += 1e3 * YOUNG
     matrix.setDiagonal(diagonal)
-    solver, (found, forces) = PETSc.KSP().create(), matrix.createVecs()
+    solver, (vector, forces) = PETSc.KSP().create(), matrix.createVecs()
     solver.setOperators(matrix)
     solver.setType("preonly")
     solver.getPC().setType("cholesky")
     solver.getPC().setFactorSolverType("mumps")
     forces.array[:] = load
-    solver.solve(forces, found)
-    return np.array(found.array_r)
+    solver.solve(forces, vector)
+    return np.array(vector.array_r)
 
 
 def pressed_open(
@@ -100,8 +102,10 @@ def pressed_open(
     radius of curvature."""
 
     def make(occ: Any) -> tuple[list[Any], list[Any]]:
-        low = 0.0 if corner else -0.5 * side
-        box = [(3, occ.addBox(low, -0.5 * side, low, 0.5 * side - low, side, 0.5 * side - low))]
+        start = 0.0 if corner else -0.5 * side
+        box = [
+            (3, occ.addBox(start, -0.5 * side, start, 0.5 * side - start, side, 0.5 * side - start))
+        ]
         face = [(2, occ.addDisk(0.0, 0.0, 0.0, long, deep))]
         occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
         return box, face
@@ -112,8 +116,10 @@ def pressed_open(
     scene, structure = meshed(make, front, np.minimum(element, bent * radius), 0.5, side / 4.0)
     stations, rows, of_forces = front_functionals(scene, structure)
     forces = STRESS * structure.pair_areas
-    held = (np.abs(structure.nodes.points) < 1e-9) & [corner, False, corner]
-    values = rows @ displaced(structure, -(structure.gap @ forces), held) + of_forces @ forces
+    clamped_axes = (np.abs(structure.nodes.points) < 1e-9) & [corner, False, corner]
+    values = (
+        rows @ displaced(structure, -(structure.gap @ forces), clamped_axes) + of_forces @ forces
+    )
     x, _, z = np.array([station.point for station in stations]).T
     return np.arctan2(z / deep, x / long), values.reshape(-1, 3), structure.n_dofs
 
@@ -140,8 +146,8 @@ def draw_modes(axes: Any, angles: np.ndarray, found: np.ndarray) -> None:
 @cache
 def penny() -> tuple[np.ndarray, np.ndarray]:
     """Angles, and K relative to 2 s sqrt(a / pi)."""
-    angles, found, _ = pressed_open(PENNY, PENNY * (1.0 - 1e-9), BLOCK, 1e-3, 0.1)
-    return angles, found / (2.0 * STRESS * np.sqrt(PENNY / np.pi))
+    angles, intensities, _ = pressed_open(PENNY, PENNY * (1.0 - 1e-9), BLOCK, 1e-3, 0.1)
+    return angles, intensities / (2.0 * STRESS * np.sqrt(PENNY / np.pi))
 
 
 def draw_penny(axes: Any) -> None:
@@ -163,37 +169,37 @@ def penny_in_a_block() -> list[Row]:
     Reference: K_I = 2 s sqrt(a / pi), of a body without end (Sneddon, Proceedings of the Royal
     Society A 187, 1946, 229-260); K_II = K_III = 0.
     """
-    found = penny()[1]
-    rows = in_all("K_I / (2 s sqrt(a / pi))", found[:, 0], 0.015, 0.01)
-    others = float(np.abs(found[:, 1:]).max())
-    return [*rows, Row("largest of K_II and K_III, as K_I", others, 0.0, 0.01, absolute=True)]
+    ratios = penny()[1]
+    rows = in_all("K_I / (2 s sqrt(a / pi))", ratios[:, 0], 0.015, 0.01)
+    other_modes = float(np.abs(ratios[:, 1:]).max())
+    return [*rows, Row("largest of K_II and K_III, as K_I", other_modes, 0.0, 0.01, absolute=True)]
 
 
 def green(t: np.ndarray) -> np.ndarray:
     """K_I of an ellipse under 1 MPa at its angle (SSLV110) [Pa m^(1/2)]."""
-    along = np.sin(t) ** 2 + (DEEP / LONG * np.cos(t)) ** 2
-    return np.asarray(4.068e6 * np.sqrt(1e-3) * along**0.25)
+    angle_factor = np.sin(t) ** 2 + (DEEP / LONG * np.cos(t)) ** 2
+    return np.asarray(4.068e6 * np.sqrt(1e-3) * angle_factor**0.25)
 
 
 @cache
 def ellipse() -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Angles of the stations, K (n, 3) there, means of the closed form over their hats, which reach
     7.5 degrees to both sides, and dofs."""
-    angles, found, count = pressed_open(LONG, DEEP, SIDE, 1e-3, 0.04, corner=True)
+    angles, intensities, count = pressed_open(LONG, DEEP, SIDE, 1e-3, 0.04, corner=True)
     t = np.linspace(0.0, 0.5 * np.pi, 4001)
     hats = np.maximum(0.0, 1.0 - np.abs(t - angles[:, None]) / (np.pi / 24.0))
     hats *= np.hypot(LONG * np.sin(t), DEEP * np.cos(t))
     means = hats @ green(t) / hats.sum(axis=1)
     means[0], means[-1] = 1.5 * means[[0, -1]] - 0.5 * means[[1, -2]]
-    return angles, found, means, count
+    return angles, intensities, means, count
 
 
 def draw_ellipse(axes: Any) -> None:
     """K over the angle."""
-    angles, found, _, _ = ellipse()
+    angles, intensities, _, _ = ellipse()
     t = np.linspace(0.0, 0.5 * np.pi, 200)
     axes.plot(np.degrees(t), green(t) / 1e3, "k:", lw=1, label="closed form, K_I")
-    draw_modes(axes, angles, found / 1e3)
+    draw_modes(axes, angles, intensities / 1e3)
     label(axes, xlabel="angle of the ellipse [degrees]", ylabel="K [kPa m$^{1/2}$]")
 
 
@@ -212,22 +218,24 @@ def ellipse_in_a_block() -> list[Row]:
     degrees to both sides. At the ends both take the straight line through the last two hats; 2.5 %
     are allowed there, 2 % elsewhere.
     """
-    angles, found, means, count = ellipse()
+    angles, intensities, means, count = ellipse()
     rows = []
-    for angle, value, mean in zip(np.degrees(angles), found[:, 0], means, strict=True):
-        allowed = 0.02 if 1.0 < angle < 89.0 else 0.025
+    for angle, value, mean in zip(np.degrees(angles), intensities[:, 0], means, strict=True):
+        tolerance = 0.02 if 1.0 < angle < 89.0 else 0.025
         name = f"K_I at {round(angle, 1) + 0.0:g} degrees [kPa m^0.5]"
-        rows.append(Row(name, value / 1e3, mean / 1e3, allowed))
-    others = float(np.abs(found[:, 1:]).max() / means.max())
+        rows.append(Row(name, value / 1e3, mean / 1e3, tolerance))
+    other_modes = float(np.abs(intensities[:, 1:]).max() / means.max())
     return [
         *rows,
         Row(
             "root mean square of K_I over its reference",
-            root_mean_square(found[:, 0] / means),
+            root_mean_square(intensities[:, 0] / means),
             1.0,
             0.01,
         ),
-        Row("largest of K_II and K_III over the largest K_I", others, 0.0, 0.02, absolute=True),
+        Row(
+            "largest of K_II and K_III over the largest K_I", other_modes, 0.0, 0.02, absolute=True
+        ),
         Row("dofs above 45,000", max(0, count - 45_000), 0.0, 0.0, absolute=True),
     ]
 
@@ -240,9 +248,9 @@ def line(x: np.ndarray, power: int) -> tuple[sparse.csr_matrix, sparse.csr_matri
     shape = np.array([(1.0 - q) * (1.0 - 2.0 * q), 4.0 * q * (1.0 - q), q * (2.0 * q - 1.0)])
     slope = np.array([4.0 * q - 3.0, 4.0 - 8.0 * q, 4.0 * q - 1.0])
     for number, (a, b) in enumerate(pairwise(x)):
-        its, weights = slice(2 * number, 2 * number + 3), w * (a + (b - a) * q) ** power
-        mass[its, its] += (b - a) * (shape * weights) @ shape.T
-        stiffness[its, its] += (slope * weights) @ slope.T / (b - a)
+        element_dofs, weights = slice(2 * number, 2 * number + 3), w * (a + (b - a) * q) ** power
+        mass[element_dofs, element_dofs] += (b - a) * (shape * weights) @ shape.T
+        stiffness[element_dofs, element_dofs] += (slope * weights) @ slope.T / (b - a)
     return sparse.csr_matrix(mass), sparse.csr_matrix(stiffness)
 
 
@@ -259,9 +267,11 @@ def ring(radius: float, ligament: float, half: float, count: int = 18) -> float:
         places = np.arange(matrix.shape[0]).reshape(m_r.shape[0], -1)
         angle = np.zeros(matrix.shape[0])
         angle[places[:, -1]] = 1.0
-        fixed = np.append(places[:, -1], places[: 2 * count + 1, 0])
-        free = np.setdiff1d(places, fixed)
-        angle[free] = spsolve(matrix[free][:, free].tocsc(), -(matrix[free] @ angle))
+        fixed_places = np.append(places[:, -1], places[: 2 * count + 1, 0])
+        free_places = np.setdiff1d(places, fixed_places)
+        angle[free_places] = spsolve(
+            matrix[free_places][:, free_places].tocsc(), -(matrix[free_places] @ angle)
+        )
         return float(2.0 * np.pi * angle @ (matrix @ angle))
 
     step = 1e-3 * ligament
@@ -294,14 +304,18 @@ def torsion(element: float = 1.2e-4) -> tuple[np.ndarray, np.ndarray, int]:
                 node = cell[4 + TETRAHEDRON_EDGES.index(edge)]
                 load[node] += area / 3.0 * np.cross([0.0, 1.0, 0.0], points[node])
     torque = 4.0 * np.cross(points, load)[:, 1].sum()
-    on = np.abs(points) < 1e-9
-    held = np.column_stack([on[:, 2], on[:, 0] | on[:, 2], on[:, 0]])
-    moved = displaced(structure, structure.nodes.mesh_dofs.restrict_to_free(load.ravel()), held)
+    on_plane = np.abs(points) < 1e-9
+    clamped_axes = np.column_stack(
+        [on_plane[:, 2], on_plane[:, 0] | on_plane[:, 2], on_plane[:, 0]]
+    )
+    displacement = displaced(
+        structure, structure.nodes.mesh_dofs.restrict_to_free(load.ravel()), clamped_axes
+    )
     stations, rows, _ = front_functionals(scene, structure)
-    found = (rows @ moved).reshape(-1, 3) / (torque * ring(RADIUS, LIGAMENT, HALF))
+    intensities = (rows @ displacement).reshape(-1, 3) / (torque * ring(RADIUS, LIGAMENT, HALF))
     x, _, z = np.array([station.point for station in stations]).T
-    found[:, 2] *= np.sign(found[:, 2].sum())
-    return np.arctan2(z, x), found, structure.n_dofs
+    intensities[:, 2] *= np.sign(intensities[:, 2].sum())
+    return np.arctan2(z, x), intensities, structure.n_dofs
 
 
 def draw_torsion(axes: Any) -> None:
@@ -328,11 +342,11 @@ def torsion_of_a_cracked_bar() -> list[Row]:
 
     The handbooks' polynomials are up to 1.8 % too large.
     """
-    _, found, count = torsion()
-    others = float(np.abs(found[:, :2]).max())
+    _, intensities, count = torsion()
+    other_modes = float(np.abs(intensities[:, :2]).max())
     return [
-        *in_all("K_III over the axisymmetric one", found[:, 2], 0.025, 0.015),
-        Row("largest of K_I and K_II over K_III", others, 0.0, 0.025, absolute=True),
+        *in_all("K_III over the axisymmetric one", intensities[:, 2], 0.025, 0.015),
+        Row("largest of K_I and K_II over K_III", other_modes, 0.0, 0.025, absolute=True),
         Row("dofs above 60,000", max(0, count - 60_000), 0.0, 0.0, absolute=True),
     ]
 
@@ -359,12 +373,14 @@ def fronts_on_coarse_meshes() -> list[Row]:
     squares over the stations. The error of K_III is of about first order.
     """
     errors = [1.0 - root_mean_square(torsion(element)[1][:, 2]) for element in COARSE[:2]]
-    found = pressed_open(PENNY, PENNY * (1.0 - 1e-9), BLOCK, 2e-3, 0.4, corner=True)[1][:, 0]
+    K_I = pressed_open(PENNY, PENNY * (1.0 - 1e-9), BLOCK, 2e-3, 0.4, corner=True)[1][:, 0]
     rows = [
-        Row(f"torsion, elements of {name} mm: K_III over its reference", 1.0 - error, 1.0, allowed)
-        for name, error, allowed in zip(("1.2", "0.6"), errors, (0.08, 0.05), strict=True)
+        Row(
+            f"torsion, elements of {name} mm: K_III over its reference", 1.0 - error, 1.0, tolerance
+        )
+        for name, error, tolerance in zip(("1.2", "0.6"), errors, (0.08, 0.05), strict=True)
     ]
-    circular = root_mean_square(found) / (2.0 * STRESS * np.sqrt(PENNY / np.pi))
+    circular = root_mean_square(K_I) / (2.0 * STRESS * np.sqrt(PENNY / np.pi))
     return [
         *rows,
         Row("order of its error", math.log2(errors[0] / errors[1]), 1.0, 0.3),
@@ -376,15 +392,16 @@ def fronts_on_coarse_meshes() -> list[Row]:
 def lives() -> tuple[list[EllipsePath], list[np.ndarray], list[float]]:
     """Of all cases the path by as many shapes as the program solves; depth, length and cycles
     without a table; and cycles by 8 x 8 shapes."""
-    paths, exact, many = [], [], []
-    for start, until, stress, exponent in CASES:
-        own, fine = (
-            table_of(count, start, until, stress) for count in (growth.N_ELLIPSE_SIZES_PER_AXIS, 8)
+    paths, exact, fine_cycles = [], [], []
+    for start, end_depth, stress, exponent in CASES:
+        table, fine_table = (
+            table_of(count, start, end_depth, stress)
+            for count in (growth.N_ELLIPSE_SIZES_PER_AXIS, 8)
         )
-        paths.append(integrate_ellipse_growth(own, law(exponent), 2))
-        exact.append(brute_force(start, until, stress, exponent))
-        many.append(float(integrate_ellipse_growth(fine, law(exponent), 2).cycles[-1]))
-    return paths, exact, many
+        paths.append(integrate_ellipse_growth(table, law(exponent), 2))
+        exact.append(brute_force(start, end_depth, stress, exponent))
+        fine_cycles.append(float(integrate_ellipse_growth(fine_table, law(exponent), 2).cycles[-1]))
+    return paths, exact, fine_cycles
 
 
 def draw_lives(axes: Any) -> None:
@@ -393,8 +410,8 @@ def draw_lives(axes: Any) -> None:
     for number in range(5, 10):
         tension, bending = CASES[number][2]
         name = f"tension {tension:g}, bending {bending:g}"
-        [drawn] = axes.plot(paths[number].length * 1e3, paths[number].depth * 1e3, label=name)
-        axes.plot(exact[number][1] * 1e3, exact[number][0] * 1e3, "x", color=drawn.get_color())
+        [drawn_line] = axes.plot(paths[number].length * 1e3, paths[number].depth * 1e3, label=name)
+        axes.plot(exact[number][1] * 1e3, exact[number][0] * 1e3, "x", color=drawn_line.get_color())
     axes.set(xlabel="length on the face [mm]", ylabel="depth [mm]", ylim=(0.0, None))
     axes.legend(title="x: ends without a table", fontsize=8)
 
@@ -415,17 +432,21 @@ def growth_of_half_ellipses() -> list[Row]:
     Reference: the same equations without a table, by SciPy's LSODA to 1e-9. 8 x 8 shapes (last
     rows) are no better where the deepest place comes to rest, as K has a kink there.
     """
-    paths, exact, many = lives()
+    paths, exact, fine_cycles = lives()
     rows = []
-    for (start, until, stress, exponent), path, its in zip(CASES, paths, exact, strict=True):
+    for (start, end_depth, stress, exponent), path, exact_path in zip(
+        CASES, paths, exact, strict=True
+    ):
         name = f"tension {stress[0]:g}, bending {stress[1]:g}, m = {exponent:g}, first 2 c ="
-        name += f" {start[1] / start[0]:.3g} a: a {start[0] * 1e3:.3g} to {until * 1e3:.3g} mm"
-        rows.append(Row(name, float(path.cycles[-1]), float(its[2]), 0.015))
-    own, fine = (np.array(x) for x in ([path.cycles[-1] for path in paths], many))
+        name += f" {start[1] / start[0]:.3g} a: a {start[0] * 1e3:.3g} to {end_depth * 1e3:.3g} mm"
+        rows.append(Row(name, float(path.cycles[-1]), float(exact_path[2]), 0.015))
+    default_lives, fine_lives = (
+        np.array(x) for x in ([path.cycles[-1] for path in paths], fine_cycles)
+    )
     return [
         *(row for load in range(5) for row in rows[load::5]),
         Row("cycles by 8 x 8 shapes over these, furthest off",
-            furthest(fine / [its[2] for its in exact]), 1.0, None),
-        Row("cycles by 5 x 5 over those by 8 x 8 shapes, furthest off", furthest(own / fine), 1.0,
-            None),
+            furthest(fine_lives / [exact_path[2] for exact_path in exact]), 1.0, None),
+        Row("cycles by 5 x 5 over those by 8 x 8 shapes, furthest off",
+            furthest(default_lives / fine_lives), 1.0, None),
     ]  # fmt: skip

@@ -52,8 +52,8 @@ def bilinear_oscillator() -> list[Row]:
     4096 samples a period. The product of the multipliers is exp(-c T) (Liouville).
     """
     rows = []
-    for omega, (mean, waves, largest, smallest) in BILINEAR_ORBITS.items():
-        at = NAMES[omega]
+    for omega, (mean, waves, max_gap, min_gap) in BILINEAR_ORBITS.items():
+        omega_name = NAMES[omega]
         solution = fc.solve_harmonic_balance(oscillator(), omega, ONE, harmonics=20)
         balance = solution.gap_coefficients[:, 0]
         wave = solution.gap(np.arange(4096) * solution.period / 4096)
@@ -62,22 +62,24 @@ def bilinear_oscillator() -> list[Row]:
             steps_per_period=4096,
         )  # fmt: skip
         flow_mean, flow_waves = sampled_harmonics(march.gap[:, 0])
-        rows += [Row(f"{at}: mean, harmonic balance", balance[0], mean, 1e-5)]
-        rows += [Row(f"{at}: mean, exact flow", flow_mean, mean, 0.5e-9, absolute=True)]
+        rows += [Row(f"{omega_name}: mean, harmonic balance", balance[0], mean, 1e-5)]
+        rows += [Row(f"{omega_name}: mean, exact flow", flow_mean, mean, 0.5e-9, absolute=True)]
         for k in range(3):
-            found = amplitudes(balance)[k]
-            rows += [Row(f"{at}: abs(X{k + 1}), harmonic balance", found, waves[k], 1e-5)]
-            name = f"{at}: abs(X{k + 1}), exact flow"
+            amplitude = amplitudes(balance)[k]
+            rows += [
+                Row(f"{omega_name}: abs(X{k + 1}), harmonic balance", amplitude, waves[k], 1e-5)
+            ]
+            name = f"{omega_name}: abs(X{k + 1}), exact flow"
             rows += [Row(name, flow_waves[k], waves[k], 0.5e-8, absolute=True)]
         for name, two, value in (
-            ("largest x", (wave.max(), march.gap.max()), largest),
-            ("smallest x", (wave.min(), march.gap.min()), smallest),
+            ("largest x", (wave.max(), march.gap.max()), max_gap),
+            ("smallest x", (wave.min(), march.gap.min()), min_gap),
         ):
-            rows += [Row(f"{at}: {name}, harmonic balance", two[0], value, 1e-5)]
-            rows += [Row(f"{at}: {name}, exact flow", two[1], value, 0.5e-8, absolute=True)]
+            rows += [Row(f"{omega_name}: {name}, harmonic balance", two[0], value, 1e-5)]
+            rows += [Row(f"{omega_name}: {name}, exact flow", two[1], value, 0.5e-8, absolute=True)]
         product = float(np.prod(fc.shoot(oscillator(), solution).multipliers).real)
         liouville = np.exp(-0.1 * solution.period)
-        rows += [Row(f"{at}: product of the multipliers", product, liouville, 1e-9)]
+        rows += [Row(f"{omega_name}: product of the multipliers", product, liouville, 1e-9)]
     return rows
 
 
@@ -114,19 +116,19 @@ def bilinear_convergence() -> list[Row]:
 
     Reference: the same computations by another program, given to two digits.
     """
-    published = (3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7)
+    published_errors = (3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7)
     errors = truncation_errors()
     rows = [
         Row(f"relative L2 error, H = {h}", found, value, 0.1)
-        for h, found, value in zip(COUNTS, errors, published, strict=True)
+        for h, found, value in zip(COUNTS, errors, published_errors, strict=True)
     ]
     slope = log_slope(COUNTS, errors)
     rows += [Row("order of the error in H", slope, -3.2, 0.2, absolute=True)]
     solution = fc.solve_harmonic_balance(oscillator(), 1.0, ONE, harmonics=130)
     order = np.arange(1, 131)
-    scaled = amplitudes(solution.gap_coefficients[:, 0]) * order**4
+    scaled_amplitudes = amplitudes(solution.gap_coefficients[:, 0]) * order**4
     for k in (8, 16, 32, 64):
-        peak = float(scaled[(order >= k) & (order < 2 * k)].max())
+        peak = float(scaled_amplitudes[(order >= k) & (order < 2 * k)].max())
         name = f"largest abs(Xk) k^4, k = {k} to {2 * k}"
         rows += [Row(name, peak, 1.66, 0.03, absolute=True)]
     exact = fc.solve_harmonic_balance(oscillator(), 0.5 * OMEGA_0, ONE, harmonics=5)
@@ -142,12 +144,13 @@ def bilinear_convergence() -> list[Row]:
 
 def draw_doubled(axes: Any) -> None:
     """Two periods of both orbits."""
-    once = fc.solve_harmonic_balance(oscillator(), 2.0 * OMEGA_0, ONE, harmonics=20)
+    single_period = fc.solve_harmonic_balance(oscillator(), 2.0 * OMEGA_0, ONE, harmonics=20)
     share = np.linspace(0.0, 2.0, 800)
     for orbit, style, name in (
-        (once, "C0--", "one period, unstable"), (period_two_orbit(40), "C1-", "two periods, stable")
+        (single_period, "C0--", "one period, unstable"),
+        (period_two_orbit(40), "C1-", "two periods, stable"),
     ):  # fmt: skip
-        axes.plot(share, orbit.gap(share * once.period)[:, 0], style, label=name)
+        axes.plot(share, orbit.gap(share * single_period.period)[:, 0], style, label=name)
     axes.axhline(0.0, color="0.7", lw=1)
     label(axes, xlabel="t / period of the load", ylabel="x", xlim=(0.0, 2.0))
 
@@ -162,12 +165,12 @@ def period_doubling() -> list[Row]:
     Reference: event-driven integration and Newton's method by another program.
     """
     omega = 2.0 * OMEGA_0
-    once = fc.solve_harmonic_balance(oscillator(), omega, ONE, harmonics=20)
-    orbit = fc.shoot(oscillator(), once)
+    single_period = fc.solve_harmonic_balance(oscillator(), omega, ONE, harmonics=20)
+    orbit = fc.shoot(oscillator(), single_period)
     twice = period_two_orbit(40).gap_coefficients[:, 0]
-    found = float(amplitudes(once.gap_coefficients[:, 0])[0])
+    first_amplitude = float(amplitudes(single_period.gap_coefficients[:, 0])[0])
     return [
-        Row("abs(X1) of one period", found, 0.2419996, 1e-6, absolute=True),
+        Row("abs(X1) of one period", first_amplitude, 0.2419996, 1e-6, absolute=True),
         Row("its multiplier", float(orbit.multipliers[0].real), -1.23694, 1e-5, absolute=True),
         Row("abs(X1/2) of two periods, H = 40", amplitudes(twice)[0], 0.7790634, 1.2e-5),
         Row("their mean", twice[0], -0.1735445, 1.2e-5),
@@ -183,10 +186,10 @@ def stop_curve() -> fc.ResponseCurve:
 def draw_stop_curve(axes: Any) -> None:
     """The response and the two published points."""
     curve = stop_curve()
-    found = np.hypot(*curve.coefficients_at(1)[:, 1:3].T)
+    amplitude = np.hypot(*curve.coefficients_at(1)[:, 1:3].T)
     unstable = np.convolve(~curve.stable, np.ones(3), "same") > 0.0  # with the points beside it
-    for name, chosen, style in (("stable", curve.stable, "C0-"), ("unstable", unstable, "C0--")):
-        axes.semilogy(curve.omega, np.where(chosen, found, np.nan), style, label=name)
+    for name, is_chosen, style in (("stable", curve.stable, "C0-"), ("unstable", unstable, "C0--")):
+        axes.semilogy(curve.omega, np.where(is_chosen, amplitude, np.nan), style, label=name)
     axes.plot([0.7, 0.7], [0.77839461, 0.22134025], "kx", ms=8, mew=2, label="reference")
     label(axes, xlabel="W", ylabel="abs(X1) of mass 2")
 
@@ -205,7 +208,7 @@ def two_masses_and_a_stop() -> list[Row]:
     """
     curve = stop_curve()
     crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
-    found = {}
+    sizes = {}
     for harmonics in (21, 200):
         ends = []
         for start in (crossing[0], crossing[-1]):
@@ -213,22 +216,24 @@ def two_masses_and_a_stop() -> list[Row]:
                 two_masses(), 0.7, STOP, harmonics=harmonics, initial=curve.solution(int(start))
             )
             ends.append(float(amplitudes(orbit.coefficients_at([1])[:, 0])[0]))
-        found[harmonics] = sorted(ends)
-    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+        sizes[harmonics] = sorted(ends)
+    doubling_point = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     return [
         Row("orbits at W = 0.70 on the curve", len(crossing), 3, 0.0, absolute=True),
-        Row("abs(X1) of mass 2, no contact, H = 21", found[21][0], 0.22134025, 1e-6),
-        Row("abs(X1) of mass 2, contact, H = 21", found[21][1], 0.77839461, 1e-3, absolute=True),
-        Row("the same, H = 200", found[200][1], 0.77839461, 1e-7),
-        Row("period doubling", doubling.omega, 0.7387830, 1e-7),
+        Row("abs(X1) of mass 2, no contact, H = 21", sizes[21][0], 0.22134025, 1e-6),
+        Row("abs(X1) of mass 2, contact, H = 21", sizes[21][1], 0.77839461, 1e-3, absolute=True),
+        Row("the same, H = 200", sizes[200][1], 0.77839461, 1e-7),
+        Row("period doubling", doubling_point.omega, 0.7387830, 1e-7),
     ]
 
 
 @cache
 def duffing_roots() -> tuple[np.ndarray, np.ndarray]:
     """With 64 samples and with 3: (root, coefficient, 1)."""
-    many, few = (np.array(newton_roots(duffing_system(1, samples))) for samples in (64, 3))
-    return many, few
+    fine_roots, coarse_roots = (
+        np.array(newton_roots(duffing_system(1, samples))) for samples in (64, 3)
+    )
+    return fine_roots, coarse_roots
 
 
 def draw_roots(axes: Any) -> None:
@@ -257,10 +262,10 @@ def duffing_spurious_roots() -> list[Row]:
     of collocated roots follows from a Groebner basis (`tests/balance/test_forms.py`).
     """
     exact = classical_amplitudes()
-    many, few = duffing_roots()
-    found = np.sort(np.hypot(many[:, 1, 0], many[:, 2, 0]))
+    fine_roots, coarse_roots = duffing_roots()
+    root_amplitudes = np.sort(np.hypot(fine_roots[:, 1, 0], fine_roots[:, 2, 0]))
     return [
-        Row("roots with 64 samples", len(many), 3, 0.0, absolute=True),
-        Row("roots with 3 samples", len(few), 9, 0.0, absolute=True),
-        *(Row(f"abs(X1) of root {i + 1}", found[i], exact[i], 1e-9) for i in range(3)),
+        Row("roots with 64 samples", len(fine_roots), 3, 0.0, absolute=True),
+        Row("roots with 3 samples", len(coarse_roots), 9, 0.0, absolute=True),
+        *(Row(f"abs(X1) of root {i + 1}", root_amplitudes[i], exact[i], 1e-9) for i in range(3)),
     ]

@@ -75,8 +75,8 @@ def rows_of(page: Path) -> Iterator[Row]:
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if line.startswith("|") and len(cells) >= 4 and not cells[1].strip("-").startswith("pred"):
             if cells[1].strip("-"):
-                published = float(cells[3]) if cells[3] != "not yet" else None
-                yield Row(cells[0], float(cells[1]), float(cells[2]), published)
+                published_number = float(cells[3]) if cells[3] != "not yet" else None
+                yield Row(cells[0], float(cells[1]), float(cells[2]), published_number)
 
 
 def outside(case: Callable[[], dict[str, float]]) -> Callable[[], dict[str, float]]:
@@ -139,8 +139,10 @@ def aster_sdnd121() -> dict[str, float]:
         structure, 10.0 * np.pi, fc.UnilateralPenalty(1e10), periods=5, steps_per_period=100000
     )
     gap, time = flown.gap[:, 0], flown.time
-    before = np.flatnonzero((gap[:-1] > 0.0) != (gap[1:] > 0.0))
-    instants = time[before] + time[1] * gap[before] / (gap[before] - gap[before + 1])
+    steps_before = np.flatnonzero((gap[:-1] > 0.0) != (gap[1:] > 0.0))
+    instants = time[steps_before] + time[1] * gap[steps_before] / (
+        gap[steps_before] - gap[steps_before + 1]
+    )
     quantities = {
         f"contact {number // 2 + 1} {('begins', 'ends')[number % 2]} [s]": instant
         for number, instant in enumerate(instants[:32])
@@ -212,8 +214,7 @@ def aster_sdnl32() -> dict[str, float]:
     start = np.full(21, -3.8)
     start[1::2] = speeds
     tip, quantities = np.eye(21)[-2], {}
-    whole = fc.Structure.from_matrices(mass, stiffness, gap=-tip)
-    modes = fc.solve_modes(whole, 10)
+    modes = fc.solve_modes(fc.Structure.from_matrices(mass, stiffness, gap=-tip), 10)
     shapes = np.array(modes.shapes)
     omega = np.where(modes.omega < 1.0, 0.0, modes.omega)
     for case, spring in (("A", 18000.0), ("B", 45000.0)):
@@ -269,17 +270,17 @@ def ansys_vm156() -> dict[str, float]:
     """Period of a free mass on a spring whose stiffness grows in ten steps."""
     forces = np.array([0, 0.204, 0.432, 0.708, 1.056, 1.5, 2.064, 2.772, 3.648, 4.716, 6.0])
     slopes = np.diff(forces) / 0.1
-    added = np.repeat(np.diff(slopes), 2)
+    added_stiffness = np.repeat(np.diff(slopes), 2)
     structure = fc.Structure.from_matrices(
         [[2588e-6]], [[slopes[0]]], gap=[np.tile([1.0, -1.0], 9)],
         clearance=np.repeat(np.arange(1, 10) / 10.0, 2),
     )  # fmt: skip
-    flown = fc.integrate_events(
-        structure, 2.0 * np.pi / 0.1, fc.UnilateralPenalty(added), periods=1,
+    history = fc.integrate_events(
+        structure, 2.0 * np.pi / 0.1, fc.UnilateralPenalty(added_stiffness), periods=1,
         steps_per_period=100000, initial=(np.ones(1), np.zeros(1)),
     )  # fmt: skip
-    quarter = np.flatnonzero(flown.gap[:, 0] < -0.1)[0]
-    return {"period [s]": 4.0 * flown.time[quarter]}
+    quarter = np.flatnonzero(history.gap[:, 0] < -0.1)[0]
+    return {"period [s]": 4.0 * history.time[quarter]}
 
 
 @outside

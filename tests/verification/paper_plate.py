@@ -33,10 +33,12 @@ def scene_of(stiffness: float, ratio: float) -> fc.Scene:
     depth is 3 k / (length thickness).
     """
     paper = fc.Scene.load(SCENE)
-    first = fc.solve_modes(fc.build_structure(paper), 1).omega[0]
+    first_omega = fc.solve_modes(fc.build_structure(paper), 1).omega[0]
     area = paper.crack.length * paper.geometry.thickness
     contact = {"law": "penalty", "stiffness_per_area": 3.0 * stiffness / area}
-    tables = tomllib.loads(SCENE.read_text()) | {"damping": {"stiffness": 2.0 * ratio / first}}
+    tables = tomllib.loads(SCENE.read_text()) | {
+        "damping": {"stiffness": 2.0 * ratio / first_omega}
+    }
     return fc.Scene.from_mapping(tables | {"contact": contact})
 
 

@@ -31,8 +31,7 @@ def cracked_plate(
     tables["loads"] = [{"edge": "top", "traction_mean": [0.0, 1.0]}]
     if cracks:
         tables |= {"crack": cracks[0], "cracks": cracks[1:], "contact": {"stiffness": 1.0}}
-    scene = fc.Scene.from_mapping(tables)
-    return scene.replace(changes)
+    return fc.Scene.from_mapping(tables).replace(changes)
 
 
 # --- published frequencies ------------------------------------------------------------------------
@@ -42,17 +41,19 @@ def draw_shapes(axes: Any, structure: fc.Structure, names: list[str], columns: i
     """The first modes of a plate, side by side."""
     nodes = structure.nodes
     shapes = fc.solve_modes(structure, len(names)).shapes
-    free, size = nodes.dofs >= 0, np.ptp(nodes.points, axis=0)
+    is_free, size = nodes.dofs >= 0, np.ptp(nodes.points, axis=0)
     for mode, name in enumerate(names):
         motion = np.zeros(nodes.points.shape)
-        motion[free] = shapes[nodes.dofs[free], mode]
+        motion[is_free] = shapes[nodes.dofs[is_free], mode]
         place = np.array([mode % columns, -(mode // columns)]) * 1.3 * size
-        moved = nodes.points + place + 0.15 * size.max() / np.abs(motion).max() * motion
+        moved_points = nodes.points + place + 0.15 * size.max() / np.abs(motion).max() * motion
         axes.add_collection(
-            PolyCollection(moved[nodes.cells[:, :4]], facecolor="C0", edgecolor="w", linewidth=0.2)
+            PolyCollection(
+                moved_points[nodes.cells[:, :4]], facecolor="C0", edgecolor="w", linewidth=0.2
+            )
         )
-        at = nodes.points.min(axis=0) + place + size * [0.5, -0.05]
-        axes.text(*at, name, ha="center", va="top", fontsize="small")
+        label_point = nodes.points.min(axis=0) + place + size * [0.5, -0.05]
+        axes.text(*label_point, name, ha="center", va="top", fontsize="small")
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.axis("off")
@@ -96,10 +97,12 @@ def tapered_membrane() -> list[Row]:
     Reference: NAFEMS, The Standard NAFEMS Benchmarks (1990), test FV32; and 64 x 32 nine-node
     quadrilaterals of another program.
     """
-    finer = [44.617, 130.011, 162.689, 245.987, 379.719, 391.406]
-    found = fc.solve_modes(tapered(), 6).omega / (2.0 * np.pi)
-    rows = [Row(f"f{i + 1} [Hz], target", found[i], TARGET[i], 1e-3) for i in range(6)]
-    return rows + [Row(f"f{i + 1} [Hz], finer mesh", found[i], finer[i], 1e-4) for i in range(6)]
+    finer_hertz = [44.617, 130.011, 162.689, 245.987, 379.719, 391.406]
+    hertz = fc.solve_modes(tapered(), 6).omega / (2.0 * np.pi)
+    rows = [Row(f"f{i + 1} [Hz], target", hertz[i], TARGET[i], 1e-3) for i in range(6)]
+    return rows + [
+        Row(f"f{i + 1} [Hz], finer mesh", hertz[i], finer_hertz[i], 1e-4) for i in range(6)
+    ]
 
 
 def _draw_taper(model: Any) -> None:
@@ -144,8 +147,8 @@ def square_cantilever() -> list[Row]:
 
     Reference: published values of fine meshes, to five digits.
     """
-    found = fc.solve_modes(square(), 3).omega
-    return [Row(f"mode {i + 1}", found[i], SQUARE[i], 1e-3) for i in range(3)]
+    omegas = fc.solve_modes(square(), 3).omega
+    return [Row(f"mode {i + 1}", omegas[i], SQUARE[i], 1e-3) for i in range(3)]
 
 
 # --- stress intensity -----------------------------------------------------------------------------
@@ -161,8 +164,10 @@ def pull(scene: fc.Scene) -> float:
     """Work of a uniform traction of 1 on the upper edge: f . u, with an open crack."""
     structure = fc.build_structure(scene)
     force = structure.force[0]
-    found = scipy.sparse.linalg.spsolve(csr(structure.stiffness).tocsc(), force, "MMD_AT_PLUS_A")
-    return float(force @ found)
+    displacement = scipy.sparse.linalg.spsolve(
+        csr(structure.stiffness).tocsc(), force, "MMD_AT_PLUS_A"
+    )
+    return float(force @ displacement)
 
 
 @cache
@@ -198,8 +203,8 @@ def tada(kind: str, share: float) -> float:
         return float((1.0 - 0.025 * share**2 + 0.06 * share**4) / np.sqrt(np.cos(angle)))
     if kind == "two edges":
         return float((1.0 + 0.122 * np.cos(angle) ** 4) * np.sqrt(np.tan(angle) / angle))
-    bent = 0.752 + 2.02 * share + 0.37 * (1.0 - np.sin(angle)) ** 3
-    return float(np.sqrt(np.tan(angle) / angle) * bent / np.cos(angle))
+    polynomial = 0.752 + 2.02 * share + 0.37 * (1.0 - np.sin(angle)) ** 3
+    return float(np.sqrt(np.tan(angle) / angle) * polynomial / np.cos(angle))
 
 
 STRIPS = [("edge", share) for share in (0.1, 0.2, 0.3, 0.5)]
@@ -216,8 +221,10 @@ def draw_factors(axes: Any) -> None:
     shares = np.linspace(0.01, 0.6, 60)
     for colour, kind in zip(("C0", "C1", "C2"), ("edge", "centre", "two edges"), strict=True):
         axes.plot(shares, [tada(kind, share) for share in shares], colour, label=f"{kind}, Tada")
-        found = [(share, strip_factor(kind, share)) for other, share in STRIPS if other == kind]
-        axes.plot(*np.transpose(found), f"{colour}o", label=f"{kind}, fenics_crack")
+        factors = [
+            (share, strip_factor(kind, share)) for strip_kind, share in STRIPS if strip_kind == kind
+        ]
+        axes.plot(*np.transpose(factors), f"{colour}o", label=f"{kind}, fenics_crack")
     axes.set(xlabel="a / W of the edge crack, 2 a / W of the others", ylabel="F")
     axes.legend(fontsize="small")
 
@@ -256,11 +263,13 @@ def soft_plate() -> fc.Structure:
 def draw_soft_contact(axes: Any) -> None:
     """The gap over two periods with 5 and 40 harmonics."""
     for harmonics in (5, 10, 40):
-        found = fc.solve_harmonic_balance(
+        solution = fc.solve_harmonic_balance(
             soft_plate(), 2000.0, fc.UnilateralPenalty(1e9), harmonics=harmonics
         )
         share = np.linspace(0.0, 2.0, 801)
-        axes.plot(share, -1e6 * found.gap(share * found.period)[:, 0], label=f"H = {harmonics}")
+        axes.plot(
+            share, -1e6 * solution.gap(share * solution.period)[:, 0], label=f"H = {harmonics}"
+        )
     axes.axhline(1.451955, color="k", ls=":", lw=1, label="largest, exact")
     axes.axhline(0.0, color="0.7", lw=1)
     axes.set(xlabel="t / period", ylabel="opening [µm]", xlim=(0.0, 2.0))
@@ -289,19 +298,19 @@ def paper_plate_soft_contact() -> list[Row]:
         ("H = 20", solution.gap(t)[:, 0], solution.displacement(t, [corner])[:, 0], 2e-3),
     )
     rows = []
-    for name, gap, motion, near in pairs:
+    for name, gap, motion, tolerance in pairs:
         (mean, *gaps), (rest, *moves) = (_spectrum(wave) for wave in (gap, motion))
         rows += [
-            Row(f"{name}: mean of g [m]", mean, -4.317675e-7, near),
-            Row(f"{name}: abs(g1) [m]", gaps[0], 7.418206e-7, near),
-            Row(f"{name}: abs(g2) [m]", gaps[1], 2.357526e-7, near),
-            Row(f"{name}: abs(g3) [m]", gaps[2], 1.52476e-8, 10.0 * near),
-            Row(f"{name}: largest opening [m]", -gap.min(), 1.451955e-6, near),
-            Row(f"{name}: corner, mean of u [m]", rest, 1.860995e-7, near),
-            Row(f"{name}: corner, abs(u1) [m]", moves[0], 1.145796e-6, near),
-            Row(f"{name}: corner, abs(u2) [m]", moves[1], 1.775296e-7, near),
-            Row(f"{name}: corner, smallest u [m]", motion.min(), -1.152750e-6, near),
-            Row(f"{name}: corner, largest u [m]", motion.max(), 1.156557e-6, near),
+            Row(f"{name}: mean of g [m]", mean, -4.317675e-7, tolerance),
+            Row(f"{name}: abs(g1) [m]", gaps[0], 7.418206e-7, tolerance),
+            Row(f"{name}: abs(g2) [m]", gaps[1], 2.357526e-7, tolerance),
+            Row(f"{name}: abs(g3) [m]", gaps[2], 1.52476e-8, 10.0 * tolerance),
+            Row(f"{name}: largest opening [m]", -gap.min(), 1.451955e-6, tolerance),
+            Row(f"{name}: corner, mean of u [m]", rest, 1.860995e-7, tolerance),
+            Row(f"{name}: corner, abs(u1) [m]", moves[0], 1.145796e-6, tolerance),
+            Row(f"{name}: corner, abs(u2) [m]", moves[1], 1.775296e-7, tolerance),
+            Row(f"{name}: corner, smallest u [m]", motion.min(), -1.152750e-6, tolerance),
+            Row(f"{name}: corner, largest u [m]", motion.max(), 1.156557e-6, tolerance),
         ]
     rows += [Row("flow: largest penetration [m]", march.gap.max(), 1.06264e-7, 2e-3)]
     for harmonics, opening in ((5, 1.3898e-6), (10, 1.4347e-6), (20, 1.4515e-6), (40, 1.4519e-6)):

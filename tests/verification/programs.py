@@ -35,14 +35,14 @@ def size(solution: fc.PeriodicSolution) -> float:
 @cache
 def gap_curve() -> tuple[fc.ResponseCurve, np.ndarray]:
     """The mass from 2 to 15 rad/s, H = 7 and 1024 samples, and its sizes."""
-    one = np.ones((1, 1))
+    unit = np.ones((1, 1))
     mass = fc.Structure.from_matrices(
-        one,
-        40.0 * one,
-        gap=one,
+        unit,
+        40.0 * unit,
+        gap=unit,
         force_cos=[100.0],
         clearance=10.0,
-        damping=0.1 * np.sqrt(40.0) * one,
+        damping=0.1 * np.sqrt(40.0) * unit,
     )
     curve = fc.continue_frequency(mass, 2.0, 15.0, GAP, harmonics=7, samples=1024)
     return curve, np.array([size(curve.solution(i)) for i in range(len(curve.omega))])
@@ -75,25 +75,25 @@ def mass_with_a_gap() -> list[Row]:
     structure, top = curve.solution(0).structure, int(np.argmax(sizes))
     rows = []
     for omega, value in FREE.items():
-        found = fc.solve_harmonic_balance(structure, omega, GAP, harmonics=7, samples=1024)
-        rows += [Row(f"no contact, W = {omega:.6g}", size(found), value, 1e-10)]
-    touching = np.arange(len(sizes))[sizes > 1.0]
+        solution = fc.solve_harmonic_balance(structure, omega, GAP, harmonics=7, samples=1024)
+        rows += [Row(f"no contact, W = {omega:.6g}", size(solution), value, 1e-10)]
+    contact_indices = np.arange(len(sizes))[sizes > 1.0]
     for name, points, side in (
-        ("up to the peak", UPPER, touching[touching <= top]),
-        ("beyond the peak", LOWER, touching[touching > top]),
+        ("up to the peak", UPPER, contact_indices[contact_indices <= top]),
+        ("beyond the peak", LOWER, contact_indices[contact_indices > top]),
     ):
         for omega, value in points.items():
-            near = int(side[np.argmin(np.abs(curve.omega[side] - omega))])
-            found = fc.solve_harmonic_balance(
-                structure, omega, GAP, harmonics=7, samples=1024, initial=curve.solution(near)
+            start = int(side[np.argmin(np.abs(curve.omega[side] - omega))])
+            solution = fc.solve_harmonic_balance(
+                structure, omega, GAP, harmonics=7, samples=1024, initial=curve.solution(start)
             )
-            rows += [Row(f"contact, {name}, W = {omega:.6g}", size(found), value, 5e-4)]
+            rows += [Row(f"contact, {name}, W = {omega:.6g}", size(solution), value, 5e-4)]
     folds = [point.omega for point in curve.bifurcations if point.kind == "fold"]
-    largest = float(curve.omega[sizes > 1.0].max())  # of the points, as pyHarm's
+    max_contact_omega = float(curve.omega[sizes > 1.0].max())  # of the points, as pyHarm's
     return [
         *rows,
         Row("largest size", float(sizes[top]), 1.8409751402563967, 1e-3),
-        Row("largest frequency with contact [rad/s]", largest, 8.565621132183313, 1e-4),
+        Row("largest frequency with contact [rad/s]", max_contact_omega, 8.565621132183313, 1e-4),
         Row("smallest frequency of the way down [rad/s]", min(folds), 7.0225443436662625, None),
     ]
 
@@ -110,28 +110,28 @@ def rotor_orbit(speed: float, switched: bool) -> tuple[np.ndarray, np.ndarray]:
 
     The crack opens with the shaft's deflection, or by the angle alone.
     """
-    odd = np.arange(18)
+    orders = np.arange(18)
     period = 2.0 * np.pi / speed
 
     def rate(t: float, flat: np.ndarray) -> np.ndarray:
         place, rate = flat.reshape(-1, 2).T
         turn = np.exp(1j * speed * t)
-        across = (place / turn).real
+        component_across = (place / turn).real
         if switched:  # as in ROSS: the square wave's first 18 terms
-            waves = (-1.0) ** odd * np.cos((2 * odd + 1) * speed * t) / (2 * odd + 1)
-            opened = across * (0.5 + 2.0 / np.pi * waves.sum())
+            waves = (-1.0) ** orders * np.cos((2 * orders + 1) * speed * t) / (2 * orders + 1)
+            opening = component_across * (0.5 + 2.0 / np.pi * waves.sum())
         else:
-            opened = np.maximum(across, 0.0)
-        force = 1.0 + ECCENTRICITY * speed**2 * turn * np.exp(1j * ANGLE) + SOFTER * opened * turn
+            opening = np.maximum(component_across, 0.0)
+        force = 1.0 + ECCENTRICITY * speed**2 * turn * np.exp(1j * ANGLE) + SOFTER * opening * turn
         force = force - place - INTERNAL * (rate - 1j * speed * place)
         return np.stack([rate, force], axis=1).ravel()
 
     def flow(states: np.ndarray, instants: np.ndarray | None = None) -> np.ndarray:
-        found = solve_ivp(
+        integration = solve_ivp(
             rate, (0.0, period), states.ravel(), "DOP853", instants, rtol=1e-10, atol=1e-12,
             max_step=0.3,
         )  # fmt: skip
-        return np.asarray(found.y).reshape(-1, 2, found.y.shape[1])
+        return np.asarray(integration.y).reshape(-1, 2, integration.y.shape[1])
 
     state, units = np.array([1.0 + 0j, 0j]), np.eye(4).view(complex)
     for _ in range(8):
@@ -161,18 +161,18 @@ def balanced_rotor(speed: float) -> fc.PeriodicSolution:
 def rotor_motions(speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x + i y over a period: ours, by the same law, and with ROSS's switching."""
     time, law = rotor_orbit(speed, switched=False)
-    turning = balanced_rotor(speed).displacement(time, [0, 1]) @ [1.0, 1j]
-    return turning * np.exp(1j * speed * time), law, rotor_orbit(speed, switched=True)[1]
+    rotating_motion = balanced_rotor(speed).displacement(time, [0, 1]) @ [1.0, 1j]
+    return rotating_motion * np.exp(1j * speed * time), law, rotor_orbit(speed, switched=True)[1]
 
 
 def draw_rotor(axes: Any) -> None:
     """Orbits, seen from outside."""
     for colour, speed in (("C0", 0.45), ("C1", 0.5)):
-        ours, law, switched = rotor_motions(speed)
+        ours, law, square_wave = rotor_motions(speed)
         axes.plot(ours.real, ours.imag, colour, label=f"W = {speed:g}, harmonic balance")
         axes.plot(law.real[::64], law.imag[::64], "k.", ms=4,
                   label="DOP853" if speed == 0.45 else None)  # fmt: skip
-        axes.plot(switched.real, switched.imag, colour, ls=":", label="switched by the angle")
+        axes.plot(square_wave.real, square_wave.imag, colour, ls=":", label="switched by the angle")
     axes.set(xlabel="x, along the weight", ylabel="y", aspect="equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
 
@@ -204,12 +204,15 @@ def rotor_with_a_crack() -> list[Row]:
     rows = []
     for speed in (0.3, 0.45):
         ours, law, _ = rotor_motions(speed)
-        found, value = (np.abs(np.fft.fft(motion)) / 2048 for motion in (ours, law))
-        rows += [Row(f"W = {speed:g}: abs(z{k})", found[k], value[k], 1e-5) for k in range(4)]
-        rows += [Row(f"W = {speed:g}: abs(z-1)", found[-1], value[-1], 1e-5)]
-    for speed, allowed in ((0.1, 1e-3), (0.3, 0.01), (0.45, None), (0.5, None)):
-        ours, _, switched = rotor_motions(speed)
-        far = float(np.abs(ours - switched).max() / np.abs(ours).max())
+        our_spectrum, their_spectrum = (np.abs(np.fft.fft(motion)) / 2048 for motion in (ours, law))
+        rows += [
+            Row(f"W = {speed:g}: abs(z{k})", our_spectrum[k], their_spectrum[k], 1e-5)
+            for k in range(4)
+        ]
+        rows += [Row(f"W = {speed:g}: abs(z-1)", our_spectrum[-1], their_spectrum[-1], 1e-5)]
+    for speed, tolerance in ((0.1, 1e-3), (0.3, 0.01), (0.45, None), (0.5, None)):
+        ours, _, switched_motion = rotor_motions(speed)
+        relative_difference = float(np.abs(ours - switched_motion).max() / np.abs(ours).max())
         name = f"W = {speed:g}: difference to Gasch's switching"
-        rows += [Row(name, far, 0.0, allowed, absolute=True)]
+        rows += [Row(name, relative_difference, 0.0, tolerance, absolute=True)]
     return rows

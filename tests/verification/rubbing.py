@@ -25,9 +25,12 @@ def jenkins_solution(harmonics: int | None = None) -> fc.PeriodicSolution:
 def draw_jenkins(axes: Any) -> None:
     """Loops of the orbit and of harmonic balance with one harmonic and with eleven."""
     for harmonics, name in ((None, "exact orbit"), (1, "H = 1"), (11, "H = 11")):
-        found = jenkins_solution(harmonics)
-        time = np.linspace(0.0, found.period, 1000)
-        columns = (one(time)[:, 0] for one in (found.tangential_gap, found.tangential_force))
+        orbit_solution = jenkins_solution(harmonics)
+        time = np.linspace(0.0, orbit_solution.period, 1000)
+        columns = (
+            quantity(time)[:, 0]
+            for quantity in (orbit_solution.tangential_gap, orbit_solution.tangential_force)
+        )
         axes.plot(*columns, "-" if harmonics is None else "--", label=name)
     axes.set(xlabel="x", ylabel="friction force")
     axes.legend(loc="lower right")
@@ -43,16 +46,16 @@ def jenkins_oscillator() -> list[Row]:
     Reference: event-driven integration and harmonic balance with one harmonic by another program;
     the loss of a slide between -A and A, 4 F (A - F / k_t).
     """
-    exact, one = jenkins_solution(), jenkins_solution(1)
+    exact, first_order_solution = jenkins_solution(), jenkins_solution(1)
     time = np.linspace(0.0, exact.period, 200001)
     size = float(np.ptp(exact.orbit.tangential_gap_at(time))) / 2.0
     loss = float(exact.orbit.work.friction[0])
-    first = float(np.hypot(*one.displacement_coefficients[1:3, 0]))
+    first_amplitude = float(np.hypot(*first_order_solution.displacement_coefficients[1:3, 0]))
     return [
         Row("half peak-to-peak, exact orbit", size, 3.69236, 5e-6, absolute=True),
         Row("loss in a period, exact orbit", loss, 3.71084, 5e-6, absolute=True),
         Row("the same, of a slide so wide", loss, 4.0 * 0.3 * (size - 0.6), 1e-8),
-        Row("amplitude with H = 1", first, 3.6668244, 5e-7, absolute=True),
+        Row("amplitude with H = 1", first_amplitude, 3.6668244, 5e-7, absolute=True),
     ]
 
 
@@ -63,8 +66,7 @@ def draw_cantilever(axes: Any) -> None:
     """Response curve by exact orbits, and the published points."""
     structure, law, tip = nlstep_beam()
     curve = fc.continue_frequency(structure, 180.0, 340.0, law, tolerance=2e-2, throw=False)
-    size = curve.indicators(tip).harmonic_1
-    axes.plot(curve.omega, size, label="fenics_crack")
+    axes.plot(curve.omega, curve.indicators(tip).harmonic_1, label="fenics_crack")
     axes.plot([*SIZES], [*SIZES.values()], "kx", label="reference")
     label(axes, xlabel="w [rad/s]", ylabel="abs(U1) of the tip [mm]")
 
@@ -83,9 +85,9 @@ def cantilever_that_rubs() -> list[Row]:
     structure, law, tip = nlstep_beam()
     rows = []
     for omega, size in SIZES.items():
-        found = fc.solve_harmonic_balance(structure, omega, law, tolerance=2e-2, throw=False)
-        first = float(found.indicators(tip).harmonic_1)
-        rows.append(Row(f"abs(U1) at {omega:g} rad/s [mm]", first, size, 5e-3))
+        solution = fc.solve_harmonic_balance(structure, omega, law, tolerance=2e-2, throw=False)
+        first_amplitude = float(solution.indicators(tip).harmonic_1)
+        rows.append(Row(f"abs(U1) at {omega:g} rad/s [mm]", first_amplitude, size, 5e-3))
     return rows
 
 
@@ -99,22 +101,24 @@ STEPS = (96, 192)
 def beside_the_cone(frequency: float, mu: float) -> tuple[fc.Run, float, list[np.ndarray]]:
     """The solution, its amplitude without friction, and displacements by steps with the cone."""
     run = solved(excitation__frequency=frequency, contact__friction=mu)
-    free = solved(excitation__frequency=frequency, contact__friction=0.0)
+    frictionless_run = solved(excitation__frequency=frequency, contact__friction=0.0)
     contact, structure = run.result.contact, run.structure
     assert isinstance(contact, fc.CoulombFriction) and isinstance(structure, fc.MasslessStructure)
     start = np.array(initial_state(structure, contact, run.result)[:2])[:, : structure.n_modes]
-    moved = [march_cone(structure, run.result.omega, mu, start, count, 15) for count in STEPS]
-    seen = [np.ravel(structure.values_at(x, [run.watched_dof])) for x in moved]
-    return run, float(free.result.amplitude(free.watched_dof)), seen
+    marched_motions = [
+        march_cone(structure, run.result.omega, mu, start, count, 15) for count in STEPS
+    ]
+    tip_motions = [np.ravel(structure.values_at(x, [run.watched_dof])) for x in marched_motions]
+    return run, float(frictionless_run.result.amplitude(frictionless_run.watched_dof)), tip_motions
 
 
 def draw_cone(axes: Any) -> None:
     """Displacement over the last period of the last case."""
-    run, _, seen = beside_the_cone(*RUBBED[-1])
+    run, _, tip_motions = beside_the_cone(*RUBBED[-1])
     time = np.linspace(0.0, run.result.period, 1000)
     axes.plot(time * 1e3, run.result.displacement(time, run.watched_dof) * 1e6, label="lines")
     time = np.arange(1, STEPS[1] + 1) / STEPS[1] * run.result.period
-    axes.plot(time[::4] * 1e3, seen[1][::4] * 1e6, "k.", label="cone, by steps")
+    axes.plot(time[::4] * 1e3, tip_motions[1][::4] * 1e6, "k.", label="cone, by steps")
     label(axes, xlabel="time [ms]", ylabel="displacement [um]")
 
 
@@ -135,15 +139,26 @@ def friction_on_a_solid() -> list[Row]:
     """
     rows = []
     for frequency, mu in RUBBED:
-        run, free, seen = beside_the_cone(frequency, mu)
-        few, many = (0.5 * float(np.ptp(one)) for one in seen)
-        limit, found = many + (many - few) / 3.0, float(run.result.amplitude(run.watched_dof))
+        run, no_friction, tip_motions = beside_the_cone(frequency, mu)
+        coarse_amplitude, fine_amplitude = (
+            0.5 * float(np.ptp(tip_motion)) for tip_motion in tip_motions
+        )
+        limit, amplitude = (
+            fine_amplitude + (fine_amplitude - coarse_amplitude) / 3.0,
+            float(run.result.amplitude(run.watched_dof)),
+        )
         name = f"at {frequency:g} Hz, mu = {mu:g}"
         contact = run.result.contact
         assert isinstance(contact, fc.CoulombFriction) and contact.turning
         rows += [
-            Row(f"half peak-to-peak {name} [um]", found * 1e6, limit * 1e6, 5e-4),
-            Row(f"change by friction {name}", found / free - 1.0, limit / free - 1.0, 5e-4, True),
+            Row(f"half peak-to-peak {name} [um]", amplitude * 1e6, limit * 1e6, 5e-4),
+            Row(
+                f"change by friction {name}",
+                amplitude / no_friction - 1.0,
+                limit / no_friction - 1.0,
+                5e-4,
+                True,
+            ),
             Row(f"sliding across the lines {name}", contact.turning, 0.0, 0.1, True),
         ]
     return rows

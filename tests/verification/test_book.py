@@ -58,9 +58,9 @@ def test_a_wrong_figure_is_seen() -> None:
     case = CASES["bilinear_oscillator"]
     rows = case.rows()
     page = case.render(rows)
-    old = page.split("\n|")[3]
-    cells = old.split(" | ")
+    old_row = page.split("\n|")[3]
+    cells = old_row.split(" | ")
     cells[1] = f"{rows[0].ours + 0.5 * rows[0].tolerance * abs(rows[0].reference):.15g}"
     assert differences(page, rows, page) == []
-    found = differences(page.replace(old, " | ".join(cells)), rows, page)
-    assert len(found) == 1 and found[0].startswith(rows[0].quantity)
+    page_differences = differences(page.replace(old_row, " | ".join(cells)), rows, page)
+    assert len(page_differences) == 1 and page_differences[0].startswith(rows[0].quantity)

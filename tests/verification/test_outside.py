@@ -28,18 +28,18 @@ def test_prediction_is_what_the_program_says(name: str) -> None:
 def test_published_numbers_lie_in_the_intervals() -> None:
     """Eight in ten, and more than half of each source; README and the index count them."""
     rows = {name: list(outside.rows_of(outside.PAGES / f"{name}.md")) for name in outside.CASES}
-    inside = {name: sum(row.is_inside for row in rows[name]) for name in rows}
+    n_inside = {name: sum(row.is_inside for row in rows[name]) for name in rows}
     for source in {name.partition("_")[0] for name in rows}:
         names = [name for name in rows if name.startswith(source)]
-        assert sum(map(inside.get, names)) > sum(len(rows[name]) for name in names) / 2
+        assert sum(map(n_inside.get, names)) > sum(len(rows[name]) for name in names) / 2
     total = sum(map(len, rows.values()))
-    assert sum(inside.values()) >= 0.8 * total
-    counted = f"{sum(inside.values())} of {total}"
+    assert sum(n_inside.values()) >= 0.8 * total
+    count_text = f"{sum(n_inside.values())} of {total}"
     index = (outside.PAGES / "index.md").read_text()
     readme = (outside.PAGES.parents[2] / "README.md").read_text()
-    assert counted in index and counted in readme
+    assert count_text in index and count_text in readme
     for name in rows:
-        assert re.search(rf"\]\({name}\.md\) \| {inside[name]} of {len(rows[name])} \|", index)
+        assert re.search(rf"\]\({name}\.md\) \| {n_inside[name]} of {len(rows[name])} \|", index)
 
 
 def test_misses_of_a_plate_are_its_source_s_mesh() -> None:

@@ -23,16 +23,16 @@ def boxes_of(text: str) -> list[np.ndarray]:
 def test_claims_hold_what_is_there() -> None:
     """At least 12 claims of 30, and at most two whose region does not hold the notches."""
     rows = [line.strip("| ").split(" | ") for line in PAGE.splitlines() if line.startswith("| B")]
-    held = {
+    is_row_held = {
         row[0]: is_held(boxes_of(row[5]), *(float(number) for number in row[9].split(", ")))
         for row in rows
     }
     claims = [row[0] for row in rows if row[1] == "claim"]
-    n_held = sum(held[name] for name in claims)
+    n_held = sum(is_row_held[name] for name in claims)
     assert len(rows) == 30 and len(claims) >= 12 and len(claims) - n_held <= 2
-    counted = f"{n_held} of {len(claims)} claims"
-    assert counted in PAGE and counted in (outside.PAGES / "index.md").read_text()
-    assert f"{sum(held.values())} of all 30" in PAGE
+    count_text = f"{n_held} of {len(claims)} claims"
+    assert count_text in PAGE and count_text in (outside.PAGES / "index.md").read_text()
+    assert f"{sum(is_row_held.values())} of all 30" in PAGE
 
 
 def test_modes_of_the_beam_are_those_of_closed_forms() -> None:
@@ -47,11 +47,11 @@ def test_springs_at_the_middle_take_what_a_closed_form_says() -> None:
 
     def turn(x: float) -> float:
         hyperbolic, circular = np.array([np.cosh(x), np.sinh(x)]), np.array([np.cos(x), np.sin(x)])
-        free = (hyperbolic[1] - circular[1], hyperbolic[0] + circular[0])  # w''' = 0
+        free_pair = (hyperbolic[1] - circular[1], hyperbolic[0] + circular[0])  # w''' = 0
         slopes = hyperbolic[1] + circular[1], hyperbolic[0] - circular[0]
         curvatures = hyperbolic[0] + circular[0], hyperbolic[1] + circular[1]
-        both = slopes + compliance / 2.0 * 2.0 * x * np.array(curvatures)
-        return float(both[0] * free[1] - both[1] * free[0])
+        slope_pair = slopes + compliance / 2.0 * 2.0 * x * np.array(curvatures)
+        return float(slope_pair[0] * free_pair[1] - slope_pair[1] * free_pair[0])
 
     springs = np.r_[np.log(compliance / 2.0 / 1e-3), np.zeros(13)]
     logs, drops = predict(springs, np.array([[1.0, 0.5, 0.5]]))

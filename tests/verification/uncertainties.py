@@ -34,8 +34,8 @@ def shares() -> dict[str, list[Any]]:
 def draw_shares(axes: Any) -> None:
     """True errors over stated ones."""
     for (cause, rows), mark in zip(shares().items(), "osD", strict=True):
-        stated, true = (np.array([row[place] for row in rows]) for place in (4, 3))
-        axes.loglog(100.0 * stated, 100.0 * true, mark, label=cause)
+        stated_errors, true_errors = (np.array([row[place] for row in rows]) for place in (4, 3))
+        axes.loglog(100.0 * stated_errors, 100.0 * true_errors, mark, label=cause)
     ends = np.array(axes.get_xlim())
     axes.loglog(ends, ends, "k-", lw=1, label="equal")
     label(axes, xlabel="stated uncertainty [%]", ylabel="true error [%]", xlim=ends)
@@ -62,8 +62,8 @@ def true_errors_over_stated_ones() -> list[Row]:
             *(KNOWN if cause == "harmonics" else (0.0, 1.0)),
             absolute=True,
         )
-        for cause, found in shares().items()
-        for row in found
+        for cause, cause_rows in shares().items()
+        for row in cause_rows
     ]
     order = plate().parts["mesh"]["omega_open_1"].order
     return [*rows, Row("observed order of omega_open_1", order, 1.0, 0.15, absolute=True)]
