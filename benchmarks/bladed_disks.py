@@ -80,9 +80,9 @@ def _save(
 
 def wheel_of(scene: fc.Scene) -> fc.Wheel:
     """The whole wheel."""
-    found = fc.build_structure(scene)
-    assert isinstance(found, fc.Wheel)
-    return found
+    structure = fc.build_structure(scene)
+    assert isinstance(structure, fc.Wheel)
+    return structure
 
 
 def timed(function: Callable[[], Any]) -> tuple[Any, float]:
@@ -93,10 +93,10 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 
 def with_errors(reduced: fc.Structure, hertz: float) -> fc.PeriodicSolution:
     """A solution with its errors and its verdict."""
-    found = fc.solve_harmonic_balance(reduced, 2.0 * np.pi * hertz, LAW, harmonics=HARMONICS)
-    fc.floquet(reduced, found)
-    assert found.report.total < 1.0
-    return found
+    solution = fc.solve_harmonic_balance(reduced, 2.0 * np.pi * hertz, LAW, harmonics=HARMONICS)
+    fc.floquet(reduced, solution)
+    assert solution.report.total < 1.0
+    return solution
 
 
 def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
@@ -156,10 +156,10 @@ def families(arguments: common.Arguments) -> None:
     made: list[list[object]] = []
     many = reduce_structure(wheel, modes=MANY * count, method="massless", reference=False)
     for kept in (3,) if arguments.quick else (1, 2, 3, 4):
-        reduced = fc.reduce_wheel(wheel, kept)
+        reduced_wheel = fc.reduce_wheel(wheel, kept)
         same = reduce_structure(wheel, modes=kept * count, method="massless", reference=False)
         for hertz in (1260.0, 1290.0, 1340.0, 1376.0):
-            alike, exact = (difference(reduced, one, hertz, tips) for one in (same, many))
+            alike, exact = (difference(reduced_wheel, one, hertz, tips) for one in (same, many))
             made.append([kept, hertz, *alike[:3], *exact])
     names = (
         "families", "Hz", "gap", "whole blades", "cracked blade", "gap, 12 modes", "whole, 12",
@@ -200,11 +200,11 @@ def breathing(arguments: common.Arguments) -> None:
     for place in np.linspace(0, count - 1, held).astype(int):
         own = RING.replace({"disk.seed": seeds[place]})
         pattern = wheel.mistuned(own.given("disk").deviations)
-        many = reduce_structure(
+        many_structure = reduce_structure(
             pattern, modes=MANY * pattern.sector.count, method="massless", reference=False
         )
         solution = found.solution(int(place))
-        exact = fc.solve_harmonic_balance(many, solution.omega, LAW, harmonics=60)
+        exact = fc.solve_harmonic_balance(many_structure, solution.omega, LAW, harmonics=60)
         time_of = solution.period / 1000.0 * np.arange(1000)
         gap, known = (one.gap(time_of) for one in (solution, exact))
         error = np.linalg.norm(gap - known) / np.linalg.norm(known)

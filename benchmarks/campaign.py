@@ -362,55 +362,55 @@ def _verdict(found: fc.PeriodicSolution) -> str:
 
 def solutions(case: Case) -> Iterator[Finding]:
     """H given."""
-    begun = time.process_time()
-    found = fc.solve_harmonic_balance(
+    start_time = time.process_time()
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics, throw=False
     )
-    verdict = _verdict(found)
-    yield judge(case, found, "solution", verdict, seconds=time.process_time() - begun)
+    verdict = _verdict(solution)
+    yield judge(case, solution, "solution", verdict, seconds=time.process_time() - start_time)
 
 
 def tolerances(case: Case) -> Iterator[Finding]:
     """A tolerance given."""
-    begun = time.process_time()
-    found = fc.solve_harmonic_balance(
+    start_time = time.process_time()
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, tolerance=case.tolerance, throw=False
     )
-    spent = time.process_time() - begun
-    yield judge(case, found, "tolerance", "-", case.tolerance, spent)
+    spent = time.process_time() - start_time
+    yield judge(case, solution, "tolerance", "-", case.tolerance, spent)
 
 
 def wholes(case: Case) -> Iterator[Finding]:
     """A tolerance given, and the modes to be chosen: against the orbit with twice as many."""
-    begun = time.process_time()
-    found = fc.solve_harmonic_balance(
+    start_time = time.process_time()
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, tolerance=case.tolerance, throw=False
     )
-    spent = time.process_time() - begun
-    row = judge(case, found, "tolerance, modes", "-", seconds=spent)
+    spent = time.process_time() - start_time
+    row = judge(case, solution, "tolerance, modes", "-", seconds=spent)
     row.asked = case.tolerance
     if row.judgement == RIGHT:
-        off = _with_more_modes(case, found, case.structure)
+        off = _with_more_modes(case, solution, case.structure)
         row.true = float("nan") if off is None else off[1]
-        row.estimate = found.report.total
+        row.estimate = solution.report.total
         if off is None:
             row.judgement, row.remark = OPEN, "no orbit with twice the modes"
         elif row.true > max(TIMES * row.estimate, ROUNDING):
             row.judgement, row.remark = WRONG, "error"
         elif row.true > case.tolerance:
-            row.judgement, row.remark = missed(found)
+            row.judgement, row.remark = missed(solution)
     yield row
 
 
 def reductions(case: Case) -> Iterator[Finding]:
     """The error of the reduction: between the orbits of the structure given and of one with twice
     the modes."""
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics, throw=False
     )
-    row = Finding("reduction", found.harmonics, found.omega, found.report.reduction)
-    if found.converged:
-        off = _with_more_modes(case, found, case.structure.whole)
+    row = Finding("reduction", solution.harmonics, solution.omega, solution.report.reduction)
+    if solution.converged:
+        off = _with_more_modes(case, solution, case.structure.whole)
         row.judgement = OPEN
         if off is not None:
             row.true = off[0]
@@ -424,15 +424,17 @@ def _with_more_modes(
 ) -> tuple[float, float] | None:
     """How far the orbit with twice the modes is from the orbit of a solution's own structure, and
     from the solution."""
-    more = fc.reduce_structure(whole, modes=2 * found.structure.n_modes, method="massless")
+    reduced_structure = fc.reduce_structure(
+        whole, modes=2 * found.structure.n_modes, method="massless"
+    )
     orbit, off = exact_orbit(case, found)
     count = min(found.harmonics, FINEST)
-    near = fc.solve_harmonic_balance(
-        more, found.omega, case.law, harmonics=count, initial=found, throw=False
+    solution = fc.solve_harmonic_balance(
+        reduced_structure, found.omega, case.law, harmonics=count, initial=found, throw=False
     )
-    if orbit is None or not near.converged:
+    if orbit is None or not solution.converged:
         return None
-    better, apart = exact_orbit(case, near)
+    better, apart = exact_orbit(case, solution)
     if better is None or max(off, apart) > max(LARGE, TIMES * estimate(found)):
         return None
     size = size_of_motion(better.gap + whole.clearance)
@@ -451,10 +453,10 @@ def peaks(case: Case) -> Iterator[Finding]:
     """The point of a curve where lips move most."""
     curve = followed(case, PEAK, harmonics=case.harmonics)
     sizes = np.linalg.norm(curve.gap_coefficients[:, 1:], axis=(1, 2))
-    begun = time.process_time()
+    start_time = time.process_time()
     found = curve.solution(int(np.argmax(sizes)))
     verdict = _verdict(found)
-    yield judge(case, found, "peak", verdict, seconds=time.process_time() - begun)
+    yield judge(case, found, "peak", verdict, seconds=time.process_time() - start_time)
 
 
 def curves(case: Case) -> Iterator[Finding]:
@@ -648,12 +650,12 @@ def asked(
     """A case and what was found, as it is kept; ``known``: what was found before."""
     case = draw(seed, number, kind, family)
     case.known.extend(known or [])
-    begun = time.process_time()
+    start_time = time.process_time()
     rows = findings(seed, case)
     return {
         "seed": seed, "case": number, "only": kind, "family": case.family, "kind": case.kind,
         "dofs": case.structure.n_dofs, "pairs": case.structure.n_pairs, "k R": case.product,
-        "s": time.process_time() - begun, "rows": rows,
+        "s": time.process_time() - start_time, "rows": rows,
     }  # fmt: skip
 
 

@@ -82,9 +82,9 @@ def start(arguments: Arguments) -> None:
 
 def seconds(function: Callable[[], Any]) -> float:
     """Processor time of one call [s]."""
-    started = time.process_time()
+    start_time = time.process_time()
     function()
-    return time.process_time() - started
+    return time.process_time() - start_time
 
 
 def alternate(

@@ -87,10 +87,10 @@ def with_and_without(scene: fc.Scene, modes: int = 60) -> dict[str, float]:
     for changes in (keys, keys | {"contact.friction": None, stiffness: None}):
         study = fc.prepare(scene.replace(changes), judged=False)
         assert study.contact is not None
-        found = fc.solve_harmonic_balance(
+        solution = fc.solve_harmonic_balance(
             study.structure, scene.excitation.omega, study.contact, tolerance=1e-3, throw=False
         )
-        seen.append(found.indicators(study.watched[0].dof))
+        seen.append(solution.indicators(study.watched[0].dof))
     return {n: float(getattr(seen[0], n) / getattr(seen[1], n)) - 1.0 for n in NAMES}
 
 

@@ -111,7 +111,7 @@ def collect(quick: bool) -> Iterator[Case]:
 
 def judge(case: Case) -> tuple[Any, ...]:
     """Solve, compare, and judge."""
-    started = time.process_time()
+    start_time = time.process_time()
     head = (case.group, case.name)
     try:
         solution = fc.solve_harmonic_balance(
@@ -119,10 +119,10 @@ def judge(case: Case) -> tuple[Any, ...]:
             throw=False,
         )  # fmt: skip
     except (fc.InputError, fc.ConvergenceError) as error:
-        ms = 1e3 * (time.process_time() - started)
+        ms = 1e3 * (time.process_time() - start_time)
         none = float("nan")
         return (*head, False, str(error), 0, ms, none, none, "-", "-", none, SAYS_SO)
-    ms = 1e3 * (time.process_time() - started)
+    ms = 1e3 * (time.process_time() - start_time)
     way = "plain" if solution.iterations <= 20 else "path"  # Newton's steps alone end there
     if not solution.converged:
         way = solution.status
@@ -158,16 +158,19 @@ def compare(case: Case, solution: fc.PeriodicSolution) -> float:
         return float(np.linalg.norm(solution.gap(time_) - orbit.gap) / np.linalg.norm(closing))
     if case.against == "more H":
         try:
-            finer = fc.solve_harmonic_balance(
+            finer_solution = fc.solve_harmonic_balance(
                 case.structure, case.omega, case.law, harmonics=3 * case.harmonics,
                 initial=solution,
             )  # fmt: skip
         except (fc.ConvergenceError, fc.InputError):
             return float("nan")
-        if finer.iterations > 20:  # found from elsewhere: maybe another orbit
+        if finer_solution.iterations > 20:  # found from elsewhere: maybe another orbit
             return float("nan")
         time_ = np.arange(4096) * solution.period / 4096
-        gap, closing = finer.gap(time_), finer.gap(time_) + case.structure.clearance
+        gap, closing = (
+            finer_solution.gap(time_),
+            finer_solution.gap(time_) + case.structure.clearance,
+        )
         return float(np.linalg.norm(solution.gap(time_) - gap) / np.linalg.norm(closing))
     expected = case.expected(solution) if callable(case.expected) else case.expected
     assert expected is not None
@@ -287,9 +290,11 @@ def many_harmonics(quick: bool) -> Iterator[Case]:
     law = fc.UnilateralPenalty(1e9)
     for harmonics in (1, 2, 5, 20, 60, 200):
         yield Case("harmonics", f"H = {harmonics}", plate, 2000.0, law, harmonics)
-    wide = fc.reduce_structure(common.plate("breathing_plate"), modes=10, method="massless")
+    wide_structure = fc.reduce_structure(
+        common.plate("breathing_plate"), modes=10, method="massless"
+    )
     most = 200 if quick else 2000
-    yield Case("harmonics", f"H = {most}, 18 pairs", wide, 2000.0, law, most)
+    yield Case("harmonics", f"H = {most}, 18 pairs", wide_structure, 2000.0, law, most)
 
 
 def smoothing(quick: bool) -> Iterator[Case]:

@@ -122,10 +122,10 @@ def another(scene: fc.Scene, plate: str, crack: Any = None) -> fc.Scene:
 def natural(scene: fc.Scene, plate: fc.Study | None = None) -> Rows:
     """The natural frequencies of a plate without noise."""
     plate = plate or fc.prepare(scene, MPI.COMM_SELF)
-    found = fc.bilinear_frequencies(plate.structure)
+    bilinear_frequencies = fc.bilinear_frequencies(plate.structure)
     rows = []
     for kind in ("open", "bilinear"):
-        omega = getattr(found, f"omega_{kind}" if plate.contact else "omega_open")
+        omega = getattr(bilinear_frequencies, f"omega_{kind}" if plate.contact else "omega_open")
         for mode in range(5):
             value = omega[mode] / (2.0 * np.pi)
             rows.append(fc.Measurement(f"frequency_{kind}", value, NATURAL * value, mode + 1))

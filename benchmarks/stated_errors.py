@@ -568,8 +568,8 @@ def random_scene(base: fc.Scene, rng: np.random.Generator) -> fc.Scene:
     more: dict[str, Any] = {"excitation.omega": omega}
     if clearance:
         assert study.contact is not None
-        found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=5)
-        more["crack.clearance"] = clearance * float(found.indicators().opening)
+        solution = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=5)
+        more["crack.clearance"] = clearance * float(solution.indicators().opening)
     if mean:
         more["excitation.force_mean"] = [mean * x for x in changes["excitation.force_sin"]]
     return scene.replace(more)
@@ -932,8 +932,8 @@ def finer_study(scene: fc.Scene, factor: float) -> Study:
 def without_verdict(study: Study, omega: float) -> Numbers:
     """Numbers of a study's solution at a frequency, with 20 harmonics."""
     assert study.contact is not None
-    found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=20)
-    seen = found.indicators(study.watched[0].dof)
+    solution = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=20)
+    seen = solution.indicators(study.watched[0].dof)
     return {name: float(getattr(seen, name)) for name in ("amplitude", "opening")}
 
 
@@ -994,8 +994,8 @@ def verified(arguments: common.Arguments, part: str, scenes: Mapping[str, fc.Sce
     """The mesh's part of scenes against finer meshes."""
     rows: list[common.Row] = []
     for name, scene in list(scenes.items())[: 2 if arguments.quick else None]:
-        found = fc.verify(scene)
-        rows += compared(name, found, "mesh", on_finer_mesh(found.scene))
+        verification = fc.verify(scene)
+        rows += compared(name, verification, "mesh", on_finer_mesh(verification.scene))
     report(arguments, part, rows)
 
 
@@ -1003,12 +1003,12 @@ def run_harmonics(arguments: common.Arguments) -> None:
     """Against the exact motion."""
     rows: list[common.Row] = []
     for changes in (VARIANTS + drawn())[: 2 if arguments.quick else None]:
-        found = fc.verify(pulled_plate().replace(changes))
-        reference = exact(found.scene)
+        verification = fc.verify(pulled_plate().replace(changes))
+        reference = exact(verification.scene)
         name = ", ".join(f"{key.partition('.')[2]} {value:.4g}" for key, value in changes.items())
         if not reference:
             print(f"{name}: the motion does not repeat")
-        rows += compared(name or "as it is", found, "harmonics", reference)
+        rows += compared(name or "as it is", verification, "harmonics", reference)
     report(arguments, "harmonics", rows)
 
 
@@ -1032,8 +1032,8 @@ def run_modes(arguments: common.Arguments) -> None:
     """Against many modes."""
     rows: list[common.Row] = []
     for count in (5, 10, 20)[: 1 if arguments.quick else None]:
-        found = fc.verify(pulled_plate().replace({"reduction.modes": count}))
-        rows += compared(f"{count} modes", found, "modes", with_more_modes(found))
+        verification = fc.verify(pulled_plate().replace({"reduction.modes": count}))
+        rows += compared(f"{count} modes", verification, "modes", with_more_modes(verification))
     report(arguments, "modes", rows)
 
 

@@ -105,8 +105,8 @@ def paper_plate(name: str) -> dict[str, Any]:
     """The paper's plate as a case, in all of its modes; its orbit by another flow."""
     plate = common.plate("paper_plate", {"damping.ratio": 0.01})
     law, omega = fc.UnilateralPenalty(1e9), 2000.0
-    near, flow = fc.solve_harmonic_balance(plate, omega, law), ReferenceFlow(plate, law)
-    gap = flow.orbit(flow.states_of(near, np.zeros(1))[0], omega, near.period).gap
+    solution, flow = fc.solve_harmonic_balance(plate, omega, law), ReferenceFlow(plate, law)
+    gap = flow.orbit(flow.states_of(solution, np.zeros(1))[0], omega, solution.period).gap
     stored = write.reduced(name, "", plate, law, omega)
     parts = stored["structure"]
     stiffness, damping = (np.diag(parts[key]).tolist() for key in ("squares", "damping"))
@@ -165,9 +165,9 @@ def measured(work: Callable[[], Any]) -> tuple[Any, float, float]:
     times: list[float] = []
     memory = common.PeakMemory()
     while len(times) < 3 and sum(times) < 0.5:
-        started = time.process_time()
+        start_time = time.process_time()
         found = work()
-        times.append(time.process_time() - started)
+        times.append(time.process_time() - start_time)
     return found, 1e3 * min(times), memory.mib()
 
 

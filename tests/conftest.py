@@ -259,8 +259,8 @@ def wide_plate(paper_scene: Scene) -> Structure:
 def light_lips(paper_scene: Scene) -> Structure:
     """The paper's plate with 1 % of damping and eight pairs without mass, 15 modes."""
     changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
-    whole = fc.build_structure(paper_scene.replace(changes))
-    return fc.reduce_structure(whole, modes=15, method="massless")
+    whole_structure = fc.build_structure(paper_scene.replace(changes))
+    return fc.reduce_structure(whole_structure, modes=15, method="massless")
 
 
 @pytest.fixture(scope="session")

@@ -293,12 +293,12 @@ def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.
 def period_two_orbit(harmonics: int) -> fc.PeriodicSolution:
     """The bilinear oscillator's orbit of twice the load's period at W = 2 w0, kc = 1."""
     structure, law, omega = oscillator(), fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
-    once = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, subharmonic=2)
-    disturbed = once.gap_coefficients.copy()
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, subharmonic=2)
+    disturbed = solution.gap_coefficients.copy()
     disturbed[1] += 0.3
     return fc.solve_harmonic_balance(
         structure, omega, law, harmonics=harmonics, subharmonic=2,
-        initial=replace(once, gap_coefficients=disturbed),
+        initial=replace(solution, gap_coefficients=disturbed),
     )  # fmt: skip
 
 

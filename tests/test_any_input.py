@@ -340,14 +340,14 @@ def balance_or_refuse(arguments: dict[str, Any], options: dict[str, Any]) -> Non
     with time_limit(), np.errstate(all="ignore"):
         try:
             structure = fc.Structure.from_matrices(**arguments)
-            found = fc.solve_harmonic_balance(structure, **options)
+            solution = fc.solve_harmonic_balance(structure, **options)
         except InputError as error:
             check_error(error)
         except ConvergenceError:
             pass
         else:
-            assert np.all(np.isfinite(found.displacement_coefficients))
-            assert np.all(np.isfinite(found.gap_coefficients))
+            assert np.all(np.isfinite(solution.displacement_coefficients))
+            assert np.all(np.isfinite(solution.gap_coefficients))
 
 
 ODD = [

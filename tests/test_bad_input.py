@@ -343,10 +343,10 @@ def test_bad_input_is_one_line(
     arguments: list[str] = []
     for word in line.split():
         arguments += ["--set", word] if "=" in word or word in SETTINGS else [word]
-    read = run_command(*arguments, code=2)
+    process = run_command(*arguments, code=2)
     written = list(Path("output").glob("*/*"))
-    assert not read.out and (not written or line.startswith("timing"))  # which writes arrivals
-    said, _, _ = (errors := read.err).partition("for example:")
+    assert not process.out and (not written or line.startswith("timing"))  # which writes arrivals
+    said, _, _ = (errors := process.err).partition("for example:")
     error, *further = [row for row in said.splitlines() if not row.startswith("remark: ")]
     assert error.startswith(f"fenics-crack: {message}")
     assert all(one.startswith("fenics-crack: ") for one in further)

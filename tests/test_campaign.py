@@ -73,12 +73,12 @@ def test_tolerance_is_met_by_an_exact_orbit(number: int) -> None:
 def test_is_not_called_stable(number: int) -> None:
     """Nor unstable: no orbit is found."""
     case = campaign.draw(1, number)
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    verdict = fc.floquet(case.structure, found).verdict
+    verdict = fc.floquet(case.structure, solution).verdict
     assert verdict in ("irregular", "undecided")
-    assert campaign.judge(case, found, "solution", verdict).judgement != campaign.WRONG
+    assert campaign.judge(case, solution, "solution", verdict).judgement != campaign.WRONG
 
 
 def test_short_ranges_in_which_a_light_damping_is_overcome() -> None:
@@ -123,11 +123,11 @@ def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
     """One stiff pair, H = 5, error 8.6 %: stable by its harmonics; the orbit next to it has a
     multiplier of 6.3 by the reference, which takes half a minute."""
     case = campaign.draw(76, 19, None, "smooth")
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    stability = fc.floquet(case.structure, found)
-    assert found.report.truncation == pytest.approx(0.0857, rel=0.01)
+    stability = fc.floquet(case.structure, solution)
+    assert solution.report.truncation == pytest.approx(0.0857, rel=0.01)
     assert abs(stability.multipliers[0]) < 1.0 and stability.verdict == "undecided"
     assert "the truncated harmonics change it by 8.6 %" in stability.reason
 
@@ -218,12 +218,12 @@ def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, in
 def test_tolerance_that_says_that_it_is_missed() -> None:
     """It is no wrong answer unless its stated error is; one that does not say so is."""
     case = campaign.draw(1, 1, "solution")
-    found = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
-    assert found.report.truncation == pytest.approx(1.02e-2, rel=0.05)
+    solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
+    assert solution.report.truncation == pytest.approx(1.02e-2, rel=0.05)
 
     def judged(status: str, share: float = 1.0) -> str:
-        report = replace(found.report, truncation=share * found.report.truncation)
-        told = replace(found, status=status).reported(report)
+        report = replace(solution.report, truncation=share * solution.report.truncation)
+        told = replace(solution, status=status).reported(report)
         return campaign.judge(case, told, "tolerance", "-", 1e-9).judgement
 
     missed = "solved; error 1 %, 1e-07 % was asked; what helps: "
@@ -284,13 +284,13 @@ def test_large_error_is_stated_from_the_prediction() -> None:
     """Where no orbit is found, with a reason that says so. Two steps estimated 7 %, the
     second a quarter of the first; the exact orbit is 40 % away."""
     case = campaign.draw(1, 553)
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    assert not found.report.confirmed
-    assert found.report.truncation == stated_error(found.assessment.predicted_error)
-    assert 0.4 < found.report.truncation < campaign.UNKNOWN
-    reason = fc.floquet(case.structure, found).reason
+    assert not solution.report.confirmed
+    assert solution.report.truncation == stated_error(solution.assessment.predicted_error)
+    assert 0.4 < solution.report.truncation < campaign.UNKNOWN
+    reason = fc.floquet(case.structure, solution).reason
     assert "no orbit was found" in reason or "no exact orbit was found" in reason
 
 
@@ -322,9 +322,9 @@ def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
     """Ten times as far, of 39 rigid pairs; twice the harmonics leave a fortieth of it. The error
     was unknown. The verdict is open: the reason has that of the orbit."""
     case = campaign.draw(79, 803, family="inner")
-    found = fc.solve_harmonic_balance(case.structure, 12129.7687, case.law, harmonics=20)
-    stability = fc.floquet(case.structure, found)
-    row = campaign.judge(case, found, "solution", stability.verdict)
+    solution = fc.solve_harmonic_balance(case.structure, 12129.7687, case.law, harmonics=20)
+    stability = fc.floquet(case.structure, solution)
+    row = campaign.judge(case, solution, "solution", stability.verdict)
     assert row.judgement == campaign.UNDECIDED, row
     assert "nearest exact orbit, which is stable" in stability.reason
     assert stability.reason.endswith("it may be another motion")

@@ -23,8 +23,8 @@ def test_site_builds_and_names_everything(tmp_path: Path) -> None:
     """Sphinx warns of text that it cannot read and of references that lead nowhere."""
     builder = ["sphinx", "-b", "singlehtml"]  # one page, which takes a fifth less
     command = [sys.executable, "-m", *builder, "-W", "--keep-going", "-q", "docs", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
     index = (
         (tmp_path / "objects.inv").read_bytes().split(b"\n", 4)[4]
     )  # behind its four first lines

@@ -98,14 +98,14 @@ def test_tangent_is_that_of_the_motion(plate: fc.Study) -> None:
 def test_plate_that_only_looked_stable(plate: fc.Study) -> None:
     """The gap does not enter, complementarity holds, and the multiplier is 1.0089331506."""
     omega = plate.scene.excitation.omega
-    found = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=20)
+    solution = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=20)
     flow = ReferenceFlow(plate.structure, plate.contact)
-    orbit = flow.orbit(flow.states_of(found, np.zeros(1))[0], omega, found.period)
+    orbit = flow.orbit(flow.states_of(solution, np.zeros(1))[0], omega, solution.period)
     assert abs(orbit.multipliers[0]) == pytest.approx(1.0089331506, rel=1e-9)
     assert orbit.gap.max() < 1e-13 * np.abs(orbit.gap).max()
-    times = np.arange(512) * found.period / 512
-    off = relative(found.gap(times), orbit.gap)
-    assert off < 3.0 * predicted(flow, found)
+    times = np.arange(512) * solution.period / 512
+    off = relative(solution.gap(times), orbit.gap)
+    assert off < 3.0 * predicted(flow, solution)
 
 
 def test_one_mass() -> None:

@@ -93,16 +93,16 @@ def asked(
     command += [] if harmonics is None else [str(harmonics)]
     with tempfile.TemporaryDirectory() as folder:  # some programs write where they run
         try:
-            ended = subprocess.run(
+            process = subprocess.run(
                 command, input=json.dumps(given), capture_output=True, text=True, cwd=folder,
                 timeout=seconds, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return {"gap": None, "converged": False, "message": f"no answer in {seconds:g} s"}
-    if ended.returncode:
-        last = ended.stderr.strip().splitlines()[-1:] or ["no word"]
+    if process.returncode:
+        last = process.stderr.strip().splitlines()[-1:] or ["no word"]
         return {"gap": None, "converged": False, "message": last[0]}
-    return dict(json.loads(ended.stdout))
+    return dict(json.loads(process.stdout))
 
 
 # --- scores ---------------------------------------------------------------------------------------

@@ -255,9 +255,15 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     ):
         assert 0.0 < seen <= exact < seen * (1.0 + 1e-5)
     assert found["closed_share"] == np.mean(force > 0.0)
-    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
+    free_linear_solution = fc.solve_linear(
+        fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
+    )
     of_faces = names_of(Place.FACES, without=Where.FRICTION)
-    assert found.keys() - free.to_dict().keys() == {*of_faces} >= {"opening", "closed_share"}
+    assert (
+        found.keys() - free_linear_solution.to_dict().keys()
+        == {*of_faces}
+        >= {"opening", "closed_share"}
+    )
     table = solution.table("contact_force", "omega")
     force_row = "contact_force [N]", found["contact_force"]
     assert table.rows == [force_row, ("omega [rad/s]", solution.omega)]
@@ -396,8 +402,8 @@ def test_full_disk(
     capsys.readouterr()
     with room_for(100):
         assert main(words) == 1
-    told = capsys.readouterr()
-    (line,) = told.err.splitlines()
+    output = capsys.readouterr()
+    (line,) = output.err.splitlines()
     assert re.search(r"= '/.*\.(h5|json|png)': must be a file that can be written \(.", line), line
     assert {file.name for file in tmp_path.iterdir()} - {"before"} == {*COMMANDS[command]}
     assert all((tmp_path / name).read_text() == "before" for name in COMMANDS[command])
@@ -436,15 +442,15 @@ def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     shell = f'mount -t tmpfs -o size=20k tmpfs {tmp_path} || exit 99; exec "$@"'
     words = ["sweep", str(DEMOS / "chain.toml"), *SMALL, "--output", str(tmp_path / "new")]
     program = [sys.executable, "-m", "fenics_crack", *words]
-    done = subprocess.run(
+    process = subprocess.run(
         ["unshare", "-m", "sh", "-c", shell, "sh", *program],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode == 99 or done.stderr.startswith("unshare: "):  # as in a chroot
+    if process.returncode == 99 or process.stderr.startswith("unshare: "):  # as in a chroot
         pytest.skip("cannot mount")
-    line, *more = done.stderr.splitlines()
-    assert not more, done.stderr
-    assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
+    line, *more = process.stderr.splitlines()
+    assert not more, process.stderr
+    assert process.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
 @pytest.mark.drawn(3)
@@ -726,9 +732,9 @@ def run(program: str, chosen: dict[str, str] | None = None) -> str:
     """What a program prints in a process of its own, with these settings of threads alone."""
     settings = dict.fromkeys(threads.SETTINGS)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT, cwd=ROOT,
         env=environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | (chosen or {}),
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()

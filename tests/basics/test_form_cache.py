@@ -111,11 +111,11 @@ def test_an_interrupt_from_the_terminal(tmp_path: Path) -> None:
     compiler.chmod(0o755)
     changes = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "CC": str(compiler)}
     words = [sys.executable, "-m", "fenics_crack", "sweep", str(tmp_path / "plate.toml"), *SMALL]
-    done = subprocess.run(
+    process = subprocess.run(
         [*words, "--output", str(tmp_path / "out")], env=environment() | changes, timeout=LIMIT,
         start_new_session=True, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 3 and "the same command goes on" in done.stderr
+    assert process.returncode == 3 and "the same command goes on" in process.stderr
 
 
 def test_a_damaged_form(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,9 +190,9 @@ def test_a_planted_library(tmp_path: Path, mode: int) -> None:
         for record in kept.rglob("*.txt") if mode == 0o777 else ():
             record.write_text(record.read_text().replace(digest, sha256(planted)))
     kept.chmod(mode)
-    done = subprocess.run(words, env=changes, timeout=LIMIT, capture_output=True, text=True)
-    assert done.returncode == 0 and not (tmp_path / "RAN").exists()
-    assert len(done.stderr.splitlines()) == (mode == 0o777)
+    process = subprocess.run(words, env=changes, timeout=LIMIT, capture_output=True, text=True)
+    assert process.returncode == 0 and not (tmp_path / "RAN").exists()
+    assert len(process.stderr.splitlines()) == (mode == 0o777)
 
 
 @pytest.mark.nightly
@@ -207,8 +207,8 @@ def test_a_cache_of_the_users_settings(tmp_path: Path) -> None:
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
     words = [sys.executable, "-m", "fenics_crack", "modes", str(tmp_path / "plate.toml"), *SMALL]
     changes = {"XDG_CONFIG_HOME": str(tmp_path)}
-    done = subprocess.run(
+    process = subprocess.run(
         words, env=environment() | changes, capture_output=True, text=True, timeout=LIMIT
     )
-    [line] = done.stderr.splitlines()
-    assert done.returncode == 2 and "cache_dir" in line and not [*tmp_path.glob("cache/*")]
+    [line] = process.stderr.splitlines()
+    assert process.returncode == 2 and "cache_dir" in line and not [*tmp_path.glob("cache/*")]

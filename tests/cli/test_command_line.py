@@ -60,10 +60,10 @@ def test_other_laws_read_back(tmp_path: Path, law: list[str], run_command: RunCo
     """Also no penetration, and the smoothed law."""
     changes = [*law, "harmonic_balance.error=false"]
     run_command("solve", PAPER, "--quiet", "--output", tmp_path, sets=changes)
-    read = fc.load_run(tmp_path / "solution.h5")
-    assert isinstance(read.result, fc.PeriodicSolution) and read.result.converged
-    time = np.linspace(0.0, read.result.period, 200)
-    assert read.result.contact_force(time).max() > 1.0
+    run = fc.load_run(tmp_path / "solution.h5")
+    assert isinstance(run.result, fc.PeriodicSolution) and run.result.converged
+    time = np.linspace(0.0, run.result.period, 200)
+    assert run.result.contact_force(time).max() > 1.0
 
 
 FREE = "reduction.method=free_interface"
@@ -113,8 +113,8 @@ def test_harmonics_that_nothing_damps(
 
 def checked(run_command: RunCommand, path: Path, *changes: str) -> tuple[dict[str, Any], str]:
     """Return what ``check`` finds of a scene, by its names, and its remarks."""
-    said = run_command("check", path, "--format", "json", sets=changes)
-    return {row["what"]: row["value"] for row in json.loads(said.out)}, said.err
+    process = run_command("check", path, "--format", "json", sets=changes)
+    return {row["what"]: row["value"] for row in json.loads(process.out)}, process.err
 
 
 @pytest.mark.parametrize(
@@ -196,8 +196,8 @@ def test_the_sweep_of_a_new_scene_meets_its_tolerance(
     run_command("new", tmp_path / "plate.toml", "--quiet", *kind)
     over = f"sweep.over={{'{key}' = [{value}], 'crack.length' = [0.02, 0.03]}}"
     run_command("sweep", tmp_path / "plate.toml", "--output", tmp_path, sets=[over])
-    found = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert found.errors.sum(axis=0).max() < found.scene.given("harmonic_balance").tolerance
+    sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert sweep.errors.sum(axis=0).max() < sweep.scene.given("harmonic_balance").tolerance
 
 
 def test_new_scene_of_a_name_too_long(run_command: RunCommand) -> None:
@@ -244,10 +244,10 @@ def test_one_process_looks_for_no_network(
     """MPI starts in a fifth of the time; what the user has set stays, and nothing is left behind
     for programs that are started from here."""
     surroundings = {k: v for k, v in ENVIRONMENT.items() if not k.startswith("OMPI_MCA_")} | given
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", SPY], cwd=tmp_path, env=surroundings, capture_output=True, text=True
     )
-    assert done.stdout.split("\n")[:2] == [f"pml = {told[0]}", f"then {told[1]}"]
+    assert process.stdout.split("\n")[:2] == [f"pml = {told[0]}", f"then {told[1]}"]
 
 
 def test_new_scene_resonates_as_it_breathes(plate: Path, run_command: RunCommand) -> None:
@@ -437,16 +437,16 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     fc.solve(scene, MPI.COMM_SELF).save(paths[0])
     assert isinstance(fc.load_run(paths[0]).result, fc.PeriodicSolution)
     scene = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
-    swept = fc.run_sweep(scene, paths[1])
-    assert swept.solution(0).converged
-    for read in (fc.load_run, lambda path: fc.load(path, swept.solution(0).structure)):
+    sweep = fc.run_sweep(scene, paths[1])
+    assert sweep.solution(0).converged
+    for read in (fc.load_run, lambda path: fc.load(path, sweep.solution(0).structure)):
         with pytest.raises(fc.InputError, match=r"sweep is read by .* SweepResult\.load"):
             read(paths[1])
     fc.write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         fc.load_run(paths[0])
     with pytest.raises(fc.InputError, match="it has changed or gone"):
-        swept.solution(0)
+        sweep.solution(0)
     with pytest.raises(fc.InputError, match="changed or gone"):  # neither does the sweep go on
         fc.run_sweep(scene, paths[1])
 
@@ -470,8 +470,8 @@ def test_plot_on_two_ranks(
 def test_reader_that_closes_its_pipe(tmp_path: Path) -> None:
     """Neither a message from PETSc nor a traceback."""
     command = " ".join([*PROGRAM, "modes", str(PAPER), "--output", str(tmp_path)])
-    done = subprocess.run(
+    process = subprocess.run(
         f"{command} --verbose | true", shell=True, env=ENVIRONMENT, capture_output=True, text=True
     )
-    assert "PETSC" not in done.stderr and "Traceback" not in done.stderr
+    assert "PETSC" not in process.stderr and "Traceback" not in process.stderr
     assert (tmp_path / "modes.h5").exists()

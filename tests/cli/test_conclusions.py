@@ -149,12 +149,12 @@ def test_no_error_is_asked_for(
     """error = false: plain harmonic balance, neither error nor stability, in Python and in the
     program; with a tolerance it is refused."""
     scene = paper_scene.replace({"contact.stiffness": 1e9})
-    plain = scene.replace({"harmonic_balance.error": False})
-    out, err = run_command("solve", plain, "--output", tmp_path / "out")
+    plain_scene = scene.replace({"harmonic_balance.error": False})
+    out, err = run_command("solve", plain_scene, "--output", tmp_path / "out")
     assert "error [%]" not in out and "verdict" not in out
     closing = err.strip().splitlines()[-1]
     assert "its error is not estimated (harmonic_balance.error = false)" in closing
-    run = fc.solve(plain, MPI.COMM_SELF)
+    run = fc.solve(plain_scene, MPI.COMM_SELF)
     assert run.errors is None and run.result.stability is None
     assert not run.result.report.estimated and run.result.converged
     refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}

@@ -323,14 +323,14 @@ def test_bash_completes(
     words = ["fenics-crack", *typed]
     ask = f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(typed)}; "
     ask += f"_shtab_fenics_crack fenics-crack {words[-1]!r} {words[-2]!r}; echo ${{COMPREPLY[@]}}"
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", "-c", completion("bash", capsys) + ask],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=True,
     )
-    assert done.stdout.split() == offered and not done.stderr
+    assert process.stdout.split() == offered and not process.stderr
 
 
 def known(kind: str, scene: fc.Scene, key: str) -> list[str]:

@@ -182,9 +182,9 @@ def test_sweep_of_few_modes(
     was not asked for."""
     few = {"reduction.modes": 2, "reduction.method": "massless"}
     axes = {"reduction.modes": [2, 20], "excitation.frequency": [800.0, 3205.0, 4232.0]}
-    swept, lines = scene.replace(FIXED | few | {"sweep.over": axes}), []
+    swept_scene, lines = scene.replace(FIXED | few | {"sweep.over": axes}), []
     for command, sets, code in (("solve", ["excitation.frequency=4232.0"], 4), ("sweep", [], 0)):
-        err = run_command(command, swept, "--output", tmp_path, sets=sets, code=code).err
+        err = run_command(command, swept_scene, "--output", tmp_path, sets=sets, code=code).err
         lines += [
             line.partition("warning: ")[2] for line in err.split("\n") if "more modes" in line
         ]
@@ -192,7 +192,7 @@ def test_sweep_of_few_modes(
     assert "for truncated modes" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
     found = SweepResult.load(tmp_path / "sweep.h5")
     assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
-    asked = swept.replace({"harmonic_balance.tolerance": 0.01})
+    asked = swept_scene.replace({"harmonic_balance.tolerance": 0.01})
     told, depends = describe_sweep_warnings(replace(found, scene=asked))
     assert "whose verdict depends on truncated modes" in depends
     assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
@@ -201,7 +201,7 @@ def test_sweep_of_few_modes(
     run_command("plot", tmp_path / "sweep.h5", "--output", tmp_path, "--quiet")
     marked = [call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawn.call_args_list]
     assert marked and all(rings == [False, True, True] for rings in marked)
-    unasked = fc.run_sweep(swept, judged=False)
+    unasked = fc.run_sweep(swept_scene, judged=False)
     assert not unasked.inexact.any() and not [*describe_sweep_warnings(unasked)]
 
 
@@ -277,9 +277,9 @@ def test_errors_without_the_mesh_are_told_of_every_number(
     """Also where the amplitude is not among those that are asked for."""
     chosen = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
     chosen += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
-    told = run_command("solve", PAPER, "--output", tmp_path, sets=chosen)
-    assert "harmonic ratio 2/1" in told.out and "half peak-to-peak" not in told.out
-    assert "error due to the mesh not included: mesh.error = false" in told.err
+    process = run_command("solve", PAPER, "--output", tmp_path, sets=chosen)
+    assert "harmonic ratio 2/1" in process.out and "half peak-to-peak" not in process.out
+    assert "error due to the mesh not included: mesh.error = false" in process.err
 
 
 @pytest.mark.nightly
@@ -290,15 +290,17 @@ def test_a_steady_load_moves_nothing(
     file is read again, though all gaps of closed lips are rounding."""
     folder, still = tmp_path / "out", {"excitation.force_sin": [0.0, 0.0], "mesh.error": False}
     for force, closed in ((1400.0, 0.0), (-1400.0, 1.0)):
-        held = scene.replace(still | {"excitation.force_mean": [force, 0.0]})
-        told = run_command("solve", held, "--output", folder).err
+        held_scene = scene.replace(still | {"excitation.force_mean": [force, 0.0]})
+        told = run_command("solve", held_scene, "--output", folder).err
         assert "nothing vibrates" in told and "estimated error" not in told
         run = fc.load_run(folder / "solution.h5")
-        found = run.result.indicators(run.watched_dof)
-        assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
-        assert found.closed_share == closed and abs(found.mean) > 1e-6
+        indicators = run.result.indicators(run.watched_dof)
+        assert indicators.amplitude == indicators.harmonic_1 == indicators.harmonic_2 == 0.0
+        assert indicators.closed_share == closed and abs(indicators.mean) > 1e-6
         assert ("opening" in fc.solve(run.scene).errors.values) == (closed == 0.0)
-        assert "nothing vibrates" in run_command("curve", held, "--output", folder, code=2).err
+        assert (
+            "nothing vibrates" in run_command("curve", held_scene, "--output", folder, code=2).err
+        )
 
 
 @pytest.mark.nightly
@@ -308,16 +310,16 @@ def test_a_motion_of_closed_lips_settles(
     """Their gaps are rounding, of which nothing repeats: the displacement of the load does."""
     pressed = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
     pressed |= {"output.quantities": ["amplitude"]}
-    told = run_command("integrate", scene.replace(pressed), "--output", tmp_path)
-    assert "not settled" not in told.err and "distance from the settled motion" in told.out
-    found = fc.load_run(tmp_path / "integration.h5")
+    process = run_command("integrate", scene.replace(pressed), "--output", tmp_path)
+    assert "not settled" not in process.err and "distance from the settled motion" in process.out
+    run = fc.load_run(tmp_path / "integration.h5")
     longer = {"integration.settle": 1e-10, "integration.periods": 2000}
-    exact = fc.integrate(found.scene.replace(longer))
-    last, limit = (one.by_period(one.displacement()[:, 0])[-1] for one in (found, exact))
+    exact = fc.integrate(run.scene.replace(longer))
+    last, limit = (one.by_period(one.displacement()[:, 0])[-1] for one in (run, exact))
     moving = np.linalg.norm(limit - limit.mean())
     assert abs(limit.mean()) * len(limit) ** 0.5 > moving  # and counts as much
     away = np.linalg.norm(last - limit) / (2.0**0.5 * moving)
-    assert found.distance == pytest.approx(away, rel=0.02)
+    assert run.distance == pytest.approx(away, rel=0.02)
 
 
 # --- pictures of sweeps ---------------------------------------------------------------------------
@@ -404,10 +406,10 @@ def test_a_larger_harmonic_that_is_left_out(
     slow = {"excitation.frequency": 119.0, "mesh.error": False, "curve": None}
     told, orders, seen = [], [], []
     for harmonics in (6, 9):
-        one = scene.replace(FIXED | slow | {"harmonic_balance.harmonics": harmonics})
-        shown = run_command("solve", one, "--output", tmp_path, "--format", "json")
-        told.append("harmonic 7, which the solution leaves out, is the largest of" in shown.err)
-        rows = {row["name"]: row for row in json.loads(shown.out)}
+        changed_scene = scene.replace(FIXED | slow | {"harmonic_balance.harmonics": harmonics})
+        process = run_command("solve", changed_scene, "--output", tmp_path, "--format", "json")
+        told.append("harmonic 7, which the solution leaves out, is the largest of" in process.err)
+        rows = {row["name"]: row for row in json.loads(process.out)}
         orders.append(rows["largest_order"]["value"])
         seen.append(rows["ratio_largest"])
     assert told == [True, False] and orders == [2.0, 7.0]
@@ -423,11 +425,11 @@ def test_rounding_is_no_high_harmonic(
     them is the largest."""
     means = [[0.0, 0.0], *([mean, 0.0] for mean in (100.0, -100.0, 200.0, -200.0))]
     slow = {"excitation.frequency": 138.8, "harmonic_balance.harmonics": 8, "curve": None}
-    one = scene.replace(FIXED | slow | {"sweep.over": {"excitation.force_mean": means}})
-    said = run_command("sweep", one, "--output", tmp_path).err
-    found = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert found["largest_order"][0] > 3.0 and np.isnan(found["largest_order"][1:]).all()
-    assert np.all(found["ratio_largest"][1:] < 1e-9)
+    changed_scene = scene.replace(FIXED | slow | {"sweep.over": {"excitation.force_mean": means}})
+    said = run_command("sweep", changed_scene, "--output", tmp_path).err
+    sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert sweep["largest_order"][0] > 3.0 and np.isnan(sweep["largest_order"][1:]).all()
+    assert np.all(sweep["ratio_largest"][1:] < 1e-9)
     assert "in 1 case the largest higher harmonic is above the third" in said
 
 
@@ -471,12 +473,12 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     (tmp_path / "curve.h5").write_bytes(b"complete")
     progress = Mock(side_effect=[0.5, 0.5, 0.5, KeyboardInterrupt])
     monkeypatch.setattr(fc.Continuation, "progress", progress)
-    said = run_command("curve", PAPER, "--verbose", "--output", tmp_path, sets=RANGE, code=3)
+    process = run_command("curve", PAPER, "--verbose", "--output", tmp_path, sets=RANGE, code=3)
     assert (tmp_path / "curve.h5").read_bytes() == b"complete"
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
-    assert "largest so far" in said.out and "grows up to where the curve ended" in said.err
-    assert "the largest response" not in said.err
-    assert "was interrupted; its errors and stability were not examined" in said.err
+    assert "largest so far" in process.out and "grows up to where the curve ended" in process.err
+    assert "the largest response" not in process.err
+    assert "was interrupted; its errors and stability were not examined" in process.err
 
 
 def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
@@ -514,8 +516,8 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
     assert (tmp_path / "solution.h5").read_bytes() == b"older"
-    found = fc.load_run(tmp_path / "solution_interrupted.h5")
-    assert found.result.converged and found.stated is None
+    run = fc.load_run(tmp_path / "solution_interrupted.h5")
+    assert run.result.converged and run.stated is None
 
 
 @pytest.mark.drawn(1)

@@ -91,9 +91,11 @@ def test_solution(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> N
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     solution = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
     plate = solution.structure
-    found = solution.indicators(plate.find_dof((0.1, 0.0625), "y"))
+    indicators = solution.indicators(plate.find_dof((0.1, 0.0625), "y"))
     for name in ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift"):
-        assert rows[f"side.uy.{name}"]["value"] == pytest.approx(getattr(found, name), rel=1e-9)
+        assert rows[f"side.uy.{name}"]["value"] == pytest.approx(
+            getattr(indicators, name), rel=1e-9
+        )
     assert rows["amplitude" if "amplitude" in rows else "tip.ux.amplitude"]["unit"] == "m"
     is_open = fc.solve_modes(plate, 1).omega[0]
     assert rows["omega_open"]["value"] == pytest.approx(is_open)
@@ -159,8 +161,8 @@ def test_a_verdict_that_is_left_out_is_told(
 def test_a_crack_of_a_mesh_file_that_stays_open(tmp_path: Path, run_command: RunCommand) -> None:
     """Without contact there is nothing to judge; what needs it asks for contact, not a crack."""
     scene = fc.Scene.load(DEMOS / "inclined_crack.toml", {"contact": None})
-    told = run_command("solve", scene, "--output", tmp_path)
-    assert "not assessed" not in told.err and "verdict" not in told.out
+    process = run_command("solve", scene, "--output", tmp_path)
+    assert "not assessed" not in process.err and "verdict" not in process.out
     missing = "contact is missing: must be given for this command: a table"
     assert missing in run_command("integrate", scene, "--output", tmp_path, code=2).err
 

@@ -100,9 +100,9 @@ def test_animation_of_twice_the_period_without_a_crack(
     """A plate without lips and pairs is drawn too, and a reduced structure as the whole one."""
     plate = fc.build_structure(small_scene.replace({"crack": None, "contact": None}))
     fc.animate_period(fc.solve_linear(plate, 2000.0), tmp_path / "plain.gif", frames=2)
-    cracked = fc.reduce_structure(fc.build_structure(small_scene))
+    cracked_structure = fc.reduce_structure(fc.build_structure(small_scene))
     twice = fc.solve_harmonic_balance(
-        cracked, 2000.0, fc.UnilateralPenalty(1e9), harmonics=6, subharmonic=2
+        cracked_structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=6, subharmonic=2
     )
     fc.animate_period(twice, tmp_path / "twice.gif", frames=2)
     for name in ("plain", "twice"):
@@ -138,10 +138,15 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     """With one panel or two, of plates and of matrices, with twice the load's period or without."""
     dof = breathing.structure.find_dof((0.1, 0.1), "x")
     orbit = period_two_orbit(6)
-    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
+    free_linear_solution = fc.solve_linear(
+        fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
+    )
     sizes = {"gap": (1050, 1020), "dof": (1050, 1020), "two": (1050, 1020), "free": (1050, 690)}
     for (name, size), solution, given in zip(
-        sizes.items(), (breathing, breathing, orbit, free), (None, dof, 0, 0), strict=True
+        sizes.items(),
+        (breathing, breathing, orbit, free_linear_solution),
+        (None, dof, 0, 0),
+        strict=True,
     ):
         fc.draw_spectrum(solution, given, path=tmp_path / f"{name}.png", title="Harmonics")
         assert_drawn(tmp_path / f"{name}.png", size)
@@ -152,7 +157,7 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     assert share(contact, ORANGE) > 10.0 * share(pixels(tmp_path / "free orbit.png"), ORANGE)
     for draw in (fc.draw_spectrum, fc.draw_orbits):
         with pytest.raises(fc.InputError, match="dof"):
-            draw(free)
+            draw(free_linear_solution)
 
 
 def test_rigid_lips_do_not_pass_through_each_other() -> None:

@@ -53,16 +53,16 @@ def test_blades_of_a_curve() -> None:
     keys = {"parameter": "frequency", "start": 1250.0, "stop": 1290.0, "stability": False}
     scene = ring(**{f"curve__{key}": value for key, value in keys.items()})
     curve = fc.curve(scene.replace(BRIEF))
-    found, dof = fc.blades(curve), curve.watched_dof
-    assert found.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
-    assert found.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
+    blades, dof = fc.blades(curve), curve.watched_dof
+    assert blades.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
+    assert blades.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
 
 
 def test_results_come_back(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     """Solutions and modes of a wheel from their files."""
     run.save(tmp_path / "solution.h5")
-    again = fc.load_run(tmp_path / "solution.h5")
-    assert fc.blades(again).amplitude == pytest.approx(fc.blades(run).amplitude, rel=1e-9)
+    stored_run = fc.load_run(tmp_path / "solution.h5")
+    assert fc.blades(stored_run).amplitude == pytest.approx(fc.blades(run).amplitude, rel=1e-9)
     modes = fc.modes(run.scene, 3)
     modes.save(tmp_path / "modes.h5")
     found = fc.load_run(tmp_path / "modes.h5").result
@@ -95,11 +95,11 @@ def test_patterns_are_swept(tmp_path: Path) -> None:
     """Cases of a sweep over the seed are solutions of their own patterns."""
     over = {"disk.seed": [1, 2]}
     scene = ring(**PATTERN, excitation__frequency=1270.0, sweep__over=over).replace(BRIEF)
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5", verdicts=False, judged=False)
+    sweep = fc.run_sweep(scene, tmp_path / "sweep.h5", verdicts=False, judged=False)
     alone = fc.solve(scene.replace({"disk.seed": 2, "sweep": None}))
     size = alone.result.amplitude(alone.watched_dof)
-    assert found["response"][1] == pytest.approx(size, rel=1e-3)
-    assert abs(found["response"][0] - size) > 0.01 * size
+    assert sweep["response"][1] == pytest.approx(size, rel=1e-3)
+    assert abs(sweep["response"][0] - size) > 0.01 * size
 
 
 def test_tips_are_timed() -> None:
@@ -149,8 +149,8 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     coarse += ["--set", "harmonic_balance.error=false", "--set", "harmonic_balance.harmonics=5"]
     coarse += ["--set", "harmonic_balance.tolerance=none"]
     assert main(["disk", file, *coarse, "--patterns", "2"]) == 0
-    said = capsys.readouterr()
-    assert "nodal diameter 2" in said.err and "Whitehead" in said.err
+    output = capsys.readouterr()
+    assert "nodal diameter 2" in output.err and "Whitehead" in output.err
     assert {"disk.png", "amplification.png"} <= {f.name for f in (tmp_path / "out").iterdir()}
     assert main(["solve", file, *coarse]) in (0, 4)
     assert "blade" in capsys.readouterr().err

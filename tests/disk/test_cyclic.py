@@ -45,10 +45,10 @@ def test_modes_are_those_of_the_whole_wheel(sectors: int, cells: str, tmp_path: 
         scene = scene.replace(grid(2, 12))
     wheel = wheel_of(scene)
     write_whole(wheel, tmp_path / "whole.msh")
-    whole = fc.build_structure(whole_scene(scene, tmp_path / "whole.msh"))
-    assert whole.n_dofs == wheel.n_dofs
+    whole_structure = fc.build_structure(whole_scene(scene, tmp_path / "whole.msh"))
+    assert whole_structure.n_dofs == wheel.n_dofs
     own = of_wheel(wheel.cyclic_modes(10))[:30]
-    assert own == pytest.approx(fc.solve_modes(whole, 30).omega, rel=1e-10)
+    assert own == pytest.approx(fc.solve_modes(whole_structure, 30).omega, rel=1e-10)
 
 
 @pytest.mark.nightly
@@ -64,10 +64,10 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     center = np.append(wheel.sector.center, 0.0)
     axis = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
     monkeypatch.setattr(Scene, "axis", axis)
-    whole = fc.build_structure(turning)
+    whole_structure = fc.build_structure(turning)
     still = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
     own = of_wheel(wheel.cyclic_modes(6))[:12]
-    assert own == pytest.approx(fc.solve_modes(whole, 12).omega, rel=1e-8)
+    assert own == pytest.approx(fc.solve_modes(whole_structure, 12).omega, rel=1e-8)
     assert np.all(own[:6] > 1.0005 * still[:6])
 
 
@@ -105,15 +105,15 @@ def test_ring_of_twelve_blades() -> None:
     wheel = wheel_of(fc.Scene.from_mapping(RING).replace({"disk.cracked": []} | grid(3, 20)))
     lowest = of_wheel(wheel.cyclic_modes(1))[:4] / (2.0 * np.pi)
     assert lowest == pytest.approx([1365.457, 1375.865, 1375.865, 1380.345], rel=1e-3)
-    reduced = fc.reduce_wheel(wheel)
+    reduced_wheel = fc.reduce_wheel(wheel)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
     omega = 2.0 * np.pi * np.linspace(1380.0, 1384.0, 81)
-    sizes = np.array([np.abs(_response(reduced, one, tips)) for one in omega])
+    sizes = np.array([np.abs(_response(reduced_wheel, one, tips)) for one in omega])
     top = int(np.argmax(sizes.max(axis=1)))
     assert omega[top] / (2.0 * np.pi) == pytest.approx(1381.8, rel=1e-3)
     assert sizes[top].max() == pytest.approx(82.24e-6, rel=1e-2)
     assert np.ptp(sizes[top]) < 1e-8 * sizes[top].max()
-    angles = np.angle(_response(reduced, omega[top], tips))
+    angles = np.angle(_response(reduced_wheel, omega[top], tips))
     steps = np.angle(np.exp(1j * (np.diff(angles) - 2.0 * np.pi * 2 / 12)))
     assert np.abs(steps).max() < 1e-8
 
@@ -137,8 +137,8 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     force = sector.structure.force
     pull = ties.conj().T @ (force[1] - 1j * force[2])
     exact = ties @ scipy.linalg.solve(ties.conj().T @ dynamic, pull)
-    undamped = fc.reduce_wheel(wheel.damped(None))
+    undamped_wheel = fc.reduce_wheel(wheel.damped(None))
     _, own = wheel.blade_of(wheel.watched_dof)
-    found = _response(undamped, omega, wheel.dofs_of_blades(wheel.watched_dof))
+    found = _response(undamped_wheel, omega, wheel.dofs_of_blades(wheel.watched_dof))
     turned = np.exp(2j * np.pi * order * np.arange(sector.count) / sector.count)
     assert found == pytest.approx(exact[own] * turned, rel=1e-5)

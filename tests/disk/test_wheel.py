@@ -48,25 +48,27 @@ def mistuned() -> Wheel:
 
 def test_three_families_are_the_whole_wheel(mistuned: Wheel) -> None:
     """With as many modes with mass of the matrices of all sectors."""
-    whole = reduce_structure(mistuned, modes=24, method="massless", reference=False)
+    whole_structure = reduce_structure(mistuned, modes=24, method="massless", reference=False)
     tips = mistuned.dofs_of_blades(mistuned.watched_dof)
-    reduced = fc.reduce_wheel(mistuned, 3)
-    assert reduced.omega[:8] == pytest.approx(whole.omega[:8], rel=1e-6)
+    reduced_wheel = fc.reduce_wheel(mistuned, 3)
+    assert reduced_wheel.omega[:8] == pytest.approx(whole_structure.omega[:8], rel=1e-6)
     for hertz in (1260.0, 1290.0, 1340.0, 1376.0):
-        gap, tip, cracked = differences(solved(reduced, hertz), solved(whole, hertz), tips)
+        gap, tip, cracked = differences(
+            solved(reduced_wheel, hertz), solved(whole_structure, hertz), tips
+        )
         assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
 
 
 @pytest.mark.nightly
 def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
     """Against the whole wheel with more modes than any; of six families none is stated."""
-    whole = reduce_structure(mistuned, modes=120, method="massless", reference=False)
+    whole_structure = reduce_structure(mistuned, modes=120, method="massless", reference=False)
     tips = mistuned.dofs_of_blades(mistuned.watched_dof)
-    exact, found = {1245.0: solved(whole, 1245.0)}, []
+    exact, found = {1245.0: solved(whole_structure, 1245.0)}, []
     for families in (1, 3, 6):
-        reduced, errors = fc.reduce_wheel(mistuned, families), []
+        reduced_wheel, errors = fc.reduce_wheel(mistuned, families), []
         for hertz, known in exact.items():
-            solution = solved(reduced, hertz)
+            solution = solved(reduced_wheel, hertz)
             errors.append(differences(solution, known, tips))
             if families < 6:
                 assert errors[-1][0] < (1.3 if families == 3 else 3.0) * solution.report.reduction
@@ -79,13 +81,15 @@ def test_solid_wheel_is_the_whole_one() -> None:
     """Five blades in three dimensions, mistuned."""
     wheel = wheel_of(fc.Scene.from_mapping(SOLID))
     wheel = wheel.mistuned([0.01, -0.012, 0.004, 0.007, -0.009])
-    whole = reduce_structure(wheel, modes=15, method="massless", reference=False)
-    reduced = fc.reduce_wheel(wheel, 3)
-    assert reduced.omega[:5] == pytest.approx(whole.omega[:5], rel=1e-6)
+    whole_structure = reduce_structure(wheel, modes=15, method="massless", reference=False)
+    reduced_wheel = fc.reduce_wheel(wheel, 3)
+    assert reduced_wheel.omega[:5] == pytest.approx(whole_structure.omega[:5], rel=1e-6)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
-    first = reduced.omega[0] / (2.0 * np.pi)
+    first = reduced_wheel.omega[0] / (2.0 * np.pi)
     for hertz in (0.98 * first, 1.01 * first):
-        gap, tip, cracked = differences(solved(reduced, hertz), solved(whole, hertz), tips)
+        gap, tip, cracked = differences(
+            solved(reduced_wheel, hertz), solved(whole_structure, hertz), tips
+        )
         assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
 
 
@@ -106,16 +110,16 @@ def test_turned_by_a_sector(mistuned: Wheel) -> None:
 def test_two_cracked_blades() -> None:
     """Opposite blades of a tuned wheel with an even order move alike; their pairs are apart."""
     wheel = wheel_of(ring(disk__cracked=[1, 4]))
-    reduced = fc.reduce_wheel(wheel, 2)
-    assert reduced.n_pairs == 2 * wheel.sector.structure.n_pairs
-    found = solved(reduced, 1250.0)
+    reduced_wheel = fc.reduce_wheel(wheel, 2)
+    assert reduced_wheel.n_pairs == 2 * wheel.sector.structure.n_pairs
+    found = solved(reduced_wheel, 1250.0)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
     moved = [found.amplitude(tip) for tip in tips]
     assert moved[:3] == pytest.approx(moved[3:], rel=1e-7)
     assert list(wheel.watched_pairs) == ["the mouth of blade 1", "the mouth of blade 4"]
     places = wheel.pair_points
     middle = 2.0 * wheel.sector.center
-    half = reduced.n_pairs // 2
+    half = reduced_wheel.n_pairs // 2
     assert places[half:] == pytest.approx(middle - places[:half], abs=1e-12)
 
 
@@ -130,8 +134,8 @@ def test_harmonics_of_the_load_have_their_own_orders() -> None:
         angles = 2.0 * np.pi * order * np.arange(6) / 6.0
         first = {1: 1.0, 2: -1j}[harmonic] * size
         assert seen == pytest.approx(first * np.exp(1j * angles), abs=1e-12)
-    moved = fc.solve_linear(fc.reduce_wheel(wheel), 2.0 * np.pi * 900.0, harmonics=2)
-    rows = moved.structure.values_at(moved.displacement_coefficients, tips)
+    linear_solution = fc.solve_linear(fc.reduce_wheel(wheel), 2.0 * np.pi * 900.0, harmonics=2)
+    rows = linear_solution.structure.values_at(linear_solution.displacement_coefficients, tips)
     both = rows[3] - 1j * rows[4]
     assert both[1:] / both[:-1] == pytest.approx(np.exp(2j * np.pi * 4 / 6) * np.ones(5), rel=1e-8)
 
@@ -142,12 +146,12 @@ def test_rotation_opens_the_crack() -> None:
     assert turning.excitation.omega == pytest.approx(2.0 * turning.speed)
     wheel = wheel_of(turning)
     reduced = fc.reduce_wheel(wheel, 2)
-    found = fc.solve_linear(reduced, 100.0, harmonics=1)
-    assert found.gap_coefficients[0].max() < 0.0  # open, all along
+    linear_solution = fc.solve_linear(reduced, 100.0, harmonics=1)
+    assert linear_solution.gap_coefficients[0].max() < 0.0  # open, all along
     still = fc.reduce_wheel(wheel_of(ring()), 2)
     assert np.all(reduced.omega[:6] > 1.001 * still.omega[:6])
     # As much as the centrifugal load of the blade beyond the crack bends the section there.
-    opening = -found.gap_coefficients[0].min()
+    opening = -linear_solution.gap_coefficients[0].min()
     stress = 7800.0 * turning.speed**2 * (0.18**2 - 0.112**2) / 2.0
     assert 0.3 < opening / (4.0 * stress * 0.004 / 2.1e11) < 6.0
 
@@ -185,11 +189,14 @@ def test_matrices_are_written_and_read(mistuned: Wheel, tmp_path: Path) -> None:
     same solution."""
     scene = ring(excitation__frequency=1290.0)
     fc.write_matrices(mistuned, tmp_path, scene)
-    again = fc.build_structure(fc.Scene.load(tmp_path / "matrices.toml"))
-    assert np.array_equal(again.force, mistuned.force) and (again.gap != mistuned.gap).nnz == 0
+    read_structure = fc.build_structure(fc.Scene.load(tmp_path / "matrices.toml"))
+    assert (
+        np.array_equal(read_structure.force, mistuned.force)
+        and (read_structure.gap != mistuned.gap).nnz == 0
+    )
     first, second = (
         solved(reduce_structure(one, modes=24, method="massless", reference=False), 1290.0)
-        for one in (mistuned, again)
+        for one in (mistuned, read_structure)
     )
     assert apart(second.gap_coefficients, first.gap_coefficients) < 1e-12
 

@@ -162,10 +162,10 @@ def test_a_misspelt_keyword_is_named() -> None:
 
 def test_spectrum_fills_as_many_axes_as_it_is_given() -> None:
     """One without the contact force; two though nothing touches."""
-    apart = fc.solve_linear(two_masses(), 1.0)
+    apart_linear_solution = fc.solve_linear(two_masses(), 1.0)
     for count in (1, 2):
         panels = Figure().subplots(count, squeeze=False)[:, 0]
-        fc.draw_spectrum(apart, axes=panels)
+        fc.draw_spectrum(apart_linear_solution, axes=panels)
         words = [panel.get_ylabel().replace("\n", " ") for panel in panels]
         assert (
             words

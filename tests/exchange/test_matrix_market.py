@@ -117,8 +117,8 @@ def test_columns_without_an_entry(tmp_path: Path) -> None:
         "sweep": {"over": {"excitation.omega": [0.5, 0.6]}},
     }
     scene = scene_of_matrices(tmp_path, parts, tables)
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
-    assert not found.converged.any() and found.path.stat().st_size < 10**6
+    sweep = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    assert not sweep.converged.any() and sweep.path.stat().st_size < 10**6
 
 
 def test_neither_devices_nor_pipes(tmp_path: Path) -> None:

@@ -134,10 +134,10 @@ def triangle(matrix: Any) -> list[tuple[int, int, float]]:
 def write_abaqus(folder: Path) -> dict[str, str]:
     """One triangle of the stiffness and both of the mass, either of which is allowed; what is held
     has 1e36 on the diagonal of the stiffness, and its mass."""
-    given = plate_matrices()
-    labels = given["labels"].tolist()
+    matrices = plate_matrices()
+    labels = matrices["labels"].tolist()
     for kind, name, held in (("K", "plate_STIF1.mtx", 1e36), ("M", "plate_MASS1.mtx", 1e-3)):
-        entries = triangle(given[kind])
+        entries = triangle(matrices[kind])
         entries += [(j, i, value) for i, j, value in entries if i != j and kind == "M"]
         lines = ["** ASSEMBLED MATRIX"] + [
             ",".join(map(str, [*labels[i], *labels[j], value])) for i, j, value in entries
@@ -149,13 +149,13 @@ def write_abaqus(folder: Path) -> dict[str, str]:
 
 def write_nastran(folder: Path) -> dict[str, str]:
     """One punch file with both matrices, and the bulk data in all three kinds of fields."""
-    given = plate_matrices()
-    labels = given["labels"].tolist()
+    matrices = plate_matrices()
+    labels = matrices["labels"].tolist()
     lines = []
     for name, kind in (("KAAX", "K"), ("MAAX", "M")):
         lines.append(f"DMIG    {name:8}{0:8}{6:8}{2:8}{0:8}{'':8}{len(labels):8}")
         columns: dict[int, list[str]] = {}
-        for i, j, value in triangle(given[kind]):
+        for i, j, value in triangle(matrices[kind]):
             number = f"{value:16.9E}".replace("E", "D")
             columns.setdefault(i, []).append(
                 f"*       {labels[j][0]:16}{labels[j][1]:16}{number:>16}"
@@ -198,10 +198,10 @@ def write_ansys(folder: Path) -> dict[str, str]:
 
 def write_market(folder: Path) -> dict[str, str]:
     """Matrix Market files, what HBMAT says of their rows, and a table of the nodes alone."""
-    given = plate_matrices()
+    matrices = plate_matrices()
     for kind in "KM":
-        scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind], symmetry="symmetric", precision=17)
-    rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(given["labels"], 1)]
+        scipy.io.mmwrite(folder / f"{kind}.mtx", matrices[kind], symmetry="symmetric", precision=17)
+    rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(matrices["labels"], 1)]
     rows.reverse()  # their numbers tell which they are
     (folder / "plate.mapping").write_text("\n".join(["  Matrix Eqn    Node   DOF", *rows]) + "\n")
     model = read_model(FOLDER / "plate.inp")
@@ -241,8 +241,8 @@ def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> l
 
 def write_op4(folder: Path) -> dict[str, str]:
     """Both matrices in one file of OUTPUT4, whose rows are named beside it."""
-    given, files = plate_matrices(), write_market(folder)
-    dense, strings = (given[kind].toarray() for kind in "KM")
+    matrices, files = plate_matrices(), write_market(folder)
+    dense, strings = (matrices[kind].toarray() for kind in "KM")
     lines = op4_lines(dense, "KAA", "dense") + op4_lines(strings, "MAA", "sparse")
     (folder / "plate.op4").write_text("\n".join(lines) + "\n")
     files |= {"stiffness": "plate.op4", "mass": "plate.op4"}
@@ -286,8 +286,10 @@ WRITERS = {
 def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene) -> None:
     """Frequencies and pairs; of nodes without cells as many, each by itself."""
     files = WRITERS[program](folder)
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
-    structure, own = fc.build_structure(other), fc.build_structure(scene)
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
+    structure, own = fc.build_structure(changed_scene), fc.build_structure(scene)
     assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-8)
     assert structure.pair_points == pytest.approx(own.pair_points)
     moved = np.zeros((1, structure.n_dofs))
@@ -300,8 +302,10 @@ def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene
 def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> None:
     """By their dofs: there is nothing to draw them on."""
     files = write_market(folder)
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
-    run = fc.modes(other, 3, MPI.COMM_SELF)
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
+    run = fc.modes(changed_scene, 3, MPI.COMM_SELF)
     fc.save(run.result, folder / "modes.h5", run.scene)
     again = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
     np.testing.assert_array_equal(again.shapes, run.result.shapes)
@@ -310,29 +314,31 @@ def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> 
 def test_matrices_that_do_not_fit_their_rows(folder: Path, scene: Scene) -> None:
     """Not square, and with other rows than the file of their nodes names."""
     files = write_market(folder)
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
     for rows, columns in ((42, 41), (41, 41)):
         scipy.io.mmwrite(folder / "M.mtx", sparse.eye(rows, columns))
         with pytest.raises(InputError, match=r"structure\.mass"):
-            fc.build_structure(other)
+            fc.build_structure(changed_scene)
 
 
 def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> None:
     """Rows whose nodes are mixed are put in order, and with them those of a load's file."""
-    given = plate_matrices()
-    mixed = np.random.default_rng(1).permutation(len(given["labels"]))
+    matrices = plate_matrices()
+    mixed = np.random.default_rng(1).permutation(len(matrices["labels"]))
     for kind in "KM":
-        scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind][mixed][:, mixed], precision=17)
-    rows = [f"{node}.{direction}" for node, direction in given["labels"][mixed]]
+        scipy.io.mmwrite(folder / f"{kind}.mtx", matrices[kind][mixed][:, mixed], precision=17)
+    rows = [f"{node}.{direction}" for node, direction in matrices["labels"][mixed]]
     (folder / "rows.dof").write_text("\n".join(rows))
     load = np.array([[row == "7.2"] for row in rows], dtype=float)  # node 7: (0, 0.02, 0)
     scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(100.0 * load))
     files = {"stiffness": "K.mtx", "mass": "M.mtx", "dofs": "rows.dof", "force_sin": "force.mtx"}
-    other = scene.replace(
+    changed_scene = scene.replace(
         {f"structure.{key}": str(folder / name) for key, name in files.items()}
         | {"excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
     )
-    structure, own = fc.build_structure(other), fc.build_structure(scene)
+    structure, own = fc.build_structure(changed_scene), fc.build_structure(scene)
     assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-9)
     assert structure.dof_name(structure.find_most_loaded_dof()) == own.dof_name(
         own.find_most_loaded_dof()
@@ -393,21 +399,24 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     of nodes hold the lips together as these do."""
     keys = {f"crack.{key}": x for key, x in ({"height": 0.03} | CRACKS[crack]).items()}
     keys |= {f"cracks.1.{key}": x for key, x in SECOND.items() if crack == "two"}
-    own = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
-    points, dofs = own.nodes.points, own.nodes.dofs
-    stiffness = csr(own.stiffness)
-    model = Model(np.arange(len(points)), points, {24: own.nodes.cells})
+    structure = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
+    points, dofs = structure.nodes.points, structure.nodes.dofs
+    stiffness = csr(structure.stiffness)
+    model = Model(np.arange(len(points)), points, {24: structure.nodes.cells})
     gap, pairs = find_pairs_and_gaps(model, dofs, stiffness, has_rotations=False)
-    here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, own.pair_points))
-    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-12
-    assert pairs.areas[here] == pytest.approx(own.pair_areas[there], rel=1e-12)
-    np.testing.assert_array_equal(pairs.cracks[here], own.pairs.cracks[there])
-    assert pairs.positions is not None and pairs.places.keys() - own.watched_pairs.keys() == set()
+    here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, structure.pair_points))
+    assert abs(gap[:, here] - structure.gap[:, there]).max() < 1e-12
+    assert pairs.areas[here] == pytest.approx(structure.pair_areas[there], rel=1e-12)
+    np.testing.assert_array_equal(pairs.cracks[here], structure.pairs.cracks[there])
+    assert (
+        pairs.positions is not None
+        and pairs.places.keys() - structure.watched_pairs.keys() == set()
+    )
     for place in pairs.places.values():
         here = pairs.cracks == pairs.cracks[place]
         assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
     mixed = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
-    cells = np.argsort(mixed)[own.nodes.cells]
+    cells = np.argsort(mixed)[structure.nodes.cells]
     other = find_pairs_and_gaps(
         Model(model.labels, points[mixed], {24: cells}), dofs[mixed], stiffness, has_rotations=False
     )[1]
@@ -419,7 +428,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
         fc.solve_modes(
-            fc.Structure.from_matrices(own.mass, own.stiffness, gap=b), 3, lips="tied"
+            fc.Structure.from_matrices(structure.mass, structure.stiffness, gap=b), 3, lips="tied"
         ).omega
         for b in (gap, nodes)
     ]
@@ -623,14 +632,16 @@ def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
 )
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""
-    own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
+    structure = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
     points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
-        (own.nodes.points, 0.0), (own.nodes.dofs, -1)))  # fmt: skip
+        (structure.nodes.points, 0.0), (structure.nodes.dofs, -1)))  # fmt: skip
     model = Model(np.arange(len(points)), points, {})
-    gap, pairs = find_pairs_and_gaps(model, dofs, csr(own.stiffness), has_rotations=False)
+    gap, pairs = find_pairs_and_gaps(model, dofs, csr(structure.stiffness), has_rotations=False)
     assert pairs.points is not None and pairs.areas is None
-    here, there = (np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, own.pair_points))
-    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-9
+    here, there = (
+        np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, structure.pair_points)
+    )
+    assert abs(gap[:, here] - structure.gap[:, there]).max() < 1e-9
 
 
 def test_cracks_that_cross_are_refused() -> None:
@@ -716,9 +727,11 @@ def test_bad_punch_files_are_named(
     files = write_nastran(folder)
     path = folder / "plate.pch"
     path.write_text(path.read_text().replace(old, new))
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
     with pytest.raises(InputError, match=words):
-        fc.build_structure(other)
+        fc.build_structure(changed_scene)
 
 
 def test_stiffness_and_mass_that_are_swapped(scene: Scene) -> None:
@@ -754,9 +767,11 @@ def test_a_model_of_another_mesh(folder: Path, scene: Scene) -> None:
     files = write_market(folder)
     nodes = (folder / "nodes.csv").read_text().splitlines()
     (folder / "nodes.csv").write_text("\n".join(row for row in nodes if not row.startswith("7,")))
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
     with pytest.raises(InputError, match=r"structure\.model.*no node 7.*all the nodes of its rows"):
-        fc.build_structure(other)
+        fc.build_structure(changed_scene)
 
 
 def test_a_model_without_a_crack_is_told(folder: Path, scene: Scene) -> None:

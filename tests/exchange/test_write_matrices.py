@@ -128,10 +128,10 @@ def test_damping_matrix_and_varied_structure(tmp_path: Path) -> None:
     assert np.array_equal(scipy.io.mmread(tmp_path / "damping.mtx").toarray(), 0.5 * given)
     assert differences(chain, tmp_path).keys().isdisjoint({"tangential", "areas"})
     changes = {"excitation.omega": 5.0, "contact.stiffness": 1e3}
-    again = fc.build_structure(Scene.load(tmp_path / "matrices.toml", changes))
+    read_structure = fc.build_structure(Scene.load(tmp_path / "matrices.toml", changes))
     law = fc.UnilateralPenalty(1e3)
     first, second = (
-        fc.solve_harmonic_balance(one, 5.0, law, harmonics=8) for one in (chain, again)
+        fc.solve_harmonic_balance(one, 5.0, law, harmonics=8) for one in (chain, read_structure)
     )
     assert np.array_equal(first.displacement_coefficients, second.displacement_coefficients)
 
@@ -184,14 +184,14 @@ def test_many_dofs_have_no_dense_matrix(
     assert (tmp_path / "damping.mtx").exists()
     fc.write_matrices(structure.damped(None), tmp_path, paper_scene)
     assert not (tmp_path / "damping.mtx").exists()
-    again = fc.build_structure(Scene.load(tmp_path / "matrices.toml"))
-    assert again.damping == fc.RayleighDamping()
+    read_structure = fc.build_structure(Scene.load(tmp_path / "matrices.toml"))
+    assert read_structure.damping == fc.RayleighDamping()
 
 
 def test_earlier_files(paper_scene: Scene, tmp_path: Path) -> None:
     """They are kept, one generation, and none is left among those of another structure."""
-    cracked = fc.build_structure(paper_scene)
-    for structure in (cracked, cracked.tied(1e9)):
+    cracked_structure = fc.build_structure(paper_scene)
+    for structure in (cracked_structure, cracked_structure.tied(1e9)):
         fc.write_matrices(structure, tmp_path, paper_scene)
     other = {"gap.mtx", "tangential.mtx", "clearance.mtx", "areas.mtx"}
     kept, now = (
@@ -199,7 +199,7 @@ def test_earlier_files(paper_scene: Scene, tmp_path: Path) -> None:
     )
     assert now - {"before"} == kept - other and other < kept
     assert Scene.load(tmp_path / "matrices.toml").contact is None
-    assert not max(differences(cracked, tmp_path / "before").values())
+    assert not max(differences(cracked_structure, tmp_path / "before").values())
 
 
 def test_refused(paper_scene: Scene, tmp_path: Path) -> None:

@@ -42,13 +42,13 @@ SETTINGS = {
 def run(folder: Path, words: list[str], **surroundings: str) -> str:
     """What a program prints that ends well, and leaves no file in its folder but its results."""
     before = {*folder.iterdir()}
-    done = subprocess.run(
+    process = subprocess.run(
         words, cwd=folder, env=os.environ | surroundings, capture_output=True, text=True,
         timeout=LIMIT,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     assert {*folder.iterdir()} - {folder / "output"} == before
-    return done.stdout
+    return process.stdout
 
 
 def fill(folder: Path, kinds: Iterable[str]) -> None:

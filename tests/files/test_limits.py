@@ -169,14 +169,14 @@ def test_limits_of_the_shell(kind: str, tmp_path: Path) -> None:
     words = ["modes", str(DEMOS / "inclined_crack.toml"), "--output", str(tmp_path), "--quiet"]
     program = ["sh", "-c", shell, "sh", sys.executable, "-m", "fenics_crack", *words]
     environment = no_rank() | {"PYTHONDONTWRITEBYTECODE": "1"}  # nor are modules written in part
-    done = subprocess.run(
+    process = subprocess.run(
         program, capture_output=True, text=True, check=False, cwd=ROOT, env=environment
     )
     if kind == "-t 60":
-        assert done.returncode == 0 and (tmp_path / "modes.h5").exists(), done.stderr
+        assert process.returncode == 0 and (tmp_path / "modes.h5").exists(), process.stderr
     else:  # the file that is too large, not the cache
-        [line] = done.stderr.splitlines()
-        assert done.returncode == 1 and "modes.h5" in line and "File too large" in line
+        [line] = process.stderr.splitlines()
+        assert process.returncode == 1 and "modes.h5" in line and "File too large" in line
 
 
 @pytest.mark.parametrize(

@@ -137,11 +137,11 @@ def test_no_old_file_is_opened(kind: str, tmp_path: Path) -> None:
     )
     folders = os.pathsep.join([str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)])
     tracer = ["strace", "-f", "--seccomp-bpf", "-y", "-qq", "-e", TRACE, "-o", str(log)]
-    done = subprocess.run(
+    process = subprocess.run(
         [*tracer, sys.executable, "-c", source],
         capture_output=True, text=True, check=False, env=no_rank() | {"PYTHONPATH": folders},
     )  # fmt: skip
-    assert done.returncode == 0 and done.stdout.splitlines()[-1] == str(codes), done.stderr
+    assert process.returncode == 0 and process.stdout.splitlines()[-1] == str(codes), process.stderr
     lines = log.read_text().splitlines()
     opened = [line for line in lines if re.search(r"\b(open|openat|creat|truncate)\(", line)]
     assert not [line for line in opened if f"<{outside}>" in line]

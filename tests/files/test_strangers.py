@@ -306,8 +306,8 @@ def content_of(path: Path) -> dict[str, object]:
     if path.name != "sweep.h5":
         whole = read(path)
         return whole.parts | whole.attributes
-    swept = SweepResult.load(path)
-    return swept.columns | {f"gap {case}": swept.gap(case) for case in range(4)}
+    sweep = SweepResult.load(path)
+    return sweep.columns | {f"gap {case}": sweep.gap(case) for case in range(4)}
 
 
 @pytest.mark.parametrize("kind", ["result", "swept"])
@@ -393,10 +393,10 @@ def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: 
         return
     with pytest.raises(fc.InputError, match="again"):
         SweepResult.load(path).gap(1)
-    again = run_sweep(swept.scene, path, MPI.COMM_SELF)
-    assert again.complete and np.array_equal(again["response"], swept["response"])
-    assert np.array_equal(again.gap(1), swept.gap(1))
-    kept = again["seconds"].ravel() == swept["seconds"].ravel()
+    resumed_sweep = run_sweep(swept.scene, path, MPI.COMM_SELF)
+    assert resumed_sweep.complete and np.array_equal(resumed_sweep["response"], swept["response"])
+    assert np.array_equal(resumed_sweep.gap(1), swept.gap(1))
+    kept = resumed_sweep["seconds"].ravel() == swept["seconds"].ravel()
     assert kept[[0, 2, 3]].all() and not kept[1]
 
 

@@ -58,8 +58,8 @@ def test_wave_of_a_point_by_h5py_alone(scene: fc.Scene, tmp_path: Path) -> None:
     wave = rows[0] + np.cos(order) @ rows[1::2] + np.sin(order) @ rows[2::2]
     exact = run.result.displacement(time, [watched.dof for watched in run.watched])
     np.testing.assert_allclose(wave, exact, atol=1e-12 * np.abs(exact).max())
-    again = fc.load_run(path, MPI.COMM_SELF)
-    np.testing.assert_array_equal(again.result.gap(time), run.result.gap(time))
+    stored_run = fc.load_run(path, MPI.COMM_SELF)
+    np.testing.assert_array_equal(stored_run.result.gap(time), run.result.gap(time))
 
 
 def test_units_of_all_numbers(scene: fc.Scene, tmp_path: Path) -> None:
@@ -98,8 +98,8 @@ def test_without_watched_dofs(tmp_path: Path) -> None:
     fc.save(solution, path)
     with h5py.File(path) as file:
         assert "watched" not in file and file["gap_coefficients"].attrs["unit"] == "m"
-    read = fc.load(path, structure)
-    assert isinstance(read, fc.PeriodicSolution) and read.omega == 1.3
+    stored_result = fc.load(path, structure)
+    assert isinstance(stored_result, fc.PeriodicSolution) and stored_result.omega == 1.3
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def test_a_law_of_ones_own_is_known_by_its_forces(tmp_path: Path) -> None:
     for name, result in (("solution", solution), ("curve", curve)):
         path = tmp_path / f"{name}.h5"
         fc.save(result, path)
-        again: Any = fc.load(path, structure, Hardening(1.0))
-        assert np.array_equal(again.gap_coefficients, result.gap_coefficients)
+        stored_result: Any = fc.load(path, structure, Hardening(1.0))
+        assert np.array_equal(stored_result.gap_coefficients, result.gap_coefficients)
         with pytest.raises(fc.InputError, match="its forces are others"):
             fc.load(path, structure, Hardening(0.5))

@@ -66,12 +66,12 @@ def test_friction_needs_faces_that_give() -> None:
 
 def test_law_of_a_scene() -> None:
     """The stiffness of pairs that stick follows from their areas."""
-    whole = fc.build_structure(plate())
+    whole_structure = fc.build_structure(plate())
     scene = plate(**{"contact.friction": 0.3, "contact.tangential_stiffness_per_area": 1e12})
-    law = fc.contact_law(scene.contact, whole)
+    law = fc.contact_law(scene.contact, whole_structure)
     assert isinstance(law, fc.CoulombFriction) and law.coefficient == 0.3
-    np.testing.assert_allclose(law.tangential_stiffness, 1e12 * whole.pair_areas)
-    np.testing.assert_allclose(law.stiffness, 1e14 * whole.pair_areas)
+    np.testing.assert_allclose(law.tangential_stiffness, 1e12 * whole_structure.pair_areas)
+    np.testing.assert_allclose(law.stiffness, 1e14 * whole_structure.pair_areas)
 
 
 @pytest.mark.parametrize("keys", [{"free": True, "deflection": 2.0}, {"deflection": 1.0}])
@@ -82,8 +82,8 @@ def test_integration_from_a_deflection(keys: dict[str, object]) -> None:
     scene = fc.Scene.load(ROOT / "demos/paper_plate.toml").replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.02, **changes}
     )
-    plain, more = fc.integrate(scene), scene.replace({"excitation.harmonics": [harmonic]})
-    found = fc.integrate(more)
+    plain, changed_scene = fc.integrate(scene), scene.replace({"excitation.harmonics": [harmonic]})
+    found = fc.integrate(changed_scene)
     assert found.result.recorded[0] == pytest.approx(plain.result.recorded[0], rel=1e-9)
     same = np.allclose(found.result.recorded, plain.result.recorded)
     assert same == ("free" in keys)

@@ -40,8 +40,8 @@ def test_an_order_gives_the_frequency() -> None:
     for key in ("omega", "frequency"):
         other = scene.replace({f"excitation.{key}": 50.0}).excitation
         assert other.order is None and getattr(other, key) == 50.0
-    fixed = Scene.from_mapping(changed(ROTATING))
-    assert fixed.replace({"excitation.order": 3}).excitation == scene.excitation
+    fixed_scene = Scene.from_mapping(changed(ROTATING))
+    assert fixed_scene.replace({"excitation.order": 3}).excitation == scene.excitation
     rest = scene.at_rest()
     assert rest.speed == 0.0 and rest.excitation.omega == scene.excitation.omega
 

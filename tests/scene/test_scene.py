@@ -184,8 +184,8 @@ def test_changes_are_made_before_the_check(
     table, key = name.split(".")
     tables[table][key] = value
     assert refusal(lambda: Scene.from_mapping(tables)).key == name
-    changed = Scene.from_mapping(tables, changes=changes)
-    assert changed == Scene.from_mapping(right).replace(changes)
+    scene = Scene.from_mapping(tables, changes=changes)
+    assert scene == Scene.from_mapping(right).replace(changes)
 
 
 # --- refused --------------------------------------------------------------------------------------
@@ -315,10 +315,10 @@ def test_scenes_are_frozen() -> None:
 def test_replace_changes_a_copy() -> None:
     """`replace` gives a validated copy with the named keys changed and leaves the scene alone."""
     scene = Scene.from_mapping(GOOD)
-    other = scene.replace(
+    changed_scene = scene.replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.01, "mesh.columns": 4, "mesh.rows": 4}
     )
-    assert other == Scene.from_mapping(
+    assert changed_scene == Scene.from_mapping(
         changed(
             {"contact.stiffness": 1e9, "damping.ratio": 0.01, "mesh.columns": 4, "mesh.rows": 4}
         )
@@ -367,9 +367,13 @@ def test_replace_refuses(key: str, value: object) -> None:
 def test_replace_makes_a_missing_table() -> None:
     """A table that the scene does not have is made, with all that it needs, or refused."""
     scene = Scene.from_mapping(changed({"crack": GONE, "contact": GONE}))
-    made = scene.replace({"curve.start": 1000.0, "curve.stop": 2000.0})
-    assert made.curve is not None and made.curve.parameter == "omega" and scene.curve is None
-    assert made.replace({"curve": None}) == scene
+    changed_scene = scene.replace({"curve.start": 1000.0, "curve.stop": 2000.0})
+    assert (
+        changed_scene.curve is not None
+        and changed_scene.curve.parameter == "omega"
+        and scene.curve is None
+    )
+    assert changed_scene.replace({"curve": None}) == scene
     assert refusal(lambda: scene.replace({"curve.start": 1000.0})).key == "curve.stop"
 
 
@@ -430,9 +434,9 @@ def test_axes_made_in_python() -> None:
             sweep.over, (np.array([0.04, 0.05]), tuple(np.arange(2, 4))), strict=True
         )
     )
-    swept = scene.replace({"sweep.over": (axis, count)})
-    assert swept.sweep is not None and swept.sweep.over[1].values == (2, 3)
-    assert Scene.from_text(swept.as_toml()) == swept
+    swept_scene = scene.replace({"sweep.over": (axis, count)})
+    assert swept_scene.sweep is not None and swept_scene.sweep.over[1].values == (2, 3)
+    assert Scene.from_text(swept_scene.as_toml()) == swept_scene
     for wrong in ((axis, axis), (dataclasses.replace(axis, values=()),)):
         with pytest.raises(InputError, match=r"sweep\.over"):
             scene.replace({"sweep.over": wrong})

@@ -95,10 +95,10 @@ def test_file_gives_the_answer_of_its_scene(file: Path) -> None:
 def test_solve_imports_no_mesher(file: Path, tmp_path: Path) -> None:
     """The command writes its files where neither DOLFINx nor gmsh can be imported."""
     words = ["solve", str(file), "--set", "excitation.frequency=790", "--output", str(tmp_path)]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False
     )
-    assert done.returncode in (0, 4), done.stderr  # 4: the error of so coarse a mesh is large
+    assert process.returncode in (0, 4), process.stderr  # 4: the error of so coarse a mesh is large
     assert (tmp_path / "solution.h5").exists() and (tmp_path / "solution.json").exists()
 
 

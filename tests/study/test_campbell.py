@@ -24,15 +24,15 @@ def test_frequencies_are_those_of_each_speed() -> None:
     """One mesh and one basis for all speeds give what a scene of each speed does, lips open and
     tied, also between the speeds whose modes are in the basis: to rounding of its projection."""
     scene = cracked(100.0)
-    found = fc.campbell(scene, [0.0, 130.0, 400.0], 2)
-    for row, speed in enumerate(found.speed):
+    campbell = fc.campbell(scene, [0.0, 130.0, 400.0], 2)
+    for row, speed in enumerate(campbell.speed):
         plate = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
-        assert found.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-8)
+        assert campbell.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-8)
         tied = fc.solve_modes(plate, 2, lips="tied").omega
-        assert found.omega_tied[row] == pytest.approx(tied, rel=1e-8)
-    bilinear = 2.0 / (1.0 / found.omega_open + 1.0 / found.omega_tied)
-    assert found.omega_bilinear == pytest.approx(bilinear)
-    assert np.all(np.diff(found.omega_open, axis=0) > 0.0)
+        assert campbell.omega_tied[row] == pytest.approx(tied, rel=1e-8)
+    bilinear = 2.0 / (1.0 / campbell.omega_open + 1.0 / campbell.omega_tied)
+    assert campbell.omega_bilinear == pytest.approx(bilinear)
+    assert np.all(np.diff(campbell.omega_open, axis=0) > 0.0)
 
 
 def test_between_speeds() -> None:
@@ -53,14 +53,14 @@ def test_between_speeds() -> None:
 def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
     """At a crossing the natural frequency of a structure built there is order times the speed; a
     beam whose w^2 is linear in W^2 meets order n at w_0 / sqrt(n^2 - S)."""
-    found = fc.campbell(strip(1, 1.0), np.linspace(0.0, 4.0 * UNIT, 5), 2)
-    assert not found.cracked and "omega_tied" not in found.to_dict()
-    [[mode, speed]] = found.crossings(3)
+    campbell = fc.campbell(strip(1, 1.0), np.linspace(0.0, 4.0 * UNIT, 5), 2)
+    assert not campbell.cracked and "omega_tied" not in campbell.to_dict()
+    [[mode, speed]] = campbell.crossings(3)
     assert mode == 1
     [omega] = fc.solve_modes(fc.build_structure(strip(1, speed / UNIT)), 1).omega
     assert omega == pytest.approx(3.0 * speed, rel=1e-3)
     assert speed == pytest.approx(3.516 * UNIT / np.sqrt(9.0 - 2.764), rel=0.01)
-    assert not len(found.crossings(1))  # the first mode stays above W: S > 1
+    assert not len(campbell.crossings(1))  # the first mode stays above W: S > 1
 
 
 @pytest.mark.drawn(2)
@@ -78,10 +78,10 @@ def test_a_crack_that_is_held_is_not_bilinear(
     the solution at that resonance says."""
     scene = cracked(max(speed, 1.0), mean).replace({"excitation.force_sin": [force, 0.0]})
     speeds = [max(speed, 1.0), speed + 10.0]
-    found = fc.campbell(scene, speeds, 1)
-    assert found.kind[0, 0] == does
-    omega = float(found.omega_real[0, 0])
-    assert omega == getattr(found, f"omega_{does}")[0, 0]
+    campbell = fc.campbell(scene, speeds, 1)
+    assert campbell.kind[0, 0] == does
+    omega = float(campbell.omega_real[0, 0])
+    assert omega == getattr(campbell, f"omega_{does}")[0, 0]
     blade = fc.prepare(scene.replace({"excitation.omega": omega}))
     solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=8)
     share = solution.indicators(0).closed_share
@@ -95,7 +95,7 @@ def test_a_crack_that_is_held_partly_open() -> None:
     other = {"cracks.1.edge": "right", "cracks.1.height": 0.07, "cracks.1.length": 0.006}
     other["excitation.force_sin"] = [1e-3, 0.0]
     scene = cracked(200.0, -600.0).replace(other)
-    found = fc.campbell(scene, [200.0, 210.0], 1)
+    campbell = fc.campbell(scene, [200.0, 210.0], 1)
     plate = fc.build_structure(scene)
     stiffness, mass = (csc_matrix(dense(one)) for one in (plate.stiffness, plate.mass))
     gap, flexible = plate.gap.toarray(), splu(stiffness)
@@ -106,9 +106,9 @@ def test_a_crack_that_is_held_partly_open() -> None:
     ties = plate.gap[:, pressed > 0.0]
     tied = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
     [square], _ = eigsh(tied.tocsc(), 1, mass, sigma=0.0)
-    assert found.kind.tolist() == [["partly"], ["partly"]]
-    assert found.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
-    rows = found.to_dict()
+    assert campbell.kind.tolist() == [["partly"], ["partly"]]
+    assert campbell.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
+    rows = campbell.to_dict()
     assert rows["crack"] == 2 * ["held partly open"] and len(rows["frequency_partly"]) == 2
     louder = fc.campbell(scene.replace({"excitation.force_sin": [100.0, 0.0]}), [200.0, 210.0], 1)
     assert louder.kind.tolist() == [["bilinear"], ["bilinear"]]
@@ -121,10 +121,10 @@ def test_states_follow_each_other(top: float) -> None:
     """A crack that rotation opens pair by pair is held shut, partly open and open, and changes from
     one to another only with a range of breathing, or none that matters, between."""
     scene = cracked(300.0, -300.0).replace({"excitation.force_sin": [1e-4, 0.0]})
-    found = fc.campbell(scene, [300.0, top], 1)
-    speeds = [300.0, *(speed for _, speed, _ in found.changes), top]
-    kinds = [found.kind[0, 0], *(kind for *_, kind in found.changes)]
-    assert kinds[-1] == found.kind[1, 0] and np.all(np.diff(speeds) > 0.0)
+    campbell = fc.campbell(scene, [300.0, top], 1)
+    speeds = [300.0, *(speed for _, speed, _ in campbell.changes), top]
+    kinds = [campbell.kind[0, 0], *(kind for *_, kind in campbell.changes)]
+    assert kinds[-1] == campbell.kind[1, 0] and np.all(np.diff(speeds) > 0.0)
     for low, high, kind in zip(speeds, speeds[1:], kinds, strict=False):
         if high - low > 1.0:
             middle = 0.5 * (low + high)
@@ -213,8 +213,8 @@ def test_a_tie_that_takes_a_mode_past_another() -> None:
         along[lips] = dict(zip(np.abs(modes.shapes[tip]).argmax(axis=0), modes.omega, strict=True))
     assert [*along["open"]] == [0, 1] and [*along["tied"]] == [1, 0]
     for count in (1, 2):
-        found = fc.campbell(scene, [300.0, 310.0], count)
-        for told, lips in ((found.omega_open, "open"), (found.omega_tied, "tied")):
+        campbell = fc.campbell(scene, [300.0, 310.0], count)
+        for told, lips in ((campbell.omega_open, "open"), (campbell.omega_tied, "tied")):
             expected = [along[lips][direction] for direction in range(count)]
             assert told[0] == pytest.approx(expected, rel=1e-6)
 
@@ -265,12 +265,12 @@ def test_speeds_that_are_too_fast() -> None:
 
 def test_picture_reaches_as_far_as_the_orders() -> None:
     """Orders up to 8 meet the first mode of a beam at 4 UNIT, up to 20 both; 1 meets none."""
-    found = fc.campbell(strip(0, 1.0), np.linspace(0.0, 4.0 * UNIT, 3), 2)
+    campbell = fc.campbell(strip(0, 1.0), np.linspace(0.0, 4.0 * UNIT, 3), 2)
     for orders, modes in ((range(1, 3), 1), (range(1, 9), 2), ([1], 1), ([], 1)):
-        [panel] = fc.draw_campbell(found, orders).axes
+        [panel] = fc.draw_campbell(campbell, orders).axes
         labels = panel.get_legend_handles_labels()[1]
         assert labels == ["mode 1", "mode 2"][:modes]
-        highest = found.omega_open[:, :modes].max() / (2.0 * np.pi)
+        highest = campbell.omega_open[:, :modes].max() / (2.0 * np.pi)
         assert panel.get_ylim()[1] == pytest.approx(1.08 * highest)
 
 
@@ -290,10 +290,10 @@ def test_command(run_command: RunCommand, tmp_path: Path) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
     scene = cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12})
     words = ["campbell", scene, "--output", tmp_path, "--count", 1, "--speeds"]
-    printed = run_command(*words, 4000, 8000, 3)
-    assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
-    assert "with the crack breathing (bilinear estimate); it would be held open at" in printed.err
-    assert "; there d ln f / d ln n = 0.0" in printed.err
+    process = run_command(*words, 4000, 8000, 3)
+    assert "rpm" in process.out and "engine order 12 meets mode 1" in process.err
+    assert "with the crack breathing (bilinear estimate); it would be held open at" in process.err
+    assert "; there d ln f / d ln n = 0.0" in process.err
     rows = list(csv.DictReader((tmp_path / "campbell.csv").open()))
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1

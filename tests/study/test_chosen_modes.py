@@ -49,18 +49,18 @@ def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
     """Modes are doubled where a case needs more; its solution has those with which it was found."""
     over = {"excitation.frequency": [600.0, 832.0]}
     scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": over})
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    sweep = fc.run_sweep(scene, tmp_path / "sweep.h5")
     for name in ("residual", "truncation", "sampling"):
-        assert np.all(found[f"{name}_error"] <= 0.01)
-    assert np.all(found["reduction_error"] <= 0.01)
-    plain = scene.replace({"sweep": None})
-    for index, omega in enumerate(found["omega"]):
-        solution = found.solution(index)
-        assert solution.amplitude() == pytest.approx(found["response"][index], rel=1e-9)
+        assert np.all(sweep[f"{name}_error"] <= 0.01)
+    assert np.all(sweep["reduction_error"] <= 0.01)
+    plain_scene = scene.replace({"sweep": None})
+    for index, omega in enumerate(sweep["omega"]):
+        solution = sweep.solution(index)
+        assert solution.amplitude() == pytest.approx(sweep["response"][index], rel=1e-9)
         modes = 4 * solution.structure.n_modes
         changes = {"excitation.omega": float(omega), "reduction.modes": modes}
-        true = fc.solve(plain.replace(changes)).amplitude()
-        assert found["response"][index] == pytest.approx(true, rel=RATIO * 0.01)
+        true = fc.solve(plain_scene.replace(changes)).amplitude()
+        assert sweep["response"][index] == pytest.approx(true, rel=RATIO * 0.01)
 
 
 def test_modes_that_are_given_are_kept() -> None:

@@ -271,8 +271,8 @@ def test_a_rotor_that_keeps_its_crack_open() -> None:
     """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
     open_by_speed = replace(figures, breathes=False, closed=0)
-    turning = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
-    [remark] = remarks_on_scene(turning, figures=open_by_speed)
+    turning_scene = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
+    [remark] = remarks_on_scene(turning_scene, figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
 
 

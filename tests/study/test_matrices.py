@@ -31,10 +31,14 @@ def plate(paper_scene: Scene) -> Scene:
 @pytest.fixture
 def scene(plate: Scene, tmp_path: Path) -> Scene:
     """The scene of the files."""
-    whole = fc.build_structure(plate, MPI.COMM_SELF)
-    columns = {"force_sin": whole.force[2], "clearance": whole.clearance}
+    whole_structure = fc.build_structure(plate, MPI.COMM_SELF)
+    columns = {"force_sin": whole_structure.force[2], "clearance": whole_structure.clearance}
     parts = {name: sparse.csr_matrix(column[:, None]) for name, column in columns.items()}
-    parts |= {"mass": csr(whole.mass), "stiffness": csr(whole.stiffness), "gap": whole.gap}
+    parts |= {
+        "mass": csr(whole_structure.mass),
+        "stiffness": csr(whole_structure.stiffness),
+        "gap": whole_structure.gap,
+    }
     tables = {
         "excitation": {"omega": 2000.0}, "damping": {"ratio": 0.02}, "contact": {"stiffness": 1e9},
         "harmonic_balance": {"harmonics": 5},
@@ -85,9 +89,9 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     runs = {"solution": fc.solve(scene, MPI.COMM_SELF), "modes": fc.modes(scene, 3, MPI.COMM_SELF)}
     for name, run in runs.items():
         fc.save(run.result, tmp_path / f"{name}.h5", run.scene)
-        again = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
-        assert again.scene.structure == run.scene.structure
-    modes = again.result
+        stored_run = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
+        assert stored_run.scene.structure == run.scene.structure
+    modes = stored_run.result
     np.testing.assert_array_equal(modes.shapes, runs["modes"].result.shapes)  # type: ignore[union-attr]
     with open(tmp_path / "gap.mtx", "a") as file:
         file.write("% changed\n")
@@ -112,13 +116,13 @@ def test_the_example_runs_from_the_shell(
     """Every command; what is drawn needs no mesh, and what needs one is left out with a word."""
     (name,) = commands
     output = [] if name == "check" else ["--output", str(tmp_path)]
-    printed = run_command(name, DEMOS / "chain.toml", *output)
-    remarks = [line for line in printed.err.splitlines() if line.startswith("remark")]
+    process = run_command(name, DEMOS / "chain.toml", *output)
+    remarks = [line for line in process.err.splitlines() if line.startswith("remark")]
     over = ["steps over a peak" in line for line in remarks]  # narrower than the steps of 1 Hz
-    assert over == [True] * (name == "sweep") and "warning" not in printed.err
+    assert over == [True] * (name == "sweep") and "warning" not in process.err
     result = {"solve": "solution", "integrate": "integration"}.get(name, name)
     if name == "check":  # of masses: nothing that plates alone have
-        assert not re.search("crack|lips|flap|torsion|plate|mesh", printed.out)
+        assert not re.search("crack|lips|flap|torsion|plate|mesh", process.out)
         return
     told = run_command("plot", tmp_path / f"{result}.h5").err
     pictures = {path.name for path in tmp_path.glob("*.*") if path.suffix not in (".csv", ".json")}

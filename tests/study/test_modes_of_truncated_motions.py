@@ -114,10 +114,10 @@ def test_modes_where_no_solution_converges(
     omega, contact = study.scene.excitation.omega, study.contact
 
     def reduction() -> float:
-        found = fc.solve_harmonic_balance(
+        solution = fc.solve_harmonic_balance(
             study.structure, omega, contact, tolerance=0.1, throw=False
         )
-        return found.report.reduction
+        return solution.report.reduction
 
     true, attempt = reduction(), Solver.search_and_solution
 

@@ -37,8 +37,11 @@ def test_reduction_stands_in_the_scene(scene: fc.Scene) -> None:
     """A larger structure is reduced unasked; what was chosen can be read, and repeated."""
     study = fc.prepare(scene, MPI.COMM_SELF)
     assert study.structure.n_dofs < study.structure.whole.n_dofs > 100
-    again = fc.prepare(study.scene, MPI.COMM_SELF)
-    assert again.scene == study.scene and again.structure.n_dofs == study.structure.n_dofs
+    second_study = fc.prepare(study.scene, MPI.COMM_SELF)
+    assert (
+        second_study.scene == study.scene
+        and second_study.structure.n_dofs == study.structure.n_dofs
+    )
     assert study.scene.reduction and study.contact == fc.UnilateralPenalty(1e11)
 
 
@@ -106,7 +109,7 @@ def test_rayleigh_damping(
 ) -> None:
     """Of the plate and of its reduced structure, which keeps 50 modes: all are damped."""
     none = {"damping.ratio": None, "damping.modes": "all"}
-    damped = scene.replace(none | {f"damping.{key}": value for key, value in table.items()})
-    study = fc.prepare(damped, MPI.COMM_SELF)
+    damped_scene = scene.replace(none | {f"damping.{key}": value for key, value in table.items()})
+    study = fc.prepare(damped_scene, MPI.COMM_SELF)
     assert study.structure.damping == study.structure.whole.damping == expected
     assert study.scene.reduction is not None and study.scene.reduction.modes == 50

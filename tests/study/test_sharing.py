@@ -68,12 +68,12 @@ def test_as_alone(
 ) -> None:
     """Whatever was solved before: the same to rounding; a mesh and a coarser one are made where
     the matrices change, else none."""
-    other = scene.replace(changes)
-    expected = numbers(other)
+    changed_scene = scene.replace(changes)
+    expected = numbers(changed_scene)
     LAST.clear()
     first = numbers(scene)
     meshes.clear()
-    found = numbers(other)
+    found = numbers(changed_scene)
     assert len(meshes) == made
     assert found.keys() == expected.keys()
     for name, value in expected.items():

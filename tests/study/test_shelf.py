@@ -145,9 +145,9 @@ def test_second_solve_imports_no_mesher(plate: Path, path: Path) -> None:
     """Neither DOLFINx nor gmsh."""
     words = ["solve", str(plate), "--set", "excitation.frequency=790"]
     command = [sys.executable, "-c", PROGRAM, *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=no_rank())
-    assert f"{path.name}: the structure is taken from here" in done.stderr, done.stderr
-    assert done.stdout.splitlines()[-1] == "[]"
+    process = subprocess.run(command, capture_output=True, text=True, check=False, env=no_rank())
+    assert f"{path.name}: the structure is taken from here" in process.stderr, process.stderr
+    assert process.stdout.splitlines()[-1] == "[]"
 
 
 def base_scenes() -> list[fc.Scene]:

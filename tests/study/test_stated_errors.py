@@ -74,9 +74,14 @@ def refined(scene: fc.Scene, factor: float) -> fc.Scene:
 
 def numbers_of(run: fc.Run) -> dict[str, float]:
     """Some numbers of a run, by their names."""
-    seen, natural = run.result.indicators(), fc.bilinear_frequencies(run.structure)
-    found = {name: float(getattr(seen, name)) for name in ("amplitude", "opening", "ratio_2_1")}
-    first = natural.omega_open[0], natural.omega_bilinear[0]
+    indicators, bilinear_frequencies = (
+        run.result.indicators(),
+        fc.bilinear_frequencies(run.structure),
+    )
+    found = {
+        name: float(getattr(indicators, name)) for name in ("amplitude", "opening", "ratio_2_1")
+    }
+    first = bilinear_frequencies.omega_open[0], bilinear_frequencies.omega_bilinear[0]
     return found | dict(zip(("frequency_open_1", "frequency_bilinear_1"), first, strict=True))
 
 
@@ -120,8 +125,8 @@ def test_elements_longer_than_a_solid_is_thick() -> None:
     """The coarser mesh is coarser away from the crack, too: between a tenth and the whole of what
     is stated of natural frequencies is seen on a finer one (up to 11 times it was)."""
     scene = fc.Scene.from_text(SLENDER).replace({"crack.height": 0.06})
-    finer = scene.replace({"mesh.size": 0.004, "mesh.lip_elements": 5})
-    true = fc.modes(finer, comm=MPI.COMM_SELF).result.omega
+    finer_scene = scene.replace({"mesh.size": 0.004, "mesh.lip_elements": 5})
+    true = fc.modes(finer_scene, comm=MPI.COMM_SELF).result.omega
     for lips in (2, 3):
         changes = {"mesh.lip_elements": lips, "mesh.error": True}
         found = fc.modes(scene.replace(changes), comm=MPI.COMM_SELF)
@@ -169,8 +174,8 @@ def test_a_mesh_too_coarse_to_know_its_error(
     resonance of 0.02 % damping, and that of the resonance is not; with one element along the crack
     there is no coarser mesh."""
     changes = {"mesh.lip_elements": 2, "damping.ratio": 2e-4, "excitation.frequency": 830.0}
-    coarse = scene.replace(changes | {"contact.friction_error": False})
-    run_command("solve", coarse, "--output", tmp_path, "--quiet", code=MISSED)
+    coarse_scene = scene.replace(changes | {"contact.friction_error": False})
+    run_command("solve", coarse_scene, "--output", tmp_path, "--quiet", code=MISSED)
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     amplitude, resonance = rows["amplitude"], rows["over_bilinear"]
     assert amplitude["error [%]"] is None and amplitude["most by"] == "mesh"
@@ -252,10 +257,14 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
         both.append((share * (own - there), shifted - own))
     most, least = max(abs(sum(one)) for one in both), max(min(map(abs, one)) for one in both)
     law = fc.contact_law(run.scene.contact, run.structure)
-    kept = fc.solve_harmonic_balance(run.structure, omega, law, harmonics=run.result.harmonics)
-    touching = kept.contact_force(kept.instants()) > 0.0
-    spread = np.ptp(kept.gap(kept.instants()).min(axis=0)) * np.ptp(touching.mean(axis=0))
-    step = 0.5 * spread / kept.structure.n_pairs
+    kept_solution = fc.solve_harmonic_balance(
+        run.structure, omega, law, harmonics=run.result.harmonics
+    )
+    touching = kept_solution.contact_force(kept_solution.instants()) > 0.0
+    spread = np.ptp(kept_solution.gap(kept_solution.instants()).min(axis=0)) * np.ptp(
+        touching.mean(axis=0)
+    )
+    step = 0.5 * spread / kept_solution.structure.n_pairs
     between = opening(run.structure.varied(clearance=step), omega) - own
     assert parts["mesh"] == pytest.approx(math.hypot(most, 0.1 * least, between), rel=1e-6)
     limit = opening(run.structure, omega, harmonics=16 * run.result.harmonics)

@@ -59,8 +59,8 @@ def of(scene: fc.Scene) -> Any:
 
 def linear_of(study: fc.Study, omega: float) -> fc.Run[fc.PeriodicSolution]:
     """The vibration of a study at a frequency with lips that pass each other."""
-    found = fc.solve_linear(study.structure, omega, harmonics=1)
-    return fc.Run(study.scene, study.structure, study.contact, study.watched, found)
+    linear_solution = fc.solve_linear(study.structure, omega, harmonics=1)
+    return fc.Run(study.scene, study.structure, study.contact, study.watched, linear_solution)
 
 
 # --- handbooks: Tada, Paris, Irwin, The Stress Analysis of Cracks Handbook, 2000 ------------------
@@ -222,8 +222,8 @@ def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
         weights = np.zeros((3, 3))
         weights[0] = 1.0, np.cos(phase), np.sin(phase)
         held = study.structure.varied(load=weights)
-        still = fc.solve_harmonic_balance(held, SLOW, study.contact, harmonics=1)
-        static = fc.stress_intensity(replace(run, structure=held, result=still))
+        still_solution = fc.solve_harmonic_balance(held, SLOW, study.contact, harmonics=1)
+        static = fc.stress_intensity(replace(run, structure=held, result=still_solution))
         exact.append((static.one[0, 0], static.two[0, 0]))
     error = np.abs(np.column_stack([found.one, found.two])[instants] - exact).max(axis=0)
     largest = np.abs(exact).max(axis=0)
@@ -262,14 +262,14 @@ def test_few_modes_are_enough(omega: float) -> None:
     """Below and above the first resonance, beside the whole structure: their statics are whole."""
     force = {"excitation": {"omega": omega, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
     scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 4})
-    whole = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    whole_study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     found = {}
     for modes in (5, 15, None):
-        study = whole
+        study = whole_study
         if modes is not None:
             study = fc.prepare(scene.replace({"reduction.modes": modes}), MPI.COMM_SELF)
-        seen = fc.stress_intensity(linear_of(study, omega))
-        found[modes] = np.column_stack([seen.one[:, 0], seen.two[:, 0]])
+        stress_intensity = fc.stress_intensity(linear_of(study, omega))
+        found[modes] = np.column_stack([stress_intensity.one[:, 0], stress_intensity.two[:, 0]])
     size = np.abs(found[None]).max()
     assert np.abs(found[5] - found[None]).max() < 0.01 * size
     assert np.abs(found[15] - found[None]).max() < 1e-3 * size
@@ -283,13 +283,15 @@ def test_opening_of_the_lips(omega: float = 6000.0) -> None:
     scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 24})
     study = fc.prepare(scene.replace({"reduction.modes": 30}), MPI.COMM_SELF)
     run = linear_of(study, omega)
-    found = fc.stress_intensity(run)
-    top = int(np.argmax(found.one[:, 0]))
+    stress_intensity = fc.stress_intensity(run)
+    top = int(np.argmax(stress_intensity.one[:, 0]))
     distance = 0.03 - study.structure.whole.pairs.positions
     near = (distance > 0.0015) & (distance < 0.006)
-    opening = -run.result.gap(found.time[top : top + 1])[0, near]
+    opening = -run.result.gap(stress_intensity.time[top : top + 1])[0, near]
     seen = 2e11 / 8.0 * np.sqrt(2.0 * np.pi / distance[near]) * opening
-    assert np.polyfit(distance[near], seen, 1)[-1] == pytest.approx(found.one[top, 0], rel=0.02)
+    assert np.polyfit(distance[near], seen, 1)[-1] == pytest.approx(
+        stress_intensity.one[top, 0], rel=0.02
+    )
 
 
 def test_stress_along_a_line() -> None:
@@ -333,8 +335,8 @@ def test_march_and_solution_agree() -> None:
 
 def leading(run: fc.Run[fc.PeriodicSolution], name: str) -> float:
     """A number of the leading tip."""
-    found = fc.stress_intensity(run)
-    return float(found.numbers[name][found.leading])
+    stress_intensity = fc.stress_intensity(run)
+    return float(stress_intensity.numbers[name][stress_intensity.leading])
 
 
 def test_along_a_curve(tmp_path: Path) -> None:

@@ -31,8 +31,10 @@ def of_tips(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
 
 def of_fronts(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Return K_I, K_II and K_III (3, n) at all instants and stations (collective)."""
-    found = fc.stress_intensity(fc.solve(scene, comm))
-    return np.array([found.one, found.two, found.three]).reshape(3, -1)
+    stress_intensity = fc.stress_intensity(fc.solve(scene, comm))
+    return np.array([stress_intensity.one, stress_intensity.two, stress_intensity.three]).reshape(
+        3, -1
+    )
 
 
 @pytest.mark.nightly

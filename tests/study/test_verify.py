@@ -53,46 +53,55 @@ def test_each_part_is_what_its_runs_say() -> None:
     shift's part is the answer at a shifted frequency; that of the harmonics what very many of them
     change; totals are those of the contributions."""
     scene = plate({"harmonic_balance.harmonics": 3, "contact.friction_error": False})
-    found = fc.verify(scene)
-    assert found.causes == ("mesh", "shift", "modes", "harmonics") and not found.failures
-    assert found.counts["modes"] == (6, 12, 24) and found.counts["harmonics"] == (3, 100)
-    own, value = fc.prepare(scene), found.values["opening"]
-    part = found.parts["mesh"]["omega_bilinear_1"]
+    verification = fc.verify(scene)
+    assert (
+        verification.causes == ("mesh", "shift", "modes", "harmonics") and not verification.failures
+    )
+    assert verification.counts["modes"] == (6, 12, 24) and verification.counts["harmonics"] == (
+        3,
+        100,
+    )
+    study, value = fc.prepare(scene), verification.values["opening"]
+    part = verification.parts["mesh"]["omega_bilinear_1"]
     error = part.uncertainty(-1) / part.values[-1]
     shifts = [1.0 + 0.5 * error, 1.0 + error, part.values[-1] / part.extrapolated]
-    most = max(abs(opening(own, 2000.0 * shift) - value) for shift in shifts)
-    assert found.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
+    most = max(abs(opening(study, 2000.0 * shift) - value) for shift in shifts)
+    assert verification.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
     finer = [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)]
     plates = [fc.prepare(scene.replace(changes)) for changes in finer]
-    omegas = [2000.0 * breathing(one) / breathing(own) for one in plates]
+    omegas = [2000.0 * breathing(one) / breathing(study) for one in plates]
     values = [opening(one, at) for one, at in zip(plates, omegas, strict=True)]
-    assert found.parts["mesh"]["opening"].values[1::-1] == pytest.approx(values, rel=1e-6)
+    assert verification.parts["mesh"]["opening"].values[1::-1] == pytest.approx(values, rel=1e-6)
     most_harmonics = {"harmonic_balance.harmonics": 100}
     many, *values = (
         opening(fc.prepare(scene.replace(most_harmonics | {"reduction.modes": modes})), 2000.0)
         for modes in (6, 12, 24)
     )
     changed = [value + one - many for one in values]
-    assert found.parts["modes"]["opening"].values[1::-1] == pytest.approx(changed, rel=1e-4)
-    known, mesh = found.parts["harmonics"]["opening"], found.parts["mesh"]["opening"]
+    assert verification.parts["modes"]["opening"].values[1::-1] == pytest.approx(changed, rel=1e-4)
+    known, mesh = verification.parts["harmonics"]["opening"], verification.parts["mesh"]["opening"]
     assert known.extrapolated == pytest.approx(many, rel=1e-4)
     assert known.behaviour == "exact orbit" and known.gci == 0.0
-    assert mesh.sizes[2] == pytest.approx(math.sqrt(0.01 / found.counts["mesh"][0]))
-    parts = found.contributions("opening")
+    assert mesh.sizes[2] == pytest.approx(math.sqrt(0.01 / verification.counts["mesh"][0]))
+    parts = verification.contributions("opening")
     both = math.hypot(parts["mesh"] + parts["shift"], parts["modes"], parts["harmonics"])
-    assert found.total("opening") == pytest.approx(both)
-    assert found.total("opening", independent=False) == pytest.approx(sum(parts.values()))
-    tiny = replace(found, values={name: value / 1e3 for name, value in found.values.items()})
+    assert verification.total("opening") == pytest.approx(both)
+    assert verification.total("opening", independent=False) == pytest.approx(sum(parts.values()))
+    tiny = replace(
+        verification, values={name: value / 1e3 for name, value in verification.values.items()}
+    )
     assert re.search(r"\+- \d{3,} % \(sum of all: \d{3,} %\)", tiny.statement[0])
-    rows = [row for row in found.totals().rows if row[0] == "opening [m]"]
-    assert rows[0][2] == pytest.approx(100.0 * parts["mesh"] / found.values["opening"], rel=1e-2)
+    rows = [row for row in verification.totals().rows if row[0] == "opening [m]"]
+    assert rows[0][2] == pytest.approx(
+        100.0 * parts["mesh"] / verification.values["opening"], rel=1e-2
+    )
 
 
 def opening(plate: Study, omega: float) -> float:
     """Of the lips at a frequency."""
     harmonics = plate.scene.harmonic_balance.harmonics
-    found = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=harmonics)
-    return found.indicators(plate.watched[0].dof).opening
+    solution = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=harmonics)
+    return solution.indicators(plate.watched[0].dof).opening
 
 
 def breathing(plate: Study) -> float:
@@ -105,12 +114,12 @@ def test_orders_of_natural_frequencies(order: int) -> None:
     """Without a crack the clamp's ends are left, 1.52 by Williams (quadratic elements show it, of
     linear ones the smooth part is in between); with an open crack 1."""
     mesh = {"mesh.size": 0.01, "mesh.order": order, "mesh.lip_elements": 4}
-    whole = fc.verify(plate(mesh | {"crack": None, "contact": None}))
-    part = whole.parts["mesh"]["omega_open_1"]
+    whole_verification = fc.verify(plate(mesh | {"crack": None, "contact": None}))
+    part = whole_verification.parts["mesh"]["omega_open_1"]
     assert part.behaviour == "asymptotic" and 1.3 < part.order < 2.0
     if order == 2:
         assert part.order == pytest.approx(1.52, abs=0.1)
-    assert set(whole.absent) == {"harmonics", "samples"}
+    assert set(whole_verification.absent) == {"harmonics", "samples"}
     cracked = fc.verify(plate(mesh)).parts["mesh"]["omega_open_1"]
     assert cracked.order == pytest.approx(1.0, abs=0.15) and cracked.exponent <= 1.0
 
@@ -140,8 +149,8 @@ def test_dent(place: tuple[float, float], share: float) -> None:
     grid |= {"mesh.grading": 4.0, "damping.ratio": None, "damping.stiffness": 1e-9}
     sizes = []
     for count in (16, 32):
-        finer = scene.replace(grid | {"mesh.columns": count, "mesh.rows": count})
-        structure = fc.build_structure(finer)
+        finer_scene = scene.replace(grid | {"mesh.columns": count, "mesh.rows": count})
+        structure = fc.build_structure(finer_scene)
         sizes.append(fc.solve_linear(structure, 1.0).amplitude(structure.watched_dof))
     told = fc.Verification(scene, {"amplitude": sizes[1]}, {"amplitude": "m"}).dents[0]
     added = 0.01 * float(told.partition("by about ")[2].partition(" %")[0])
@@ -194,21 +203,21 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
     """The paper's plate on soft contact; and that its stiffness is one of a pair, if it has any."""
     few = {"reduction.method": "free_interface", "reduction.modes": 10}
     scene = paper_scene.replace({"contact.stiffness": 1e9, "excitation.omega": 1700.0} | few)
-    found = fc.verify(scene)
-    assert found.verdicts["the scene's own choice"] == "unstable"
-    assert any("unstable" in text for text in found.warnings)
-    assert any("stiffness_per_area" in text for text in found.warnings)
+    verification = fc.verify(scene)
+    assert verification.verdicts["the scene's own choice"] == "unstable"
+    assert any("unstable" in text for text in verification.warnings)
+    assert any("stiffness_per_area" in text for text in verification.warnings)
     bare = fc.verify(scene.replace({"crack": None}))
     assert not any("stiffness_per_area" in text for text in bare.warnings)
-    assert not any(part.is_asymptotic for part in [found.parts["mesh"]["ratio_2_1"]])
+    assert not any(part.is_asymptotic for part in [verification.parts["mesh"]["ratio_2_1"]])
 
 
 def test_command(run_command: RunCommand, tmp_path: Path, verified: fc.Verification) -> None:
     """Table, statement, files and picture; frequencies in the scene's unit."""
     scene = plate({"excitation.frequency": 318.3})
-    printed = run_command("verify", scene, "--output", tmp_path, code=MISSED)
-    assert "frequency_open_1 [Hz]" in printed.out and "total [%]" in printed.out
-    assert "amplitude = " in printed.err and "contact is integrated exactly" in printed.err
+    process = run_command("verify", scene, "--output", tmp_path, code=MISSED)
+    assert "frequency_open_1 [Hz]" in process.out and "total [%]" in process.out
+    assert "amplitude = " in process.err and "contact is integrated exactly" in process.err
     rows = list(csv.DictReader((tmp_path / "verify.csv").open()))
     mesh = next(row for row in rows if (row["quantity"], row["cause"]) == ("opening", "mesh"))
     assert float(mesh["gci_finest"]) > 0.0 and [mesh[f"count_{n}"] for n in (1, 2, 3)] == [

@@ -111,12 +111,12 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
         time_, sharp = solution.period * np.arange(count) / count, 1e-4 if number else 1e-8
         corner = plate.find_dof((0.1, 0.1), "x")
         motion, gap = solution.displacement(time_, [corner]), solution.gap(time_)
-        force, seen = solution.contact_force(time_), solution.indicators(corner)
+        force, indicators = solution.contact_force(time_), solution.indicators(corner)
         for name, exact, sampled in (
-            ("response", seen.amplitude, np.ptp(motion) / 2.0),
-            ("opening", seen.opening, -gap.min()),
-            ("penetration", seen.penetration, gap.max()),
-            ("contact_force", seen.contact_force, force.max()),
+            ("response", indicators.amplitude, np.ptp(motion) / 2.0),
+            ("opening", indicators.opening, -gap.min()),
+            ("penetration", indicators.penetration, gap.max()),
+            ("contact_force", indicators.contact_force, force.max()),
         ):
             assert result[name][index] == pytest.approx(exact, rel=1e-8)
             assert result[name][index] == pytest.approx(sampled, rel=sharp)
@@ -199,10 +199,10 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         for part in (structure, structure.whole, getattr(structure, "reference", structure)):
             assert np.all(part.clearance == clearance)
             np.testing.assert_allclose(part.force[2], load * part.original.force[2])
-        expected = fc.solve_harmonic_balance(
+        expected_solution = fc.solve_harmonic_balance(
             structure, solution.omega, solution.contact, harmonics=solution.harmonics
         )
-        np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
+        np.testing.assert_array_equal(solution.gap_coefficients, expected_solution.gap_coefficients)
 
 
 @pytest.mark.parametrize("changes", [pytest.param(SOFT, marks=pytest.mark.nightly), MASSLESS])
@@ -538,10 +538,10 @@ def test_ranks_give_the_same_table(
     """1 and 2 to the bit, also where one has more to do."""
     over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
     scene = swept(paper_scene, over, kind)
-    alone = run_sweep(scene, tmp_path / "alone.h5")
-    assert alone.converged.all()
+    alone_sweep = run_sweep(scene, tmp_path / "alone.h5")
+    assert alone_sweep.converged.all()
     on_ranks(sweep_on, scene, tmp_path / "shared.h5")
-    assert_same(alone, SweepResult.load(tmp_path / "shared.h5"))
+    assert_same(alone_sweep, SweepResult.load(tmp_path / "shared.h5"))
 
 
 def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MPI.Comm) -> Any:
@@ -656,8 +656,8 @@ def test_stops_at_ctrl_c(
 
     with monkeypatch.context() as patch:
         wrap(patch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
-        stopped = run_sweep(scene, path)
-    assert not stopped.complete and 0 < np.count_nonzero(stopped["state"]) < 4
+        stopped_sweep = run_sweep(scene, path)
+    assert not stopped_sweep.complete and 0 < np.count_nonzero(stopped_sweep["state"]) < 4
     assert_same(run_sweep(scene, tmp_path / "whole.h5"), run_sweep(scene, path))
 
 
@@ -679,10 +679,10 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     found = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
     assert len(meshed) == 2
     case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
-    one = fc.prepare(case, MPI.COMM_SELF)
-    solution = fc.solve_harmonic_balance(one.structure, 7200.0, one.contact, harmonics=5)
+    study = fc.prepare(case, MPI.COMM_SELF)
+    solution = fc.solve_harmonic_balance(study.structure, 7200.0, study.contact, harmonics=5)
     assert found["omega"][1, 1] == 7200.0
-    expected = solution.amplitude(one.watched[0].dof)
+    expected = solution.amplitude(study.watched[0].dof)
     assert found["response"][1, 1] == pytest.approx(expected, rel=1e-5)
 
 

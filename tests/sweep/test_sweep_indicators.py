@@ -61,22 +61,26 @@ def test_cases_have_the_indicators_of_their_solutions(
     study, solution = alone(scene.replace({"excitation.omega": 2000.0, "crack.clearance": 1e-7}))
     assert [watched.name for watched in study.watched][::2] == ["corner.ux", "side.ux"]
     for watched in study.watched:
-        found = solution.indicators(watched.dof)
+        indicators = solution.indicators(watched.dof)
         for name in names:
-            exact = pytest.approx(getattr(found, name), rel=1e-4, abs=1e-6 * found.harmonic_1)
+            exact = pytest.approx(
+                getattr(indicators, name), rel=1e-4, abs=1e-6 * indicators.harmonic_1
+            )
             assert result[f"{watched.name}.{name}"][1, 1] == exact, name
     for name in names:
         load = result["response" if name == "amplitude" else name]
         np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
-    known, stability = (
+    bilinear_frequencies, stability = (
         fc.bilinear_frequencies(study.structure),
         fc.floquet(study.structure, solution),
     )
-    np.testing.assert_allclose(result["omega_tied"], known.omega_tied[0], rtol=1e-9)
+    np.testing.assert_allclose(result["omega_tied"], bilinear_frequencies.omega_tied[0], rtol=1e-9)
     breathing = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
-    np.testing.assert_allclose(breathing, known.omega_bilinear[:3], rtol=1e-9)
-    np.testing.assert_allclose(result["over_open"][1], 2000.0 / known.omega_open[0], rtol=1e-9)
-    np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
+    np.testing.assert_allclose(breathing, bilinear_frequencies.omega_bilinear[:3], rtol=1e-9)
+    np.testing.assert_allclose(
+        result["over_open"][1], 2000.0 / bilinear_frequencies.omega_open[0], rtol=1e-9
+    )
+    np.testing.assert_allclose(result["closed_share"][1, 1], indicators.closed_share, atol=2e-3)
     assert result["verdict"][1, 1] == stability.verdict
     assert result["multiplier"][1, 1] == pytest.approx(abs(stability.multipliers[0]), rel=1e-6)
 
@@ -96,9 +100,9 @@ def test_without_verdicts(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -
 
 def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None:
     """Its error is missing, and all else is the same."""
-    reduced = scene.replace({"reduction.method": None, "reduction.modes": 5})
+    reduced_scene = scene.replace({"reduction.method": None, "reduction.modes": 5})
     judged, plain = (
-        run_sweep(reduced, tmp_path / f"{how}.h5", MPI.COMM_SELF, verdicts=False, judged=how)
+        run_sweep(reduced_scene, tmp_path / f"{how}.h5", MPI.COMM_SELF, verdicts=False, judged=how)
         for how in (True, False)
     )
     assert np.all(judged["reduction_error"] > 0.0) and np.all(np.isnan(plain["reduction_error"]))
@@ -141,9 +145,9 @@ def test_a_case_with_longer_words_is_written_again(
     path = shutil.copy(whole.path, tmp_path)
     with h5py.File(path, "r+") as file:
         file["status"][0] = b"x" * 100
-    again = run_sweep(scene, path, MPI.COMM_SELF)
-    assert again.complete and np.all(again["verdict"] == whole["verdict"])
-    assert "x" not in again["status"].flat[0]
+    resumed_sweep = run_sweep(scene, path, MPI.COMM_SELF)
+    assert resumed_sweep.complete and np.all(resumed_sweep["verdict"] == whole["verdict"])
+    assert "x" not in resumed_sweep["status"].flat[0]
 
 
 def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
@@ -208,5 +212,5 @@ def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCo
     assert f"{depends}9050.0: {said}; raise reduction.modes" in told
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
-    alone = scene.replace({"sweep": None, "excitation.omega": 9050.0})
-    assert said in run_command("solve", alone, "--output", tmp_path, code=4).err
+    alone_scene = scene.replace({"sweep": None, "excitation.omega": 9050.0})
+    assert said in run_command("solve", alone_scene, "--output", tmp_path, code=4).err

@@ -63,8 +63,12 @@ def finely(scene: fc.Scene) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Bilinear frequencies [Hz] and the ratios 2/1 at the points that are watched, with the names
     of these."""
     study = fc.prepare(scene, MPI.COMM_SELF)
-    natural = fc.bilinear_frequencies(study.structure)
-    omega = natural.omega_open if study.contact is None else natural.omega_bilinear
+    bilinear_frequencies = fc.bilinear_frequencies(study.structure)
+    omega = (
+        bilinear_frequencies.omega_open
+        if study.contact is None
+        else bilinear_frequencies.omega_bilinear
+    )
     ratios = np.zeros(2)
     if study.contact is not None:
         solution = fc.solve_harmonic_balance(
@@ -124,9 +128,9 @@ def test_a_crack_is_found_on_five_lengths(scene: fc.Scene, tmp_path: Path) -> No
     """At a height that is known, from natural frequencies."""
     rows = natural_of(measured(scene, {"crack.length": 0.022}, 3))
     lengths = {"crack.length": [0.008, 0.014, 0.02, 0.026, 0.032]}
-    found = fc.identify(scene, rows, lengths, folder=tmp_path)
-    assert found.verdict == "crack" and found.contains({"crack.length": 0.022})
-    worth = found.where_to_measure()
+    identification = fc.identify(scene, rows, lengths, folder=tmp_path)
+    assert identification.verdict == "crack" and identification.contains({"crack.length": 0.022})
+    worth = identification.where_to_measure()
     assert np.all(np.diff(worth.information) <= 0.0) and worth.information[0] > 0.0
     assert np.all(worth.deviations["crack.length"] <= worth.now["crack.length"] * 1.000001)
 
@@ -149,8 +153,8 @@ def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
     for length, height in FEW_HEIGHTS:
         truth = {"crack.length": length, "crack.height": height}
         rows = natural_of(measured(scene, dict(truth), int(1e4 * length)))
-        found = fc.identify(scene, rows + whole, unknown, folder=tmp_path)
-        assert found.contains(truth) and found.misfit[1] > 1e-3
+        identification = fc.identify(scene, rows + whole, unknown, folder=tmp_path)
+        assert identification.contains(truth) and identification.misfit[1] > 1e-3
 
 
 @pytest.mark.nightly
@@ -160,11 +164,11 @@ def test_warmer_than_before(scene: fc.Scene, folder: Path) -> None:
     plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
     warmer = fc.Measurements(tuple(replace(row, value=0.997 * row.value) for row in plain.rows))
     for allowed, claimed in ((0.002, False), (0.0, True)):
-        known = scene.replace(
+        changed_scene = scene.replace(
             {"identify.before_deviation": allowed, "identify.temperature_deviation": 5e3 * allowed}
         )
-        found = fc.identify(known, warmer + before(plain), folder=folder)
-        assert (found.verdict == "crack") == claimed
+        identification = fc.identify(changed_scene, warmer + before(plain), folder=folder)
+        assert (identification.verdict == "crack") == claimed
 
 
 @pytest.mark.nightly
@@ -174,13 +178,13 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
     lower = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain.rows]
     pairs = zip(plain.rows, lower, strict=True)
-    wrong = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
+    measurements = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
     right = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4))
     either = "frequency_bilinear of mode 3 or frequency_uncracked of mode 3: measure these again"
     said = f"a plate without a crack explains all but {either}"
-    for rows, alone in ((wrong, True), (right, False)):
-        found = fc.identify(scene, rows + before(plain), folder=folder)
-        assert any(said in warning for warning in found.warnings) == alone
+    for rows, alone in ((measurements, True), (right, False)):
+        identification = fc.identify(scene, rows + before(plain), folder=folder)
+        assert any(said in warning for warning in identification.warnings) == alone
     sound = fc.identify(scene, plain + before(plain), folder=folder)
     assert sound.verdict == "no crack" and "an undetected one would be at" in sound.reason
     assert (
@@ -220,13 +224,15 @@ def test_crack_from_arrivals(scene: fc.Scene, folder: Path) -> None:
     nor the harmonics are those of the scene: the truth is in the region, which is smaller than
     without them."""
     truth = {"crack.length": 0.026, "crack.height": 0.07}
-    few = fc.Measurements(measured(scene, dict(truth), 8).rows[:1])
+    measurements = fc.Measurements(measured(scene, dict(truth), 8).rows[:1])
     arrivals = arrivals_of(scene.replace(truth | FINER), 5, 0.01, 3)
     probes = fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
     assert probes.rows[0].frequency == 700.0
-    both = fc.identify(scene, few + probes, folder=folder)
+    both = fc.identify(scene, measurements + probes, folder=folder)
     assert both.verdict == "crack" and both.contains(truth) and both.misfit[1] > 0.01
-    alone = fc.identify(scene.replace({"identify.frequencies": (700.0,)}), few, folder=folder)
+    alone = fc.identify(
+        scene.replace({"identify.frequencies": (700.0,)}), measurements, folder=folder
+    )
 
     def area(found: fc.Identification) -> float:
         return found.posterior.spread(0) * found.posterior.spread(1)
@@ -292,10 +298,10 @@ def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunC
     slower = scene.replace({"identify.frequencies": (200.0,)})
     found = fc.identify(slower, natural, folder=tmp_path)
     assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.05)
-    held = scene.replace(
+    held_scene = scene.replace(
         {"excitation.order": None, "excitation.frequency": 250.0, "tip_timing.order": 5}
     )
-    (tmp_path / "held.toml").write_text(held.as_toml(), encoding="utf-8")
+    (tmp_path / "held.toml").write_text(held_scene.as_toml(), encoding="utf-8")
     words = ["identify", str(tmp_path / "held.toml"), "--arrivals", str(tmp_path / "2400.csv")]
     said = " ".join(run_command(*words, "--output", tmp_path, code=2).err.split())
     assert "'2400 rpm': must be at 3000 rpm" in said and "excitation.order" in said
@@ -319,10 +325,10 @@ def test_cases_are_added_next_to_resonance(tmp_path: Path) -> None:
     changes = {"excitation.force_sin": (34.0, 0.0), "rotation.rpm": 2800.0}
     scene = fc.Scene.from_text(SPINNING).replace(changes)
     rows = of_tip(scene.replace({"identify": None}), 1e-7, length=0.0073)
-    found = fc.identify(scene, rows, folder=tmp_path)
-    assert found.verdict == "crack" and found.contains({"crack.length": 0.0073})
-    assert found.estimate["crack.length"] == pytest.approx(0.0073, rel=0.1)
-    assert not any("between the solved cases" in one for one in found.remarks)
+    identification = fc.identify(scene, rows, folder=tmp_path)
+    assert identification.verdict == "crack" and identification.contains({"crack.length": 0.0073})
+    assert identification.estimate["crack.length"] == pytest.approx(0.0073, rel=0.1)
+    assert not any("between the solved cases" in one for one in identification.remarks)
     swept = [SweepResult.load(path).axes[0] for path in tmp_path.glob("forward_*")]
     lengths = [length for axis in swept for length in axis.values]
     assert len(lengths) > 5 + 4 and len(set(lengths)) == len(lengths)  # 4 halfway between
@@ -347,11 +353,13 @@ def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
         ("geometry.width", "geometry.height", "crack.edge", "crack.height", "crack.length",
          "mesh.size", "mesh.lip_elements")
     )  # fmt: skip
-    own = scene.replace(of_files | {"mesh.layout": "file", "mesh.file": "0.008.msh"})
-    (tmp_path / "own.toml").write_text("\n".join([own.as_toml(), *tables]))
-    found = fc.identify(fc.Scene.load(tmp_path / "own.toml"), rows, folder=tmp_path)
-    assert found.verdict == "undecided" and found.contains({"crack.length": 0.0085})
-    assert any("the solved cases, near crack.length = 0.0105" in r for r in found.remarks)
+    changed_scene = scene.replace(of_files | {"mesh.layout": "file", "mesh.file": "0.008.msh"})
+    (tmp_path / "own.toml").write_text("\n".join([changed_scene.as_toml(), *tables]))
+    identification = fc.identify(fc.Scene.load(tmp_path / "own.toml"), rows, folder=tmp_path)
+    assert identification.verdict == "undecided" and identification.contains(
+        {"crack.length": 0.0085}
+    )
+    assert any("the solved cases, near crack.length = 0.0105" in r for r in identification.remarks)
 
 
 @pytest.mark.nightly
@@ -362,13 +370,15 @@ def test_resonances_of_cracks_that_a_load_holds(folder: Path, lips: str, verdict
     sure = {"crack": 0.01, "young": 1e-3, "model": 5e-4, "clamp": 0.0, "density": 0.0}
     changes = {f"identify.{name}_deviation": one for name, one in sure.items()}
     scene = fc.Scene.from_text(SPINNING).replace(changes)
-    true = scene.replace({"identify": None, "crack.length": 0.008})
-    natural = fc.bilinear_frequencies(fc.build_structure(true))
-    hertz = getattr(natural, f"omega_{lips}")[:2] / TURN
+    true_scene = scene.replace({"identify": None, "crack.length": 0.008})
+    bilinear_frequencies = fc.bilinear_frequencies(fc.build_structure(true_scene))
+    hertz = getattr(bilinear_frequencies, f"omega_{lips}")[:2] / TURN
     rows = fc.Measurements.from_arrays("frequency_resonance", hertz, 1e-3 * hertz, mode=[1, 2])
-    found = fc.identify(scene, rows, folder=folder)
-    assert found.verdict == verdict and found.contains({"crack.length": 0.008})
-    residuals = [row[-1] for row in found.fit_table().rows]  # of lips that do what is likeliest
+    identification = fc.identify(scene, rows, folder=folder)
+    assert identification.verdict == verdict and identification.contains({"crack.length": 0.008})
+    residuals = [
+        row[-1] for row in identification.fit_table().rows
+    ]  # of lips that do what is likeliest
     assert np.max(np.abs(residuals)) < 0.5
 
 
@@ -379,13 +389,13 @@ def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> No
     and all cracks were found at half of their height."""
     truth, chi2, heights = {"crack.length": 0.026, "crack.height": 0.07}, 0.0, []
     exact, own = scene.replace(EXACT), {"mesh.size": 0.03, "mesh.lip_elements": 2}
-    few = fc.Measurements(measured(scene, own | truth, 8).rows[:1])
+    measurements = fc.Measurements(measured(scene, own | truth, 8).rows[:1])
     for seed in range(3):
         arrivals = arrivals_of(scene.replace({"identify": None} | truth), 5, 0.01, seed)
-        both = few + fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
-        found = fc.identify(exact, both, folder=folder)
-        chi2 += found.misfit[0]
-        heights.append(found.estimate["crack.height"])
+        both = measurements + fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
+        identification = fc.identify(exact, both, folder=folder)
+        chi2 += identification.misfit[0]
+        heights.append(identification.estimate["crack.height"])
     assert chi2 < chdtri(3 * 5, 0.05)
     assert np.mean(heights) == pytest.approx(0.07, rel=0.2)
 
@@ -396,7 +406,9 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
     plate that is known exactly: the
     ratio to 10 % at 1735 Hz, within half the width of a resonance at 1748 Hz; a load far below it
     has no information on it."""
-    plain = scene.replace(EXACT | {"identify.finer": 1.0, "identify.harmonic_deviation": 0.05})
+    plain_scene = scene.replace(
+        EXACT | {"identify.finer": 1.0, "identify.harmonic_deviation": 0.05}
+    )
     unknown = {
         "crack.length": [0.018, 0.0205, 0.023, 0.026],
         "crack.height": [0.08, 0.09, 0.1, 0.11],
@@ -404,7 +416,7 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
     }
     truth = {"crack.length": 0.022, "crack.height": 0.095, "damping.ratio": 0.011}
     rng = np.random.default_rng(11)
-    study = fc.prepare(plain.replace(truth | {"identify": None}), MPI.COMM_SELF)
+    study = fc.prepare(plain_scene.replace(truth | {"identify": None}), MPI.COMM_SELF)
     natural = fc.bilinear_frequencies(study.structure).omega_bilinear[:5] / (2.0 * np.pi)
     rows = fc.Measurements.from_arrays(
         "frequency_bilinear", natural * (1.0 + 1e-3 * rng.normal(size=5)), 1e-3 * natural,
@@ -422,7 +434,7 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
             (0.02 * size).tolist(), frequency=[load, load],
             point=[one.name for one in study.watched],
         )  # fmt: skip
-        both = plain.replace({"identify.frequencies": loads})  # one sweep
+        both = plain_scene.replace({"identify.frequencies": loads})  # one sweep
         found[load] = fc.identify(both, rows + harmonics, unknown, folder=folder)
         spread[load] = found[load].posterior.spread(2)
     near = found[1735.0]
@@ -438,14 +450,14 @@ def test_resonances_are_near_bilinear_frequencies(scene: fc.Scene, mode: int, sh
     over what lies between the frequencies with lips open and tied."""
     changes = {"identify": None, "crack.length": 0.03, "damping.ratio": 0.004}
     study = fc.prepare(scene.replace(changes), MPI.COMM_SELF)
-    natural = fc.bilinear_frequencies(study.structure)
-    low, high = natural.omega_open[mode - 1], natural.omega_tied[mode - 1]
+    bilinear_frequencies = fc.bilinear_frequencies(study.structure)
+    low, high = bilinear_frequencies.omega_open[mode - 1], bilinear_frequencies.omega_tied[mode - 1]
     curve = fc.continue_frequency(
         study.structure, 0.99 * low, 1.01 * high, study.contact, harmonics=5
     )
     size = curve.indicators(study.watched[0].dof).harmonic_1
     peak = curve.omega[int(np.argmax(size))]
-    assert abs(peak - natural.omega_bilinear[mode - 1]) < share * (high - low)
+    assert abs(peak - bilinear_frequencies.omega_bilinear[mode - 1]) < share * (high - low)
     assert low < peak < high
 
 
@@ -481,14 +493,14 @@ def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
 def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
     """It is said; and with the edge unknown both cracks are reported."""
     rows = measured(scene, {"crack.length": 0.02, "crack.height": 0.08}, 5)
-    natural = fc.Measurements(tuple(row for row in rows.rows if row.natural))
-    found = fc.identify(scene, natural, folder=folder)
+    measurements = fc.Measurements(tuple(row for row in rows.rows if row.natural))
+    found = fc.identify(scene, measurements, folder=folder)
     assert "right edge" in found.remarks[0]
     at_load = fc.Measurement("ratio_2_1", 0.01, 0.001, frequency=700.0)  # that of the scene
     assert found.where_to_measure([at_load]).information[0] > 0.0
     few = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
-    plain = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
-    both = fc.identify(plain, natural, few, folder=folder)
+    plain_scene = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
+    both = fc.identify(plain_scene, measurements, few, folder=folder)
     edges = {values["crack.edge"]: mass for values, mass in both.alternatives}
     assert set(edges) == {"left", "right"} and min(edges.values()) > 0.2
     assert "cannot be distinguished" in both.warnings[0]
@@ -538,8 +550,8 @@ def test_plates_without_a_crack_that_are_not_the_scene_s(
     plate = scene.replace(changes | {"excitation.point": (0.1, changes.get("geometry.height", 0.2)),
                                      "output": None})  # fmt: skip
     rows = natural_of(measured(plate, {"crack": None, "contact": None}, 3))
-    sure = fc.identify(scene.replace(EXACT), rows, folder=folder)
-    assert sure.log_bayes_factor > 3.0 or sure.verdict == "undecided"
+    sure_identification = fc.identify(scene.replace(EXACT), rows, folder=folder)
+    assert sure_identification.log_bayes_factor > 3.0 or sure_identification.verdict == "undecided"
     for made in (rows, rows + before(rows)):
         assert fc.identify(scene, made, folder=folder).verdict != "crack"
 
@@ -574,20 +586,25 @@ def test_another_clamp_than_before(
     changes, as one of 8 % of the width is, on the condition that it was not the clamp; one of 30 %
     is without."""
     plain = before(exactly(scene, WHOLE, 1e-5))
-    found = fc.identify(scene, exactly(scene, changes, 1e-5) + plain, folder=folder)
-    assert (found.verdict == "crack") == claimed
-    said = "open the clamp, close it, measure again" in found.reason
+    identification = fc.identify(scene, exactly(scene, changes, 1e-5) + plain, folder=folder)
+    assert (identification.verdict == "crack") == claimed
+    said = "open the clamp, close it, measure again" in identification.reason
     assert said == (conditional or not claimed)
-    assert ("IF ITS CLAMP HOLDS AS BEFORE" in repr(found)) == conditional
+    assert ("IF ITS CLAMP HOLDS AS BEFORE" in repr(identification)) == conditional
 
 
 def test_nothing_fits(scene: fc.Scene, folder: Path) -> None:
     """Frequencies of no such plate: undecided, and the reason is given."""
     rows = natural_of(measured(scene, {"crack": None, "contact": None}, 3))
     odd = [replace(row, value=row.value * (1.1, 0.9)[row.mode % 2]) for row in rows.rows]
-    found = fc.identify(scene, fc.Measurements(tuple(odd)), folder=folder)
-    assert found.verdict == "undecided" and found.reason.startswith("neither a crack of this")
-    assert "two cracks, one of another kind or elsewhere, or a wrong measurement" in found.reason
+    identification = fc.identify(scene, fc.Measurements(tuple(odd)), folder=folder)
+    assert identification.verdict == "undecided" and identification.reason.startswith(
+        "neither a crack of this"
+    )
+    assert (
+        "two cracks, one of another kind or elsewhere, or a wrong measurement"
+        in identification.reason
+    )
 
 
 @pytest.mark.nightly
@@ -620,9 +637,12 @@ def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
     rows = natural_of(measured(fc.Scene.from_text(both), {}, 5)).rows
     whole = before(measured(scene, {"crack": None, "contact": None}, 4)).rows
     for count in (3, 5):
-        made = fc.Measurements((*rows[:count], *whole[:count]))
-        found = fc.identify(scene, made, folder=folder)
-        assert found.verdict == "undecided" and 1e-3 * (count == 3) < found.misfit[1] < 0.01
+        measurements = fc.Measurements((*rows[:count], *whole[:count]))
+        identification = fc.identify(scene, measurements, folder=folder)
+        assert (
+            identification.verdict == "undecided"
+            and 1e-3 * (count == 3) < identification.misfit[1] < 0.01
+        )
 
 
 @pytest.mark.nightly
@@ -632,12 +652,12 @@ def test_as_few_modes_as_two_cracks_have_unknowns(scene: fc.Scene, folder: Path)
     rows = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1)).rows
     whole = before(measured(scene, {"crack": None, "contact": None}, 4)).rows
     for count in (4, 5):
-        made = fc.Measurements((*rows[:count], *whole[:count]))
-        found = fc.identify(scene, made, folder=folder)
-        assert found.verdict == "crack"
+        measurements = fc.Measurements((*rows[:count], *whole[:count]))
+        identification = fc.identify(scene, measurements, folder=folder)
+        assert identification.verdict == "crack"
         few = count == 4
-        assert ("two of them, or one elsewhere, may have the same" in found.reason) == few
-        assert ("IF IT IS ONE CRACK" in repr(found)) == few
+        assert ("two of them, or one elsewhere, may have the same" in identification.reason) == few
+        assert ("IF IT IS ONE CRACK" in repr(identification)) == few
 
 
 @pytest.mark.nightly
@@ -647,10 +667,10 @@ def test_intervals_that_the_bounds_cut(
 ) -> None:
     """Are said, though the best estimate is not at the bound."""
     rows = measured(scene, {"crack.length": 0.03, "crack.height": height}, 2)
-    found = fc.identify(scene, natural_of(rows), folder=folder)
-    said = [text for text in found.warnings if "outside the bounds of the search" in text]
+    identification = fc.identify(scene, natural_of(rows), folder=folder)
+    said = [text for text in identification.warnings if "outside the bounds of the search" in text]
     assert len(said) == cut and all("above" in text for text in said)
-    assert 0.03 < found.posterior.best[1][1] < 0.15
+    assert 0.03 < identification.posterior.best[1][1] < 0.15
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "kHz"), (1e3, "mHz")])
@@ -694,11 +714,13 @@ def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) ->
 def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
     """With little information the estimate is within its own intervals, which are narrower of a
     smaller probability; the key of that and the priors are in the result."""
-    one = fc.Measurements(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1).rows[:1])
-    found = fc.identify(scene, one, folder=folder)
-    half = fc.identify(scene.replace({"identify.confidence": 0.5}), one, folder=folder)
-    for key, (low, high) in found.intervals.items():
-        assert low < found.estimate[key] < high
+    measurements = fc.Measurements(
+        measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1).rows[:1]
+    )
+    identification = fc.identify(scene, measurements, folder=folder)
+    half = fc.identify(scene.replace({"identify.confidence": 0.5}), measurements, folder=folder)
+    for key, (low, high) in identification.intervals.items():
+        assert low < identification.estimate[key] < high
         assert low < half.intervals[key][0] < half.intervals[key][1] < high
     assert (half.priors["confidence"], half.priors["young_deviation"]) == (0.5, 0.03)
 
@@ -709,11 +731,11 @@ def test_command(scene: fc.Scene, folder: Path, tmp_path: Path, run_command: Run
     few = {"crack.length": [0.01, 0.014, 0.018, 0.022]}
     plate = scene.replace({"identify.unknown": few, "crack.height": 0.11})
     words = ["identify", plate, tmp_path / "m.csv", "--output", folder]
-    printed = run_command(*words, "--pictures", "svg")
-    assert printed.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
-    closing = printed.err.strip().splitlines()[-1]
+    process = run_command(*words, "--pictures", "svg")
+    assert process.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
+    closing = process.err.strip().splitlines()[-1]
     assert closing.startswith("crack; crack length ") and "; log Bayes factor" in closing
-    assert "next to measure: " in printed.err
+    assert "next to measure: " in process.err
     summary = json.loads((folder / "identify.json").read_text())
     assert summary["verdict"] == "crack"
     assert summary["estimate"]["crack.length"] == pytest.approx(0.015, abs=0.003)
@@ -814,6 +836,6 @@ def test_crack_from_frequency_responses(
     rows = fc.Measurements.read(measured)
     assert [row.mode for row in rows.rows] == [1, 2, 3]
     rows += fc.Measurements.from_responses(before, [1, 3], quantity="frequency_uncracked")
-    found = fc.identify(scene, rows, folder=folder)
-    assert found.verdict == "crack" and found.contains(crack)
-    assert found.estimate["crack.length"] == pytest.approx(0.025, abs=0.006)
+    identification = fc.identify(scene, rows, folder=folder)
+    assert identification.verdict == "crack" and identification.contains(crack)
+    assert identification.estimate["crack.length"] == pytest.approx(0.025, abs=0.006)

@@ -341,14 +341,16 @@ def test_units_at_other_speeds() -> None:
     """At 9000 rpm a blade has 1.3 times the frequency of 3000: no other unit, and no other mode. A
     stiffer material moves what is elastic alone, by half of it: at rest all."""
     scene = fc.Scene.from_text(SPINNING)
-    plain = scene.replace({"identify": None, "crack": None, "contact": None})
+    plain_scene = scene.replace({"identify": None, "crack": None, "contact": None})
 
     def hertz(**rotor: float | None) -> float:
         turning = {f"rotation.{key}": one for key, one in rotor.items()}
-        structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
+        structure = fc.build_structure(
+            plain_scene.replace(turning) if rotor else plain_scene.at_rest()
+        )
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
-    whole, fast = Whole(plain, scene.given("identify")), hertz(rpm=9000.0)
+    whole, fast = Whole(plain_scene, scene.given("identify")), hertz(rpm=9000.0)
     assert fast > 1.3 * whole.frequencies[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
     whole.check(fc.Measurements((row,)), [], other=False)
@@ -361,7 +363,9 @@ def test_units_at_other_speeds() -> None:
     assert own == pytest.approx(young * (hertz() / hertz(rpm=3000.0)) ** 2, rel=0.01)
     assert faster == pytest.approx(young * (hertz() / fast) ** 2, rel=0.01)
     # Of another modulus at another speed: all of the change to 1 %, at 0 that of the root.
-    softer = plain.replace({"material.young": 0.98 * plain.material.young, "rotation.rpm": 9000.0})
+    softer = plain_scene.replace(
+        {"material.young": 0.98 * plain_scene.material.young, "rotation.rpm": 9000.0}
+    )
     changed = fc.solve_modes(fc.build_structure(softer), 1).omega[0] / (2.0 * np.pi * fast) - 1.0
     assert whole.stiffened(3.0, 0.98)[0] - 1.0 == pytest.approx(changed, rel=0.01)
     assert whole.stiffened(0.0, 0.98)[0] == pytest.approx(np.sqrt(0.98), rel=1e-9)
@@ -644,10 +648,12 @@ def test_remark_on_the_size_of_the_load() -> None:
     row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
     assert remarks_on(scene, fc.Measurements((row,))) == ()
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
-        changed = scene.replace({key: value})
-        [remark] = remarks_on(changed, fc.Measurements((row,)))
+        changed_scene = scene.replace({key: value})
+        [remark] = remarks_on(changed_scene, fc.Measurements((row,)))
         assert remark.startswith("a clearance or a steady load")
-        assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
+        assert (
+            remarks_on(changed_scene, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
+        )
 
 
 def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:

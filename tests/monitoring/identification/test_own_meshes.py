@@ -45,9 +45,9 @@ def written(folder: Path, scene: fc.Scene) -> str:
             numbers = f'"crack.height" = {height}, "crack.length" = {length}'
             lines.append(f'"{name}" = {{ {numbers} }}')
     fc.write_msh(scene.replace({"crack": None, "contact": None}), folder / "whole.msh")
-    own = scene.replace(OF_FILES | {"mesh.file": "10_40.msh"})
+    changed_scene = scene.replace(OF_FILES | {"mesh.file": "10_40.msh"})
     # The files in any order, and the numbers, too.
-    return own.as_toml() + "\n".join([*lines[:3], *lines[:2:-1]]) + "\n"
+    return changed_scene.as_toml() + "\n".join([*lines[:3], *lines[:2:-1]]) + "\n"
 
 
 @pytest.fixture(scope="module")
@@ -195,11 +195,11 @@ uncracked = "0.msh"
         hertz = modes.omega / (2.0 * np.pi)
         rows += fc.Measurements.from_arrays(quantity, hertz, 1e-3 * hertz, mode=[1, 2, 3, 4]).rows
     rows = fc.Measurements(rows)
-    found = fc.identify(scene, rows, folder=tmp_path / "sweeps")
-    assert found.unknown == ("notch", "material.young")
-    low, high = found.intervals["notch"]
-    assert low < 10.0 < high < 16.0 and found.verdict == "crack"
-    assert "notch = " in str(found)
+    identification = fc.identify(scene, rows, folder=tmp_path / "sweeps")
+    assert identification.unknown == ("notch", "material.young")
+    low, high = identification.intervals["notch"]
+    assert low < 10.0 < high < 16.0 and identification.verdict == "crack"
+    assert "notch = " in str(identification)
 
 
 def test_thousands_of_meshes_are_checked_at_once() -> None:

@@ -39,8 +39,8 @@ def natural(scene: fc.Scene, rpm: float, kind: str, mode: int = 1) -> float:
     """A natural frequency of the blade at a speed [Hz]."""
     own = scene.replace({"identify": None} | TRUE)
     own = own.replace({"rotation.rpm": rpm}) if rpm else own.at_rest()
-    found = fc.bilinear_frequencies(fc.build_structure(own))
-    return float(getattr(found, f"omega_{kind}")[mode - 1]) / TURN
+    bilinear_frequencies = fc.bilinear_frequencies(fc.build_structure(own))
+    return float(getattr(bilinear_frequencies, f"omega_{kind}")[mode - 1]) / TURN
 
 
 def rows(scene: fc.Scene, quantity: str, kinds: dict[float, str]) -> fc.Measurements:
@@ -61,8 +61,10 @@ def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
     assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.02)
     assert found.fit_table().rows[1][0] == "frequency_open of mode 1 at 1500 rpm"
     for row in seen.rows:
-        alone = fc.Measurements((fc.Measurement("frequency_open", row.value, row.deviation, 1),))
-        wrong = fc.identify(scene, alone, folder=folder)
+        measurements = fc.Measurements(
+            (fc.Measurement("frequency_open", row.value, row.deviation, 1),)
+        )
+        wrong = fc.identify(scene, measurements, folder=folder)
         assert wrong.contains(TRUE) == (row.rpm == 3000.0)
 
 
@@ -110,10 +112,10 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
 
 def _hertz(blade: fc.Scene, rpm: float, kind: str) -> float:
     """The first natural frequency of a blade at a speed, with a crack or without [Hz]."""
-    own = fc.build_structure(blade.replace({"identify": None, "rotation.rpm": rpm}))
+    structure = fc.build_structure(blade.replace({"identify": None, "rotation.rpm": rpm}))
     if kind:
-        return float(getattr(fc.bilinear_frequencies(own), f"omega_{kind}")[0]) / TURN
-    return float(fc.solve_modes(own, 1).omega[0]) / TURN
+        return float(getattr(fc.bilinear_frequencies(structure), f"omega_{kind}")[0]) / TURN
+    return float(fc.solve_modes(structure, 1).omega[0]) / TURN
 
 
 @pytest.mark.nightly
@@ -180,9 +182,9 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, run_command: RunCom
     swept(stiff, "open", now, (5, 6))
     swept(stiff.replace({"crack": None, "contact": None}), "open", before, (6, 7))
     words = ["identify", str(tmp_path / "blade.toml"), "--output", str(tmp_path / "found")]
-    said = run_command(*words, "--arrivals", str(now), "--before", str(before))
+    process = run_command(*words, "--arrivals", str(now), "--before", str(before))
     used = re.findall(
-        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", said.err
+        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", process.err
     )
     kinds = dict(zip(used, ("open", "open", "bare", "bare"), strict=True))
     assert sorted(int(order) for *_, order, _ in kinds) == [5, 6, 6, 7]
@@ -192,8 +194,8 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, run_command: RunCom
             assert float(hertz) == pytest.approx(
                 natural(stiff, float(rpm), kind), abs=4.0 * float(error)
             )
-    assert "log Bayes factor" in said.err
-    length = float(said.out.splitlines()[2].split()[1])
+    assert "log Bayes factor" in process.err
+    length = float(process.out.splitlines()[2].split()[1])
     assert length == pytest.approx(0.008, rel=0.1)
     # In Python.
     [fit, *others] = fc.find_passages(fc.ArrivalTimes.from_csv(now), [5, 6], stiffening=0.11)
