@@ -64,19 +64,21 @@ def with_patches(
     clock = time.process_time()
     whole_structure = fc.build_structure(scene)
     structure = fc.reduce_structure(whole_structure, modes=modes, method="massless")
-    prepared, memory = time.process_time() - clock, _memory()
+    preparation_time, memory = time.process_time() - clock, _memory()
     law: fc.ContactLaw = fc.UnilateralConstraint()
     if per_area is not None:
         assert whole_structure.pair_areas is not None
         law = fc.UnilateralPenalty(per_area * whole_structure.pair_areas)
     solution = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
-    stated, reason = solution.report, solution.assessment.rejection_reason
-    taken = time.process_time() - clock
+    report, reason = solution.report, solution.assessment.rejection_reason
+    total_time = time.process_time() - clock
     print(
         f"{whole_structure.n_dofs} dofs, {whole_structure.n_pairs} pairs, {modes} modes: H = {solution.harmonics}"
     )
-    print(f"prepared in {prepared:.1f} s, {memory:.2f} GiB; all {taken:.1f} s, {_memory():.2f} GiB")
-    print(stated, reason, sep="\n")
+    print(
+        f"prepared in {preparation_time:.1f} s, {memory:.2f} GiB; all {total_time:.1f} s, {_memory():.2f} GiB"
+    )
+    print(report, reason, sep="\n")
     if solution.orbit is not None:
         print(f"largest multiplier {abs(solution.orbit.multipliers).max():.4f}")
 

@@ -293,17 +293,17 @@ def solved(scene: fc.Scene) -> Numbers:
         )  # fmt: skip
         run = fc.Run(**vars(study), result=solution)
     omega = fc.solve_modes(run.structure.whole, 3).omega
-    found = run.result.indicators(run.watched_dof).to_dict()
-    found |= {f"omega_open_{mode}": value for mode, value in enumerate(omega, 1)}
+    indicators = run.result.indicators(run.watched_dof).to_dict()
+    indicators |= {f"omega_open_{mode}": value for mode, value in enumerate(omega, 1)}
     hertz = {f"frequency_open_{mode}": w / (2.0 * np.pi) for mode, w in enumerate(omega, 1)}
-    return found | hertz
+    return indicators | hertz
 
 
 def on_finer_mesh(scene: fc.Scene) -> Numbers:
     """The same with elements four times as short; three times of a solid."""
-    finer = finer_mesh(scene, 4.0 if scene.dimension == 2 else 3.0)
-    assert finer is not None
-    return solved(finer)
+    finer_scene = finer_mesh(scene, 4.0 if scene.dimension == 2 else 3.0)
+    assert finer_scene is not None
+    return solved(finer_scene)
 
 
 def exact(scene: fc.Scene) -> Numbers:
@@ -336,8 +336,10 @@ def of_orbit(scene: fc.Scene) -> Numbers:
 def _seen(wave: np.ndarray, gap: np.ndarray) -> Numbers:
     """Indicators of a period in time: of a displacement (n,) and of the gaps (n, n_pairs) [m],
     straight in between for the share closed."""
-    low, high = np.sort([gap, np.roll(gap, 1, axis=0)], axis=0)
-    closed = np.clip(high / np.maximum(high - low, np.finfo(float).tiny), 0.0, 1.0)
+    lower_gap, upper_gap = np.sort([gap, np.roll(gap, 1, axis=0)], axis=0)
+    closed_share = np.clip(
+        upper_gap / np.maximum(upper_gap - lower_gap, np.finfo(float).tiny), 0.0, 1.0
+    )
     size = 2.0 * np.abs(np.fft.rfft(wave)) / len(wave)
     return {
         "amplitude": float(np.ptp(wave)) / 2.0,
@@ -345,18 +347,22 @@ def _seen(wave: np.ndarray, gap: np.ndarray) -> Numbers:
         "ratio_3_1": size[3] / size[1],
         "mean_shift": float(wave.mean()) / size[1],
         "opening": -float(gap.min()),
-        "closed_share": float(np.mean(closed)),
+        "closed_share": float(np.mean(closed_share)),
     }
 
 
 def with_more_modes(found: fc.Verification) -> Numbers:
     """What the numbers become as the exact orbit changes with :data:`MANY_MODES` modes; none where
     there is none."""
-    few, many = (
+    few_modes_numbers, many_modes_numbers = (
         of_orbit(scene)
         for scene in (found.scene, found.scene.replace({"reduction.modes": MANY_MODES}))
     )
-    return {name: found.values[name] + many[name] - few[name] for name in few if name in many}
+    return {
+        name: found.values[name] + many_modes_numbers[name] - few_modes_numbers[name]
+        for name in few_modes_numbers
+        if name in many_modes_numbers
+    }
 
 
 # --- parts ----------------------------------------------------------------------------------------
@@ -370,8 +376,8 @@ def answers() -> Iterator[tuple[str, fc.Scene]]:
     yield "blade", load("blade")
     for name, (changes, mode, factor) in (MORE | HELD_OUT).items():
         scene = plate.replace(changes)
-        natural = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
-        omega = float(factor * natural[mode - 1])
+        natural_omega = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
+        omega = float(factor * natural_omega[mode - 1])
         name += ", held out" if name in HELD_OUT else ""
         yield name, scene.replace({"excitation.omega": omega})
 
@@ -390,9 +396,9 @@ def tell(rows: list[common.Row]) -> None:
     for kind in ("frequency", "omega", "amplitude", "opening", "ratio_2_1"):
         shares = [row[5] for row in rows if kind in row[1]]
         if shares:
-            low, high = min(shares), max(shares)
+            min_share, max_share = min(shares), max(shares)
             middle = np.median(shares)
-            print(f"{kind}: true / stated {low:.2f} to {high:.2f}, median {middle:.2f}")
+            print(f"{kind}: true / stated {min_share:.2f} to {max_share:.2f}, median {middle:.2f}")
 
 
 def answered(
@@ -405,24 +411,43 @@ def answered(
 ) -> Iterator[common.Row]:
     """A row for each headline number, or its part by the mesh; with the ratio of the root mean
     squares within 2 % of the frequency where that at the frequency is below a fifth."""
-    finer = finer_mesh(scene, times)
-    assert finer is not None and run.scene.reduction is not None
+    finer_scene = finer_mesh(scene, times)
+    assert finer_scene is not None and run.scene.reduction is not None
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
     more = {"reduction.modes": (1 if by_mesh else 2) * int(run.scene.reduction.modes or 0)}
-    reference = fc.prepare(finer.replace(exact | more))
+    reference = fc.prepare(finer_scene.replace(exact | more))
     compare = by_mesh_alone if by_mesh else stated_and_true
-    found = compare(run, reference)
-    low = [quantity for quantity, (_, true, stated, _) in found.items() if true < LOW * stated]
+    compared_values = compare(run, reference)
+    understated_quantities = [
+        quantity
+        for quantity, (_, true_error, stated_error, _) in compared_values.items()
+        if true_error < LOW * stated_error
+    ]
     key, nearby = "frequency" if scene.in_hertz else "omega", []
-    for factor in BAND if low else ():
+    for factor in BAND if understated_quantities else ():
         at = {f"excitation.{key}": float(factor) * getattr(scene.excitation, key)}
         nearby.append(compare(fc.solve(scene.replace(at)), reference))
-    for quantity, (value, true, stated, cause) in found.items():
-        both = np.array(
-            [one[quantity][1:3] for one in nearby if quantity in one and quantity in low]
+    for quantity, (value, true_error, stated_error, cause) in compared_values.items():
+        nearby_pairs = np.array(
+            [
+                near_answer[quantity][1:3]
+                for near_answer in nearby
+                if quantity in near_answer and quantity in understated_quantities
+            ]
         )
-        share = np.divide(*np.sqrt(np.mean(both**2, axis=0))) if len(both) else np.nan
-        yield name, quantity, value, true, stated, true / stated, cause, float(share)
+        share = (
+            np.divide(*np.sqrt(np.mean(nearby_pairs**2, axis=0))) if len(nearby_pairs) else np.nan
+        )
+        yield (
+            name,
+            quantity,
+            value,
+            true_error,
+            stated_error,
+            true_error / stated_error,
+            cause,
+            float(share),
+        )
 
 
 def stated_and_true(
@@ -432,16 +457,18 @@ def stated_and_true(
     reference leaves friction out, too."""
     if run.scene.contact is not None:
         run = replace(run, scene=run.scene.replace({"contact.friction_error": False}))
-    found, own = run.errors, numbers_of(run, run.result)
+    found, own_numbers = run.errors, numbers_of(run, run.result)
     assert found is not None
-    other = solve_prepared(reference, omega=run.result.omega)
-    true = numbers_of(other, other.result, own.mode).values
+    reference_run = solve_prepared(reference, omega=run.result.omega)
+    true_values = numbers_of(reference_run, reference_run.result, own_numbers.mode).values
     rows = {}
     for quantity, value in found.values.items():
-        natural = quantity.startswith(("frequency", "omega"))
-        if quantity.endswith(HEADLINES) or (natural and quantity.endswith(f"_{own.mode}")):
-            stated, cause = found.stated(quantity)
-            rows[quantity] = value, abs(true[quantity] / value - 1.0), stated, cause
+        is_natural = quantity.startswith(("frequency", "omega"))
+        if quantity.endswith(HEADLINES) or (
+            is_natural and quantity.endswith(f"_{own_numbers.mode}")
+        ):
+            stated_error, cause = found.stated(quantity)
+            rows[quantity] = value, abs(true_values[quantity] / value - 1.0), stated_error, cause
     return rows
 
 
@@ -491,8 +518,8 @@ def random_plate(rng: np.random.Generator) -> tuple[dict[str, Any], int, float, 
     changes |= {"mesh.order": order, "mesh.size": width / across}
     changes["mesh.lip_elements"] = int(rng.integers(3, 11))
     changes["mesh.grading"] = rng.uniform(2.0, 8.0)
-    pulled, side = rng.random() < 0.2, 0.0
-    if pulled:
+    is_pulled, side = rng.random() < 0.2, 0.0
+    if is_pulled:
         traction = [1000.0 * x for x in rng.normal(size=2).tolist()]
         changes |= {"excitation.point": None, "excitation.force_sin": [0.0, 0.0]}
         changes |= {"loads.1.edge": "top", "loads.1.traction_sin": traction}
@@ -503,7 +530,7 @@ def random_plate(rng: np.random.Generator) -> tuple[dict[str, Any], int, float, 
         changes["excitation.force_sin"] = [10.0 * rng.normal(), 0.0]
     changes["output.points"] = {"far": [width - side, height]}
     state = random_state(rng, (0.3, 1.4), (0.6, 0.8))
-    mean = rng.normal() if rng.random() < 0.25 and not pulled else 0.0
+    mean = rng.normal() if rng.random() < 0.25 and not is_pulled else 0.0
     return changes, *state, float(mean)
 
 
@@ -633,8 +660,8 @@ def chosen() -> Iterator[tuple[str, fc.Scene]]:
                 spin = {"rotation.speed": omega * rng.uniform(0.05, 0.4)}
                 spin["rotation.hub_radius"] = scene.geometry.given("height") * rng.uniform(0.0, 3.0)
                 scene = scene.replace(spin | {"crack.clearance": 0.0})
-                opened = fc.solve(scene).result.indicators().opening  # mostly by rotation
-                scene = scene.replace({"crack.clearance": -opened * rng.uniform(0.8, 1.1)})
+                crack_opening = fc.solve(scene).result.indicators().opening  # mostly by rotation
+                scene = scene.replace({"crack.clearance": -crack_opening * rng.uniform(0.8, 1.1)})
             yield name, scene
 
 
@@ -652,40 +679,52 @@ def run_chosen(arguments: common.Arguments) -> None:
                 print(f"{name}: not known to be stable, others may be found")
                 continue
             many = {"reduction.modes": 4 * structure.n_modes}
-            more = fc.prepare(scene.replace(many), judged=False).structure
+            finer_structure = fc.prepare(scene.replace(many), judged=False).structure
             tight = 0.1 * scene.harmonic_balance.given("tolerance")
             exact = fc.solve_harmonic_balance(
-                more, run.result.omega, law, tolerance=tight, initial=run.result, throw=False
+                finer_structure,
+                run.result.omega,
+                law,
+                tolerance=tight,
+                initial=run.result,
+                throw=False,
             )
         except (fc.InputError, fc.ConvergenceError) as error:
             print(f"{name}: {error}")
             continue
-        true, status = (exact.orbit or exact).indicators(run.watched_dof), run.result.status
-        met = run.result.report.total <= scene.harmonic_balance.given("tolerance")
+        true_indicators, status = (
+            (exact.orbit or exact).indicators(run.watched_dof),
+            run.result.status,
+        )
+        is_met = run.result.report.total <= scene.harmonic_balance.given("tolerance")
         for quantity in ("amplitude", "opening"):
             key = run.watched[0].column(quantity) if quantity == "amplitude" else quantity
             if key not in run.errors.values:  # a crack that never opens
                 continue
             value, (stated, cause) = run.errors.values[key], run.errors.stated(key)
-            off = abs(getattr(true, quantity) / value - 1.0)
+            off = abs(getattr(true_indicators, quantity) / value - 1.0)
             if off > ROUNDING_SPREAD:
-                said = f"{structure.n_modes} modes, {'met' if met else status.split(';')[0]}"
-                rows.append((name, quantity, value, off, stated, off / stated, cause, said))
+                description = (
+                    f"{structure.n_modes} modes, {'met' if is_met else status.split(';')[0]}"
+                )
+                rows.append((name, quantity, value, off, stated, off / stated, cause, description))
     columns = (*ANSWERED[:-1], "tolerance")
     common.save_table(arguments.folder / "stated_errors_chosen.csv", "chosen", columns, rows)
     tell(rows)
-    above = [row[3] for row in rows if row[5] > MEANT]
-    worst = f", the truth is up to {max(above):.1g} off" if above else ""
-    print(f"above {MEANT}: {len(above)} of {len(rows)}{worst}")
+    understated_errors = [row[3] for row in rows if row[5] > MEANT]
+    worst_text = (
+        f", the truth is up to {max(understated_errors):.1g} off" if understated_errors else ""
+    )
+    print(f"above {MEANT}: {len(understated_errors)} of {len(rows)}{worst_text}")
 
 
 def random_wheel(rng: np.random.Generator) -> fc.Scene:
     """A disk with one to three cracked blades, near one of its resonances or not."""
     count, scene = int(rng.integers(6, 15)), new("disk")
-    cracked = rng.choice(count, int(rng.integers(1, 4)), replace=False) + 1
+    cracked_sectors = rng.choice(count, int(rng.integers(1, 4)), replace=False) + 1
     scene = scene.replace({
         "mesh.error": False, "contact.friction_error": False, "harmonic_balance.tolerance": 0.005,
-        "disk.sectors": count, "disk.cracked": sorted(cracked.tolist()),
+        "disk.sectors": count, "disk.cracked": sorted(cracked_sectors.tolist()),
         "disk.deviation": 0.01 * float(rng.random() < 2.0 / 3.0),
         "disk.seed": int(rng.integers(1, 99)),
         "excitation.order": int(rng.integers(1, count)),
@@ -697,9 +736,9 @@ def random_wheel(rng: np.random.Generator) -> fc.Scene:
         stiffness = 10.0 ** rng.uniform(12.0, 14.0)
         scene = scene.replace({"contact.law": "penalty", "contact.stiffness_per_area": stiffness})
     widths = 4.0 * scene.damping.given("ratio")
-    off = (rng.random() - 0.5) * (widths if rng.random() < 0.6 else 0.3)
-    natural = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
-    omega = (1.0 + off) * natural[rng.integers(len(natural))]
+    relative_offset = (rng.random() - 0.5) * (widths if rng.random() < 0.6 else 0.3)
+    natural_omega = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
+    omega = (1.0 + relative_offset) * natural_omega[rng.integers(len(natural_omega))]
     return scene.replace({"excitation.frequency": float(omega) / (2.0 * np.pi)})
 
 
@@ -708,19 +747,19 @@ def run_wheels(arguments: common.Arguments) -> None:
     rows: list[common.Row] = []
     for number in range(2 if arguments.quick else WHEELS):
         scene = random_wheel(np.random.default_rng([arguments.seed, 85, number]))
-        whole, disk = fc.prepare(scene, whole=True).structure, scene.given("disk")
-        assert isinstance(whole, fc.Wheel)
-        known_by = (KNOWN_BY, AGAIN_BY) if number in AGAIN else (KNOWN_BY,)
+        whole_structure, disk = fc.prepare(scene, whole=True).structure, scene.given("disk")
+        assert isinstance(whole_structure, fc.Wheel)
+        reference_names = (KNOWN_BY, AGAIN_BY) if number in AGAIN else (KNOWN_BY,)
         name = f"wheel {number}, {disk.sectors} blades, {len(disk.cracked)} cracked"
         references = [
-            fc.reduce_wheel(whole, families, more=4 * disk.sectors, reference=False)
-            for families in known_by
+            fc.reduce_wheel(whole_structure, families, more=4 * disk.sectors, reference=False)
+            for families in reference_names
         ]
         for families, modes in BASES:
             run = fc.solve(scene.replace({"disk.families": families, "disk.modes": modes}))
-            for kept, reference in zip(known_by, references, strict=True):
-                said = f"{families} + {modes} modes, by {kept}"
-                rows += [(name, *row, said) for row in by_modes(run, reference)]
+            for reference_name, reference in zip(reference_names, references, strict=True):
+                description = f"{families} + {modes} modes, by {reference_name}"
+                rows += [(name, *row, description) for row in by_modes(run, reference)]
         columns = (*ANSWERED[:-2], "modes")
         common.save_table(arguments.folder / "stated_errors_wheels.csv", "wheels", columns, rows)
     tell_modes([row for row in rows if row[-1].endswith(f" {KNOWN_BY}")])
@@ -747,22 +786,28 @@ def by_modes(
     number, and of the motions of the gaps and at the load, whose values are 1."""
     law, errors = run.contact, run.errors
     assert law is not None and errors is not None
-    few, many = (
+    few_solution, many_solution = (
         fc.solve_harmonic_balance(
-            one, run.result.omega, law, harmonics=20, initial=run.result, throw=False
+            structure, run.result.omega, law, harmonics=20, initial=run.result, throw=False
         )
-        for one in (run.structure, reference)
+        for structure in (run.structure, reference)
     )
-    assert few.converged and many.converged
-    more = replace(run, structure=reference)
+    assert few_solution.converged and many_solution.converged
+    reference_run = replace(run, structure=reference)
     mode = numbers_of(run, run.result).mode
-    number_pairs = numbers_of(run, few, mode).values, numbers_of(more, many, mode).values
+    number_pairs = (
+        numbers_of(run, few_solution, mode).values,
+        numbers_of(reference_run, many_solution, mode).values,
+    )
     yield from compare_with_true(errors, *number_pairs)
-    true_of, stated_of = report_against_reference(few, many), run.result.report
+    true_report, stated_report = (
+        report_against_reference(few_solution, many_solution),
+        run.result.report,
+    )
     share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0
     for quantity, part in (("gap", "reduction"), ("at the load", "displacement")):
-        true, stated = share * getattr(true_of, part), getattr(stated_of, part)
-        yield quantity, 1.0, true, stated, true / stated
+        true_part, stated_part = share * getattr(true_report, part), getattr(stated_report, part)
+        yield quantity, 1.0, true_part, stated_part, true_part / stated_part
 
 
 def compare_with_true(
@@ -799,8 +844,8 @@ def random_friction(rng: np.random.Generator, number: int) -> fc.Scene:
         changes["excitation.force_sin"] = [force * np.cos(angle), force * np.sin(angle)]
     scene = scene.replace(MODES_ALONE | {"harmonic_balance.tolerance": 0.05} | changes)
     is_near_resonance, mode = rng.random() < 0.6, int(rng.integers(2))
-    detuning = 3.0 * scene.damping.given("ratio") * rng.uniform(-1.0, 1.0)
-    factor = 1.0 + detuning if is_near_resonance else rng.uniform(0.4, 1.3)
+    frequency_offset = 3.0 * scene.damping.given("ratio") * rng.uniform(-1.0, 1.0)
+    factor = 1.0 + frequency_offset if is_near_resonance else rng.uniform(0.4, 1.3)
     natural_frequencies = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
     return scene.replace({"excitation.omega": float(factor * natural_frequencies[mode])})
 
@@ -894,9 +939,12 @@ def new_solids() -> Iterator[tuple[str, fc.Scene]]:
         load = {"point": [0.0, sides[1], sides[2] / 2.0], "force_sin": force}
         own = {"mesh.size": longest * sides[2]} | {f"excitation.{k}": v for k, v in load.items()}
         box = base.replace(shape | own | {"crack.front": None, "crack.depth": None} | changes)
-        natural = fc.bilinear_frequencies(fc.prepare(box).structure).omega_bilinear[mode - 1]
+        natural_omega = fc.bilinear_frequencies(fc.prepare(box).structure).omega_bilinear[mode - 1]
         for share in SHARES:
-            yield f"{name}, {share:g}", box.replace({"excitation.omega": float(share * natural)})
+            yield (
+                f"{name}, {share:g}",
+                box.replace({"excitation.omega": float(share * natural_omega)}),
+            )
 
 
 def run_new_solids(arguments: common.Arguments) -> None:
@@ -911,12 +959,14 @@ def run_new_solids(arguments: common.Arguments) -> None:
             references = [finer_study(scene, factor) for factor in TWICE_AND_THRICE]
         run = fc.solve(scene)
         assert run.errors is not None
-        less, more = (without_verdict(one, run.result.omega) for one in references)
+        less, finer_numbers = (
+            without_verdict(reference_study, run.result.omega) for reference_study in references
+        )
         for quantity in ("amplitude", "opening"):
             value, (stated, cause) = run.errors.values[quantity], run.errors.stated(quantity)
-            true = abs(more[quantity] / value - 1.0)
-            moved = abs(more[quantity] - less[quantity]) / (true * value)
-            rows.append((name, quantity, value, true, stated, true / stated, cause, moved))
+            true = abs(finer_numbers[quantity] / value - 1.0)
+            change_share = abs(finer_numbers[quantity] - less[quantity]) / (true * value)
+            rows.append((name, quantity, value, true, stated, true / stated, cause, change_share))
         path = arguments.folder / "stated_errors_new_solids.csv"
         common.save_table(path, "solids", columns, rows)
     tell(rows)
@@ -924,17 +974,17 @@ def run_new_solids(arguments: common.Arguments) -> None:
 
 def finer_study(scene: fc.Scene, factor: float) -> Study:
     """A scene on a finer mesh, with many modes."""
-    finer = finer_mesh(scene, factor)
-    assert finer is not None
-    return fc.prepare(finer.replace({"reduction.modes": MANY_MODES}), judged=False)
+    finer_scene = finer_mesh(scene, factor)
+    assert finer_scene is not None
+    return fc.prepare(finer_scene.replace({"reduction.modes": MANY_MODES}), judged=False)
 
 
 def without_verdict(study: Study, omega: float) -> Numbers:
     """Numbers of a study's solution at a frequency, with 20 harmonics."""
     assert study.contact is not None
     solution = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=20)
-    seen = solution.indicators(study.watched[0].dof)
-    return {name: float(getattr(seen, name)) for name in ("amplitude", "opening")}
+    indicators = solution.indicators(study.watched[0].dof)
+    return {name: float(getattr(indicators, name)) for name in ("amplitude", "opening")}
 
 
 def run_random(arguments: common.Arguments, part: str, base: fc.Scene, finer: float) -> None:
@@ -1043,10 +1093,12 @@ def compared(
     """A row for each quantity that a cause changes and the reference has."""
     for quantity, part in found.parts[cause].items():
         value, parts = found.values[quantity], found.contributions(quantity)
-        stated = sum(parts[one] for one in (MESH_CAUSES if cause == "mesh" else (cause,)))
-        if quantity in reference and stated > 1e-9 * abs(value):  # more than rounding
+        stated_error = sum(
+            parts[cause_name] for cause_name in (MESH_CAUSES if cause == "mesh" else (cause,))
+        )
+        if quantity in reference and stated_error > 1e-9 * abs(value):  # more than rounding
             true = abs(reference[quantity] - value)
-            shares = (true / abs(value), stated / abs(value), true / stated)
+            shares = (true / abs(value), stated_error / abs(value), true / stated_error)
             yield (name, quantity, value, *shares, part.order, part.behaviour)
 
 
@@ -1055,10 +1107,10 @@ def report(arguments: common.Arguments, part: str, rows: list[common.Row]) -> No
     common.save_table(arguments.folder / f"stated_errors_{part}.csv", part, COLUMNS, rows)
     shares = np.array([row[5] for row in rows])
     asymptotic = np.array([row[5] for row in rows if row[7] == "asymptotic"])
-    least, middle, most = np.quantile(shares, (0.05, 0.5, 0.95))
+    smallest_share, middle, largest_share = np.quantile(shares, (0.05, 0.5, 0.95))
     print(
-        f"{part}: {np.sum(shares > 1.0)} of {len(shares)} above 1; 5, 50, 95 %: {least:.2f}, "
-        f"{middle:.2f}, {most:.2f}; largest {shares.max():.2f}; median of the {len(asymptotic)} "
+        f"{part}: {np.sum(shares > 1.0)} of {len(shares)} above 1; 5, 50, 95 %: {smallest_share:.2f}, "
+        f"{middle:.2f}, {largest_share:.2f}; largest {shares.max():.2f}; median of the {len(asymptotic)} "
         f"asymptotic ones {np.median(asymptotic) if len(asymptotic) else np.nan:.2f}"
     )
 

@@ -124,9 +124,9 @@ try:
 except fc.basics.errors.InputError as error:
     print(error.key, error.value, "1.24.2" in error.allowed, sys.prefix in error.allowed)
 """
-    line, code, told = fresh(program).splitlines()
+    line, code, message = fresh(program).splitlines()
     assert line.startswith("fenics-crack: numpy = '2.4.1': must be 1.24.2") and code == "2"
-    assert told == "numpy 2.4.1 True True"
+    assert message == "numpy 2.4.1 True True"
 
 
 def test_what_was_stopped_ends_without_noise() -> None:

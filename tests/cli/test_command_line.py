@@ -105,8 +105,10 @@ def test_harmonics_that_nothing_damps(
     words = [command, PAPER, *(() if command == "check" else ("--output", tmp_path))]
     sets = ["contact.stiffness=1e9", "damping.ratio=0.01", *changes]
     sets += ["contact.friction_error=false"] * ("contact=none" not in changes)
-    said = [row for row in run_command(*words, sets=sets).err.splitlines() if "H w =" in row]
-    assert len(said) == bool(expected) and expected in "".join(said)
+    warning_rows = [
+        row for row in run_command(*words, sets=sets).err.splitlines() if "H w =" in row
+    ]
+    assert len(warning_rows) == bool(expected) and expected in "".join(warning_rows)
     if line in QUIET:
         assert "H w =" not in run_command(*words, "--quiet", sets=sets).err
 
@@ -170,17 +172,19 @@ def test_check_proposes_a_curve_through_the_resonance(
     run_command("new", path, "--quiet", *kind)
     other = [*COARSE, "geometry.height=0.28", "excitation.point=[0.1, 0.28]"]
     names = [f"proposed curve.{end} [{unit}]" for end in ("start", "stop")]
-    rows, told = checked(run_command, path, *other, f"curve.start={low}")
+    rows, messages = checked(run_command, path, *other, f"curve.start={low}")
     ends = [rows[name] for name in names]
     assert ends[0] < rows[middle] < ends[1] < 1.25 * ends[0]
-    assert "remark: curve.start" in told and f"{ends[0]:g}" in told
+    assert "remark: curve.start" in messages and f"{ends[0]:g}" in messages
     parameter = rows["proposed curve.parameter"]
-    rows, told = checked(run_command, path, *other, "curve=none")
-    assert ends == [rows[name] for name in names] and "curve.start" not in told
+    rows, messages = checked(run_command, path, *other, "curve=none")
+    assert ends == [rows[name] for name in names] and "curve.start" not in messages
     assert parameter == rows["proposed curve.parameter"]
     copied = [f"curve.start={ends[0]}", f"curve.stop={ends[1]}"]
-    rows, told = checked(run_command, path, *other, *copied)
-    assert not [name for name in rows if name.startswith("proposed")] and "curve.start" not in told
+    rows, messages = checked(run_command, path, *other, *copied)
+    assert (
+        not [name for name in rows if name.startswith("proposed")] and "curve.start" not in messages
+    )
 
 
 @pytest.mark.nightly
@@ -207,11 +211,17 @@ def test_new_scene_of_a_name_too_long(run_command: RunCommand) -> None:
 
 def test_nothing_else_is_printed(plate: Path) -> None:
     """Neither gmsh nor PETSc nor FFCx says a word; a file as standard error gets no progress."""
-    done = run(plate.parent, "solve", plate.name, *(f"--set={change}" for change in COARSE))
-    told = [line for line in done.stderr.splitlines() if not line.startswith("  ")]  # signs of life
-    assert told[0].startswith("output/plate/solution.h5")
-    assert len(told) == 2 and told[1].startswith("solved; at ") and "estimated error" in told[1]
-    assert done.stdout.count("\n---") == 1 and "\r" not in done.stderr
+    process = run(plate.parent, "solve", plate.name, *(f"--set={change}" for change in COARSE))
+    message_lines = [
+        line for line in process.stderr.splitlines() if not line.startswith("  ")
+    ]  # signs of life
+    assert message_lines[0].startswith("output/plate/solution.h5")
+    assert (
+        len(message_lines) == 2
+        and message_lines[1].startswith("solved; at ")
+        and "estimated error" in message_lines[1]
+    )
+    assert process.stdout.count("\n---") == 1 and "\r" not in process.stderr
 
 
 SPY = """
@@ -253,22 +263,31 @@ def test_one_process_looks_for_no_network(
 def test_new_scene_resonates_as_it_breathes(plate: Path, run_command: RunCommand) -> None:
     """Half of each period open, half closed: at 2 f_open f_tied / (f_open + f_tied)."""
     rows, _ = checked(run_command, plate, *COARSE)
-    first = "first natural frequency, crack faces {} [Hz]"
-    opened, tied = (rows[first.format(state)] for state in ("open", "bonded"))
-    breathing = 2.0 * opened * tied / (opened + tied)
-    assert rows["resonance at the load [Hz]"] == pytest.approx(breathing, rel=1e-3)
+    row_name = "first natural frequency, crack faces {} [Hz]"
+    open_frequency, bonded_frequency = (
+        rows[row_name.format(state)] for state in ("open", "bonded")
+    )
+    bilinear_frequency = (
+        2.0 * open_frequency * bonded_frequency / (open_frequency + bonded_frequency)
+    )
+    assert rows["resonance at the load [Hz]"] == pytest.approx(bilinear_frequency, rel=1e-3)
     vibration = rows["vibration there"]
     left_out = "error due to the modes and the friction not included; proportional to the load"
     assert re.search(rf"error due to the harmonics .* %, the mesh .* %; {left_out}$", vibration)
-    [stated] = re.findall("[0-9.]+", rows["error of the resonance at the load due to the mesh"])
+    [stated_error] = re.findall(
+        "[0-9.]+", rows["error of the resonance at the load due to the mesh"]
+    )
     true = abs(831.8 / rows["resonance at the load [Hz]"] - 1.0)  # of the mesh that new writes
-    assert 0.2 < 100.0 * true / float(stated) < 1.6
+    assert 0.2 < 100.0 * true / float(stated_error) < 1.6
 
 
 def test_not_converged_says_so(tmp_path: Path, run_command: RunCommand) -> None:
     """Exit code 3 where a motion has not settled; the files are there."""
-    short, words = "no change", ["integrate", PAPER, "--output", tmp_path]
-    for periods, said in ((2, "not settled"), (1, f"1 of 1 periods: one period shows {short}")):
+    no_change_text, words = "no change", ["integrate", PAPER, "--output", tmp_path]
+    for periods, said in (
+        (2, "not settled"),
+        (1, f"1 of 1 periods: one period shows {no_change_text}"),
+    ):
         changes = [f"integration.periods={periods}", "integration.method=events"]
         assert said in run_command(*words, sets=changes, code=3).err
     assert (tmp_path / "integration.h5").exists()
@@ -276,16 +295,16 @@ def test_not_converged_says_so(tmp_path: Path, run_command: RunCommand) -> None:
 
 def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
     """Every command is listed and explained."""
-    said = {}
+    texts = {}
     commands = ("new", "check", "modes", "solve", "curve", "integrate", "sweep", "plot")
     for words in (["--help"], ["--version"], *([command, "--help"] for command in commands)):
         with pytest.raises(SystemExit) as left:
             main(words)
         assert left.value.code == 0
-        said[words[0]] = capsys.readouterr().out
-    assert said["--version"].strip() == f"fenics-crack {fc.__version__}"
+        texts[words[0]] = capsys.readouterr().out
+    assert texts["--version"].strip() == f"fenics-crack {fc.__version__}"
     for command in commands:
-        assert f"\n    {command}" in said["--help"] and "usage: fenics-crack" in said[command]
+        assert f"\n    {command}" in texts["--help"] and "usage: fenics-crack" in texts[command]
 
 
 @pytest.mark.mpi
@@ -294,10 +313,14 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
 )
 def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str]) -> None:
     """Help, version and the error of an unknown word are printed once."""
-    done = run(tmp_path, *words, ranks=2)
-    said = done.stdout + done.stderr
-    assert said.count("usage: fenics-crack") + said.count(f"fenics-crack {fc.__version__}") == 1
-    assert (done.returncode == 0) == (words != ["nothing"])
+    process = run(tmp_path, *words, ranks=2)
+    printed_text = process.stdout + process.stderr
+    assert (
+        printed_text.count("usage: fenics-crack")
+        + printed_text.count(f"fenics-crack {fc.__version__}")
+        == 1
+    )
+    assert (process.returncode == 0) == (words != ["nothing"])
 
 
 @pytest.mark.mpi
@@ -316,18 +339,25 @@ def test_bad_input_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
 def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
     """SIGUSR1 goes to the ranks, which end by themselves, with the tables of what was found. At
     SIGINT mpirun soon kills them, and its code is its own; the cases stay."""
-    over = "sweep.over={'excitation.frequency' = {start = 7.0, stop = 12.0, count = 600}}"
-    words = ["sweep", str(ROOT / "demos" / "chain.toml"), "--set", over, "--output", str(tmp_path)]
+    axis_option = "sweep.over={'excitation.frequency' = {start = 7.0, stop = 12.0, count = 600}}"
+    words = [
+        "sweep",
+        str(ROOT / "demos" / "chain.toml"),
+        "--set",
+        axis_option,
+        "--output",
+        str(tmp_path),
+    ]
     held = HELD.format(cases=1, go=str(tmp_path / "go"))
     source = f"{held}import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
     program = subprocess.Popen(
         [*launcher(2), sys.executable, "-c", source, *words], env=ENVIRONMENT,
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    path, done = tmp_path / "sweep.h5", 0
-    while program.poll() is None and not done:
+    path, n_done = tmp_path / "sweep.h5", 0
+    while program.poll() is None and not n_done:
         time.sleep(0.1)
-        done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
+        n_done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
     program.send_signal(number)
     (tmp_path / "go").touch()
     code = program.wait(LIMIT)
@@ -376,13 +406,15 @@ def test_a_largest_response_is_one_peak_or_still_rising(
     peak = run.peak()
     assert peak.at_end == at_end
     points = {row["point"]: row for row in json.loads((tmp_path / "curve.json").read_text())}
-    [(name, largest)] = [(n, row) for n, row in points.items() if n.startswith("largest")]
+    [(name, largest_rows)] = [(n, row) for n, row in points.items() if n.startswith("largest")]
     assert ("still rising" in name) == ("still rising" in said) == at_end
-    assert largest["frequency [Hz]"] == pytest.approx(peak.frequency, rel=1e-9)
-    assert largest["amplitude [m]"] == pytest.approx(peak.amplitude, rel=1e-9)
-    assert largest["over_open"] * largest["frequency_open [Hz]"] == pytest.approx(peak.frequency)
+    assert largest_rows["frequency [Hz]"] == pytest.approx(peak.frequency, rel=1e-9)
+    assert largest_rows["amplitude [m]"] == pytest.approx(peak.amplitude, rel=1e-9)
+    assert largest_rows["over_open"] * largest_rows["frequency_open [Hz]"] == pytest.approx(
+        peak.frequency
+    )
     if at_end:
-        assert largest["frequency [Hz]"] == pytest.approx(stop)
+        assert largest_rows["frequency [Hz]"] == pytest.approx(stop)
     else:
         assert np.abs(run.result.omega / peak.omega - 1.0).min() > 1e-8  # between two points
     assert f"{peak.frequency:.6g} Hz" in said
@@ -394,8 +426,8 @@ def test_points_of_a_curve(results: Path) -> None:
     """The columns that the curve itself writes, and the indicators of the load's dof."""
     run = fc.load_run(results / "curve.h5")
     rows = table(results / "curve.csv")
-    own = run.result.table().columns
-    assert len(rows) == len(run.result) and list(rows[0])[: len(own)] == own
+    columns = run.result.table().columns
+    assert len(rows) == len(run.result) and list(rows[0])[: len(columns)] == columns
     indicators = [
         "amplitude [m]", "mean [m]", "harmonic_1 [m]", "harmonic_2 [m]", "harmonic_3 [m]",
         "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "largest_order", "mean_shift",
@@ -406,10 +438,13 @@ def test_points_of_a_curve(results: Path) -> None:
         "over_open", "over_tied", "over_bilinear",
     ]  # fmt: skip
     assert list(rows[0])[-len(indicators) :] == indicators
-    found = run.result.indicators(run.watched_dof)
-    over_open = run.result.omega / fc.solve_modes(run.structure, 1).omega[0]
-    exact = {"amplitude [m]": found.amplitude, "closed_share": found.closed_share}
-    for name, values in (exact | {"over_open": over_open}).items():
+    curve_indicators = run.result.indicators(run.watched_dof)
+    frequency_ratio = run.result.omega / fc.solve_modes(run.structure, 1).omega[0]
+    exact = {
+        "amplitude [m]": curve_indicators.amplitude,
+        "closed_share": curve_indicators.closed_share,
+    }
+    for name, values in (exact | {"over_open": frequency_ratio}).items():
         np.testing.assert_allclose([float(row[name]) for row in rows], values, rtol=1e-9)
 
 
@@ -439,9 +474,9 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     scene = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
     sweep = fc.run_sweep(scene, paths[1])
     assert sweep.solution(0).converged
-    for read in (fc.load_run, lambda path: fc.load(path, sweep.solution(0).structure)):
+    for reader in (fc.load_run, lambda path: fc.load(path, sweep.solution(0).structure)):
         with pytest.raises(fc.InputError, match=r"sweep is read by .* SweepResult\.load"):
-            read(paths[1])
+            reader(paths[1])
     fc.write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         fc.load_run(paths[0])

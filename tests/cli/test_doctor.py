@@ -82,8 +82,8 @@ def test_a_fault_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     """In one line, with what to do."""
     check, break_it, remedy = BROKEN[name]
     break_it(monkeypatch, tmp_path)
-    [(_, finding, is_fault)] = doctor.run_checks({check: doctor.CHECKS_BY_NAME[check]})
-    assert is_fault and remedy in finding and "\n" not in finding
+    [(_, fault_text, is_fault)] = doctor.run_checks({check: doctor.CHECKS_BY_NAME[check]})
+    assert is_fault and remedy in fault_text and "\n" not in fault_text
 
 
 def said(program: str, **variables: str) -> str:

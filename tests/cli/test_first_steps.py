@@ -59,8 +59,10 @@ def test_every_command_runs_on_what_new_wrote(here: Path) -> None:
     few = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
     words = sets(*COARSE, *few, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "campbell", "solve", "curve", "integrate", "sweep", "timing"):
-        more = ["--speeds", "0", "3000", "2", "--count", "1"] if command == "campbell" else []
-        assert main([command, "own.toml", *words, *more, "--quiet"]) == 0, command
+        more_options = (
+            ["--speeds", "0", "3000", "2", "--count", "1"] if command == "campbell" else []
+        )
+        assert main([command, "own.toml", *words, *more_options, "--quiet"]) == 0, command
 
 
 @pytest.mark.nightly
@@ -86,17 +88,21 @@ def test_commands_run_on_the_solid_that_new_wrote(here: Path, run_command: RunCo
     few += ["mesh.lip_elements=1", "reduction.modes=6"]
     words = sets(*few, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "solve", "curve", "integrate", "sweep"):
-        more = sets(f"mesh.error={'true' if command == 'solve' else 'false'}")
-        more += ["--count", "2"] if command == "modes" else []
-        assert main([command, "own.toml", *words, *more, "--quiet"]) == 0, command
+        more_options = sets(f"mesh.error={'true' if command == 'solve' else 'false'}")
+        more_options += ["--count", "2"] if command == "modes" else []
+        assert main([command, "own.toml", *words, *more_options, "--quiet"]) == 0, command
     results = [f"output/own/{name}.h5" for name in ("modes", "solution")]
     for result in results:
         assert main(["plot", result, "--quiet"]) == 0, result
     assert main(["report", results[0], "--quiet"]) == 0
     rows = np.genfromtxt("output/own/modes.csv", delimiter=",", names=True)
     assert rows[rows.dtype.names[2]][0] == pytest.approx(616.0, rel=0.03)  # Hz, on a coarse mesh
-    drawn = {path.name for path in Path("output/own").glob("*.*")}
-    assert {"modes.png", "solution_contact_map.png", "solution_breathing_crack.gif"} <= drawn
+    picture_names = {path.name for path in Path("output/own").glob("*.*")}
+    assert {
+        "modes.png",
+        "solution_contact_map.png",
+        "solution_breathing_crack.gif",
+    } <= picture_names
 
 
 @pytest.mark.drawn(2)
@@ -110,14 +116,14 @@ def test_lines_to_paste(command: str, gone: str, here: Path, run_command: RunCom
     parts = Path("own.toml").read_text().split("\n\n")
     text = "\n\n".join(part for part in parts if not part.startswith(f"[{gone}"))
     Path("own.toml").write_text(text)
-    told, _, lines = run_command(command, "own.toml", "--quiet", code=2).err.partition(
+    message, _, lines = run_command(command, "own.toml", "--quiet", code=2).err.partition(
         "for example:\n\n"
     )
-    assert told.startswith(f"fenics-crack: {gone} is missing: ") and told.count("\n") == 1
+    assert message.startswith(f"fenics-crack: {gone} is missing: ") and message.count("\n") == 1
     Path("own.toml").write_text(f"{text}\n{lines}")
-    coarse = [change for change in COARSE if not change.startswith(("curve", gone))]
+    coarse_options = [change for change in COARSE if not change.startswith(("curve", gone))]
     short = {"curve": ["curve.stop=780.5"], "sweep": ["sweep.over={'crack.length' = [0.02]}"]}
-    assert main([command, "own.toml", *sets(*coarse, *short.get(gone, [])), "--quiet"]) == 0
+    assert main([command, "own.toml", *sets(*coarse_options, *short.get(gone, [])), "--quiet"]) == 0
 
 
 WRONG = {
@@ -142,11 +148,11 @@ def test_every_wrong_key_is_shown_at_once(
     """In all tables, by a line each with a proposal; Python raises the first."""
     assert main(["new", "own.toml", "--quiet"]) == 0
     text = Path("own.toml").read_text().partition("\n[output]")[0].replace("law = ", "# law = ")
-    for right, (wrong, _) in WRONG.items():
-        assert text.count(right) == 1, right
-        text = text.replace(right, f"{wrong}  # " if "\n" not in wrong else wrong)
+    for right_key, (wrong_key, _) in WRONG.items():
+        assert text.count(right_key) == 1, right_key
+        text = text.replace(right_key, f"{wrong_key}  # " if "\n" not in wrong_key else wrong_key)
     Path("own.toml").write_text(text)
-    said = (
+    message = (
         run_command(command, "own.toml", code=2)
         .err.partition("for example:\n\n[contact]")[0]
         .splitlines()
@@ -155,18 +161,18 @@ def test_every_wrong_key_is_shown_at_once(
         "fenics-crack: " + re.escape(line).replace(r"\.\*", ".*") for _, line in WRONG.values()
     ]
     for pattern in patterns:
-        assert sum(bool(re.match(pattern, line)) for line in said) == 1, (pattern, said)
-    assert len(said) == len(WRONG)
+        assert sum(bool(re.match(pattern, line)) for line in message) == 1, (pattern, message)
+    assert len(message) == len(WRONG)
     with pytest.raises(fc.InputError) as error:
         fc.Scene.load("own.toml")
-    assert f"fenics-crack: {error.value}" == said[0]
+    assert f"fenics-crack: {error.value}" == message[0]
 
 
 def test_tables_to_paste_make_a_scene(here: Path, run_command: RunCommand) -> None:
     """Of an empty file all are missing; what is shown is one that can be solved."""
     Path("own.toml").touch()
-    said, _, lines = run_command("check", "own.toml", code=2).err.partition("for example:\n\n")
-    assert said.count(" is missing: must be given: a table\n") == said.count("\n") == 5
+    message, _, lines = run_command("check", "own.toml", code=2).err.partition("for example:\n\n")
+    assert message.count(" is missing: must be given: a table\n") == message.count("\n") == 5
     Path("own.toml").write_text(lines)
     assert main(["check", "own.toml", *sets("mesh.size=0.05", "mesh.error=false"), "--quiet"]) == 0
 
@@ -198,11 +204,11 @@ def test_the_curve_to_paste_is_of_this_scene(
     """Around its resonance nearest to the load's frequency, in its unit; it runs, and has a peak
     inside."""
     assert main(["new", "own.toml", "--quiet", *kind]) == 0
-    given = [change for change in COARSE if not change.startswith("curve")]
-    scene = fc.Scene.load("own.toml").replace(parse_changes([*given, *changes, "curve=none"]))
+    options = [change for change in COARSE if not change.startswith("curve")]
+    scene = fc.Scene.load("own.toml").replace(parse_changes([*options, *changes, "curve=none"]))
     Path("own.toml").write_text(scene.as_toml())
-    said, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
-    assert said.startswith(
+    message, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
+    assert message.startswith(
         "fenics-crack: curve is missing: must be given for this command: a table"
     )
     Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
@@ -235,9 +241,9 @@ def test_commands_to_paste_quote_their_paths(here: Path, run_command: RunCommand
 
 def omega(folder: Path) -> float:
     """The first natural frequency in a folder's modes, by the table and by the file."""
-    first = float(json.loads((folder / "modes.json").read_text())[0]["omega [rad/s]"])
-    assert fc.load_run(folder / "modes.h5").result.omega[0] == pytest.approx(first)
-    return first
+    first_omega = float(json.loads((folder / "modes.json").read_text())[0]["omega [rad/s]"])
+    assert fc.load_run(folder / "modes.h5").result.omega[0] == pytest.approx(first_omega)
+    return first_omega
 
 
 def test_another_result_is_kept_as_the_one_before(here: Path) -> None:
@@ -335,9 +341,9 @@ def test_bash_completes(
 
 def known(kind: str, scene: fc.Scene, key: str) -> list[str]:
     """What a refusal says is known."""
-    with pytest.raises(fc.InputError) as refused:
+    with pytest.raises(fc.InputError) as error_info:
         scene.replace({key: 1.0})
-    return refused.value.allowed.partition(f"known {kind}: ")[2].split(", ")
+    return error_info.value.allowed.partition(f"known {kind}: ")[2].split(", ")
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])

@@ -110,16 +110,16 @@ def test_tips_are_timed() -> None:
     scene = ring(**PATTERN, excitation__frequency=1380.0, **changes).replace(BRIEF)
     arrivals, run = fc.arrivals_of_blades(scene)
     wheel = run.structure.whole
-    for blade, seen in arrivals.items():
-        fit = fc.fit_order(seen, [2], harmonics=2)
+    for blade, blade_arrivals in arrivals.items():
+        fit = fc.fit_order(blade_arrivals, [2], harmonics=2)
         shares = tip_direction(scene.given("tip_timing"), run, blade)
         assert {wheel.blade_of(dof)[0] for dof in shares} == {blade}
         rows = run.structure.values_at(run.result.displacement_coefficients, [*shares])
         a, b = (rows[row] @ np.array([*shares.values()]) for row in (1, 2))
         assert abs(fit.amplitudes[0] - np.hypot(a, b)) < 3.0 * fit.amplitude_errors[0]
         # The first harmonic over the rotor's angle, from the blade's place at the mark.
-        turned = complex(fit.coefficients[1], -fit.coefficients[2])
-        assert abs(turned - complex(a, -b)) < 4.0 * fit.amplitude_errors[0]
+        coefficient = complex(fit.coefficients[1], -fit.coefficients[2])
+        assert abs(coefficient - complex(a, -b)) < 4.0 * fit.amplitude_errors[0]
 
 
 def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,14 +129,23 @@ def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     scene = ring(**PATTERN, excitation__frequency=1380.0, **changes).replace(BRIEF)
     file = written(scene, tmp_path)
     tables = []
-    for more in ([], [str(tmp_path / "first" / "arrivals.csv")]):
-        folder = tmp_path / ("again" if more else "first")
-        words = ["timing", file, *more, "--output", str(folder), "--format", "json", "--quiet"]
+    for more_options in ([], [str(tmp_path / "first" / "arrivals.csv")]):
+        folder = tmp_path / ("again" if more_options else "first")
+        words = [
+            "timing",
+            file,
+            *more_options,
+            "--output",
+            str(folder),
+            "--format",
+            "json",
+            "--quiet",
+        ]
         assert main(words) == 0
         tables.append(json.loads(capsys.readouterr().out))
     assert [row["blade"] for row in tables[0]] == [1, 2, 3, 4, 5, 6]
-    for first, again in zip(*tables, strict=True):
-        assert again["amplitude [m]"] == pytest.approx(first["amplitude [m]"], rel=1e-6)
+    for first_row, second_row in zip(*tables, strict=True):
+        assert second_row["amplitude [m]"] == pytest.approx(first_row["amplitude [m]"], rel=1e-6)
 
 
 @pytest.mark.usefixtures("not_drawn")
@@ -170,8 +179,8 @@ def test_new_scene_is_right_by_itself(tmp_path: Path, capsys: pytest.CaptureFixt
     said = capsys.readouterr().err
     assert "remark" not in said and "warning" not in said
     tolerance = fc.Scene.load(file).harmonic_balance.tolerance
-    stated = re.search(r"half peak-to-peak, estimated error ([0-9.]+) %", said)
-    assert stated and tolerance and float(stated[1]) < 100.0 * tolerance
+    stated_percent = re.search(r"half peak-to-peak, estimated error ([0-9.]+) %", said)
+    assert stated_percent and tolerance and float(stated_percent[1]) < 100.0 * tolerance
 
 
 @pytest.mark.nightly
@@ -215,21 +224,23 @@ def test_sector_file(tmp_path: Path) -> None:
     fc.write_msh(scene, tmp_path / "sector.msh")
     text = (tmp_path / "sector.msh").read_text(errors="surrogateescape")
     names = ("left", "edge"), ("right", "far"), ("rim_left", "left"), ("rim_right", "right")
-    for old, new in names:
-        text = text.replace(f'"{old}"', f'"{new}"')
+    for old_name, new_name in names:
+        text = text.replace(f'"{old_name}"', f'"{new_name}"')
     named_file = tmp_path / "named.msh"
     named_file.write_text(text, errors="surrogateescape")
-    gone = dict.fromkeys(
+    removed_settings = dict.fromkeys(
         (
             "geometry.width", "geometry.height", "mesh.size", "mesh.lip_elements",
             "disk.inner_radius", "disk.outer_radius", "crack",
         )
     )  # fmt: skip
     named = {"mesh.layout": "file", "mesh.file": str(named_file)}
-    file = scene.replace(gone | named | {"disk.center": [0.006, -0.1]})
-    own, other = (fc.nodal_diameters(one).omega for one in (scene, file))
-    assert other == pytest.approx(own, rel=1e-9)
-    sizes = [fc.blades(fc.solve(one)).amplitude for one in (scene, file)]
+    file = scene.replace(removed_settings | named | {"disk.center": [0.006, -0.1]})
+    own_omega, other_omega = (
+        fc.nodal_diameters(sector_scene).omega for sector_scene in (scene, file)
+    )
+    assert other_omega == pytest.approx(own_omega, rel=1e-9)
+    sizes = [fc.blades(fc.solve(sector_scene)).amplitude for sector_scene in (scene, file)]
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-6)
     with pytest.raises(fc.InputError, match="360/7 degrees"):
         fc.build_structure(file.replace({"disk.sectors": 7}))

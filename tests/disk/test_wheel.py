@@ -31,10 +31,11 @@ def differences(
     own: fc.PeriodicSolution, exact: fc.PeriodicSolution, tips: list[int]
 ) -> tuple[float, float, float]:
     """Relative differences of the gap, of the worst whole blade's tip, of the cracked one's."""
-    moved, known = (
-        one.structure.values_at(one.displacement_coefficients, tips)[1:] for one in (own, exact)
+    motion, exact_motion = (
+        solution.structure.values_at(solution.displacement_coefficients, tips)[1:]
+        for solution in (own, exact)
     )
-    of_tips = np.linalg.norm(moved - known, axis=0) / np.linalg.norm(known, axis=0)
+    of_tips = np.linalg.norm(motion - exact_motion, axis=0) / np.linalg.norm(exact_motion, axis=0)
     gap = apart(own.gap_coefficients, exact.gap_coefficients)
     return gap, float(of_tips[1:].max()), float(of_tips[0])
 
@@ -53,10 +54,10 @@ def test_three_families_are_the_whole_wheel(mistuned: Wheel) -> None:
     reduced_wheel = fc.reduce_wheel(mistuned, 3)
     assert reduced_wheel.omega[:8] == pytest.approx(whole_structure.omega[:8], rel=1e-6)
     for hertz in (1260.0, 1290.0, 1340.0, 1376.0):
-        gap, tip, cracked = differences(
+        gap, tip, cracked_error = differences(
             solved(reduced_wheel, hertz), solved(whole_structure, hertz), tips
         )
-        assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
+        assert gap < 5e-4 and tip < 1e-3 and cracked_error < 5e-3
 
 
 @pytest.mark.nightly
@@ -67,9 +68,9 @@ def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
     exact, found = {1245.0: solved(whole_structure, 1245.0)}, []
     for families in (1, 3, 6):
         reduced_wheel, errors = fc.reduce_wheel(mistuned, families), []
-        for hertz, known in exact.items():
+        for hertz, exact_solution in exact.items():
             solution = solved(reduced_wheel, hertz)
-            errors.append(differences(solution, known, tips))
+            errors.append(differences(solution, exact_solution, tips))
             if families < 6:
                 assert errors[-1][0] < (1.3 if families == 3 else 3.0) * solution.report.reduction
         found.append(np.max(errors, axis=0))
@@ -85,22 +86,22 @@ def test_solid_wheel_is_the_whole_one() -> None:
     reduced_wheel = fc.reduce_wheel(wheel, 3)
     assert reduced_wheel.omega[:5] == pytest.approx(whole_structure.omega[:5], rel=1e-6)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
-    first = reduced_wheel.omega[0] / (2.0 * np.pi)
-    for hertz in (0.98 * first, 1.01 * first):
-        gap, tip, cracked = differences(
+    first_frequency = reduced_wheel.omega[0] / (2.0 * np.pi)
+    for hertz in (0.98 * first_frequency, 1.01 * first_frequency):
+        gap, tip, cracked_error = differences(
             solved(reduced_wheel, hertz), solved(whole_structure, hertz), tips
         )
-        assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
+        assert gap < 5e-4 and tip < 1e-3 and cracked_error < 5e-3
 
 
 def test_turned_by_a_sector(mistuned: Wheel) -> None:
     """Pattern, crack and phases turned by three sectors leave every amplitude, three blades on."""
-    turned = Wheel(
+    turned_wheel = Wheel(
         mistuned.sector, cracked=[3], mistuning=np.roll(mistuned.mistuning, 3),
         order=mistuned.order,
     )  # fmt: skip
     sizes = []
-    for wheel in (mistuned, turned):
+    for wheel in (mistuned, turned_wheel):
         found = solved(fc.reduce_wheel(wheel, 2), 1290.0)
         dofs = wheel.dofs_of_blades(wheel.watched_dof)
         sizes.append(np.array([found.amplitude(dof) for dof in dofs]))
@@ -114,8 +115,8 @@ def test_two_cracked_blades() -> None:
     assert reduced_wheel.n_pairs == 2 * wheel.sector.structure.n_pairs
     found = solved(reduced_wheel, 1250.0)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
-    moved = [found.amplitude(tip) for tip in tips]
-    assert moved[:3] == pytest.approx(moved[3:], rel=1e-7)
+    tip_amplitudes = [found.amplitude(tip) for tip in tips]
+    assert tip_amplitudes[:3] == pytest.approx(tip_amplitudes[3:], rel=1e-7)
     assert list(wheel.watched_pairs) == ["the mouth of blade 1", "the mouth of blade 4"]
     places = wheel.pair_points
     middle = 2.0 * wheel.sector.center
@@ -130,10 +131,10 @@ def test_harmonics_of_the_load_have_their_own_orders() -> None:
     tips = wheel.dofs_of_blades(wheel.watched_dof)
     force = wheel.force[:, tips]
     for harmonic, order, size in ((1, 2, 1.0), (2, 4, 2.0)):
-        seen = force[2 * harmonic - 1] - 1j * force[2 * harmonic]
+        complex_load = force[2 * harmonic - 1] - 1j * force[2 * harmonic]
         angles = 2.0 * np.pi * order * np.arange(6) / 6.0
         first = {1: 1.0, 2: -1j}[harmonic] * size
-        assert seen == pytest.approx(first * np.exp(1j * angles), abs=1e-12)
+        assert complex_load == pytest.approx(first * np.exp(1j * angles), abs=1e-12)
     linear_solution = fc.solve_linear(fc.reduce_wheel(wheel), 2.0 * np.pi * 900.0, harmonics=2)
     rows = linear_solution.structure.values_at(linear_solution.displacement_coefficients, tips)
     both = rows[3] - 1j * rows[4]
@@ -158,12 +159,12 @@ def test_rotation_opens_the_crack() -> None:
 
 def test_varied_wheel(mistuned: Wheel) -> None:
     """Its reduction is that of the wheel, varied; further harmonics are those of a scene."""
-    first, second = (
-        fc.solve_linear(one, 8000.0, harmonics=1).displacement_coefficients
-        for one in (fc.reduce_wheel(mistuned, 1).varied(load=2.0, damping=3.0),
+    first_rows, second = (
+        fc.solve_linear(varied_wheel, 8000.0, harmonics=1).displacement_coefficients
+        for varied_wheel in (fc.reduce_wheel(mistuned, 1).varied(load=2.0, damping=3.0),
                     fc.reduce_wheel(mistuned.varied(load=2.0, damping=3.0), 1))
     )  # fmt: skip
-    assert second == pytest.approx(first, rel=1e-12, abs=1e-12 * np.abs(first).max())
+    assert second == pytest.approx(first_rows, rel=1e-12, abs=1e-12 * np.abs(first_rows).max())
     assert fc.reduce_wheel(mistuned.varied(clearance=1e-6), 1).clearance == pytest.approx(1e-6)
     force = np.ones(mistuned.n_dofs)
     with pytest.raises(fc.InputError, match=r"excitation\.harmonics"):
@@ -174,11 +175,13 @@ def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
     """values_at and expand agree, and the pair's gap is that of the whole wheel."""
     found = solved(fc.reduce_wheel(mistuned, 2), 1290.0)
     rows = found.displacement_coefficients
-    whole = found.structure.expand(rows)
+    expanded_rows = found.structure.expand(rows)
     tips = mistuned.dofs_of_blades(mistuned.watched_dof)
-    seen = found.structure.values_at(rows, tips)
-    assert seen == pytest.approx(whole[:, tips], rel=1e-9, abs=1e-9 * np.abs(whole).max())
-    gap = mistuned.apply_bt(whole)
+    tip_rows = found.structure.values_at(rows, tips)
+    assert tip_rows == pytest.approx(
+        expanded_rows[:, tips], rel=1e-9, abs=1e-9 * np.abs(expanded_rows).max()
+    )
+    gap = mistuned.apply_bt(expanded_rows)
     size = np.abs(gap).max()
     assert gap == pytest.approx(found.gap_coefficients, abs=1e-7 * size)
 
@@ -195,19 +198,21 @@ def test_matrices_are_written_and_read(mistuned: Wheel, tmp_path: Path) -> None:
         and (read_structure.gap != mistuned.gap).nnz == 0
     )
     first, second = (
-        solved(reduce_structure(one, modes=24, method="massless", reference=False), 1290.0)
-        for one in (mistuned, read_structure)
+        solved(
+            reduce_structure(wheel_structure, modes=24, method="massless", reference=False), 1290.0
+        )
+        for wheel_structure in (mistuned, read_structure)
     )
     assert apart(second.gap_coefficients, first.gap_coefficients) < 1e-12
 
 
 def test_names_of_dofs(mistuned: Wheel) -> None:
     """A dof in words, and the errors of those that are none."""
-    _, own = mistuned.blade_of(mistuned.watched_dof)
-    assert mistuned.dof_name(mistuned.dof_of(3, own)).endswith("of blade 3")
-    assert mistuned.blade_of(mistuned.dof_of(3, own)) == (3, own)
+    _, base_dof = mistuned.blade_of(mistuned.watched_dof)
+    assert mistuned.dof_name(mistuned.dof_of(3, base_dof)).endswith("of blade 3")
+    assert mistuned.blade_of(mistuned.dof_of(3, base_dof)) == (3, base_dof)
     for call, words in (
-        (lambda: mistuned.dof_of(9, own), "blade = 9: must be a whole number from 1 to 8"),
+        (lambda: mistuned.dof_of(9, base_dof), "blade = 9: must be a whole number from 1 to 8"),
         (lambda: mistuned.mistuned([0.0, 0.1]), "mistuning"),
         (lambda: fc.reduce_wheel(WheelStructure(mistuned, 2)), "wheel"),
     ):
@@ -255,10 +260,12 @@ def resonance(scene: fc.Scene) -> tuple[float, int]:
 def test_resonance_of_the_cracked_blade(mesh: dict[str, Any]) -> None:
     """The ring of twelve: its true error by the mesh is below the stated one, and small."""
     scene = fc.Scene.from_mapping(RING).replace(mesh | {"disk.families": 1})
-    coarse = finer_mesh(scene, 0.5)
-    (own, dofs), (other, _) = map(resonance, (scene, coarse))
-    stated = abs(own - other) / (coarse.mesh.given("size") / scene.mesh.given("size") - 1.0)
-    true = abs(own - LIMIT)
+    coarse_scene = finer_mesh(scene, 0.5)
+    (resonance_frequency, dofs), (coarse_resonance, _) = map(resonance, (scene, coarse_scene))
+    stated = abs(resonance_frequency - coarse_resonance) / (
+        coarse_scene.mesh.given("size") / scene.mesh.given("size") - 1.0
+    )
+    true = abs(resonance_frequency - LIMIT)
     assert true < stated < 4.0 * true + 0.4  # the limit's own error
     if mesh in (GRADED, FINEST):
         assert true < 0.0015 * LIMIT and dofs <= 10_000

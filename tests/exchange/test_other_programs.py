@@ -56,8 +56,8 @@ def calculix_frequencies() -> np.ndarray:
 
 def frequencies(structure: fc.Structure) -> np.ndarray:
     """With open lips [Hz]."""
-    found: np.ndarray = fc.solve_modes(structure, 6).omega / (2.0 * np.pi)
-    return found
+    hertz: np.ndarray = fc.solve_modes(structure, 6).omega / (2.0 * np.pi)
+    return hertz
 
 
 @pytest.fixture
@@ -87,11 +87,11 @@ def test_pairs_are_found_without_a_word(scene: Scene) -> None:
     assert structure.pair_points == pytest.approx(np.array([[0.0, 0.01, 0.0], [0.0, 0.01, 0.005]]))
     assert structure.pair_areas == pytest.approx([0.5 * 0.01 * 0.005] * 2)
     assert list(structure.watched_pairs) == ["the mouth"]
-    moved = np.zeros((2, structure.n_dofs))
-    moved[0, structure.nodes.dofs[[18, 19], 1]] = -1e-6
-    moved[1, structure.nodes.dofs[[3, 12], 1]] = 1e-6
+    displacements = np.zeros((2, structure.n_dofs))
+    displacements[0, structure.nodes.dofs[[18, 19], 1]] = -1e-6
+    displacements[1, structure.nodes.dofs[[3, 12], 1]] = 1e-6
     # The motion falls by a line from 1 at the mouth to 0 at the front, where psi is 1, too.
-    assert structure.apply_bt(moved) == pytest.approx(np.full((2, 2), 0.5e-6))
+    assert structure.apply_bt(displacements) == pytest.approx(np.full((2, 2), 0.5e-6))
     (dof,) = np.flatnonzero(structure.force[2])
     assert structure.dof_name(int(dof)) == "y displacement at (0, 0.02, 0) m"
 
@@ -118,8 +118,10 @@ def test_from_the_shell(folder: Path, run_command: RunCommand) -> None:
 
 def plate_matrices() -> dict[str, Any]:
     """Stiffness and mass, and node and direction of their rows."""
-    found = {kind: read_matrix(FOLDER / f"plate.{end}", kind) for kind, end in ENDINGS.items()}
-    return {kind: one.matrix for kind, one in found.items()} | {"labels": found["K"].labels}
+    matrices = {kind: read_matrix(FOLDER / f"plate.{end}", kind) for kind, end in ENDINGS.items()}
+    return {kind: matrix.matrix for kind, matrix in matrices.items()} | {
+        "labels": matrices["K"].labels
+    }
 
 
 ENDINGS = {"K": "sti", "M": "mas"}
@@ -127,8 +129,15 @@ ENDINGS = {"K": "sti", "M": "mas"}
 
 def triangle(matrix: Any) -> list[tuple[int, int, float]]:
     """Entries on the diagonal and below."""
-    lower = sparse.tril(matrix).tocoo()
-    return list(zip(lower.row.tolist(), lower.col.tolist(), lower.data.tolist(), strict=True))
+    lower_triangle = sparse.tril(matrix).tocoo()
+    return list(
+        zip(
+            lower_triangle.row.tolist(),
+            lower_triangle.col.tolist(),
+            lower_triangle.data.tolist(),
+            strict=True,
+        )
+    )
 
 
 def write_abaqus(folder: Path) -> dict[str, str]:
@@ -136,13 +145,18 @@ def write_abaqus(folder: Path) -> dict[str, str]:
     has 1e36 on the diagonal of the stiffness, and its mass."""
     matrices = plate_matrices()
     labels = matrices["labels"].tolist()
-    for kind, name, held in (("K", "plate_STIF1.mtx", 1e36), ("M", "plate_MASS1.mtx", 1e-3)):
+    for kind, name, diagonal_value in (
+        ("K", "plate_STIF1.mtx", 1e36),
+        ("M", "plate_MASS1.mtx", 1e-3),
+    ):
         entries = triangle(matrices[kind])
         entries += [(j, i, value) for i, j, value in entries if i != j and kind == "M"]
         lines = ["** ASSEMBLED MATRIX"] + [
             ",".join(map(str, [*labels[i], *labels[j], value])) for i, j, value in entries
         ]
-        lines += [f"{n},{d}, {n},{d}, {held}" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)]
+        lines += [
+            f"{n},{d}, {n},{d}, {diagonal_value}" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)
+        ]
         (folder / name).write_text("\n".join(lines) + "\n")
     return {"stiffness": "plate_STIF1.mtx", "mass": "plate_MASS1.mtx", "model": "plate.inp"}
 
@@ -174,8 +188,10 @@ def write_nastran(folder: Path) -> dict[str, str]:
         else:
             bulk += [f"GRID*   {label:16}{'':16}{x:16.9f}{y:16.9f}", f"*       {z:16.9f}"]
     for number, cell in enumerate(model.labels[model.cells[12]], 1):
-        first, last = ("".join(f"{n:8}" for n in part) for part in (cell[:6], cell[6:]))
-        bulk += [f"CHEXA   {number:8}{1:8}{first}+", f"+       {last}"]
+        first_fields, last_fields = (
+            "".join(f"{n:8}" for n in part) for part in (cell[:6], cell[6:])
+        )
+        bulk += [f"CHEXA   {number:8}{1:8}{first_fields}+", f"+       {last_fields}"]
     (folder / "plate.bdf").write_text("\n".join([*bulk, "ENDDATA"]) + "\n")
     return {"stiffness": "plate.pch", "mass": "plate.pch", "model": "plate.bdf"}
 
@@ -186,8 +202,10 @@ def write_ansys(folder: Path) -> dict[str, str]:
     model = read_model(FOLDER / "plate.inp")
     lines = ["/PREP7", f"NBLOCK,6,SOLID,{20:9},{20:9}", "(3i9,6e21.13e3)"]
     for label, point in zip(model.labels.tolist(), model.points.tolist(), strict=True):
-        shown = point[: 1 + max(np.flatnonzero(point), default=-1)]  # zeros at the end are left out
-        lines.append(f"{label:9}{0:9}{0:9}" + "".join(f"{x:21.13E}" for x in shown))
+        coordinates = point[
+            : 1 + max(np.flatnonzero(point), default=-1)
+        ]  # zeros at the end are left out
+        lines.append(f"{label:9}{0:9}{0:9}" + "".join(f"{x:21.13E}" for x in coordinates))
     lines += ["N,R5.3,LOC,       -1,", f"EBLOCK,19,SOLID,{4:9},{4:9}", "(19i9)"]
     for number, cell in enumerate(model.labels[model.cells[12]].tolist(), 1):
         row = [1, 1, 1, 1, 0, 0, 0, 0, 8, 0, number, *cell]
@@ -214,21 +232,27 @@ def write_market(folder: Path) -> dict[str, str]:
 
 def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> list[str]:
     """As OUTPUT4 writes a matrix: "dense", "sparse" or "big" (strings of numbers of any length)."""
-    n, many = len(matrix), 80 // (digits + 7)
+    n, numbers_per_line = len(matrix), 80 // (digits + 7)
     rows = -n if layout == "big" else n
-    lines = [f"{n:8}{rows:8}{6:8}{2:8}{name:8}1P,{many}E{digits + 7}.{digits}"]
+    lines = [f"{n:8}{rows:8}{6:8}{2:8}{name:8}1P,{numbers_per_line}E{digits + 7}.{digits}"]
 
     def numbers(values: np.ndarray) -> list[str]:
         words = [f"{value:{digits + 7}.{digits}E}" for value in values]
-        return ["".join(words[at : at + many]) for at in range(0, len(words), many)]
+        return [
+            "".join(words[start : start + numbers_per_line])
+            for start in range(0, len(words), numbers_per_line)
+        ]
 
     for column, values in enumerate(matrix.T, 1):
-        there = np.flatnonzero(values)
+        nonzero_rows = np.flatnonzero(values)
         if layout == "dense":
-            kept = values[there[0] : there[-1] + 1]
-            lines += [f"{column:8}{there[0] + 1:8}{len(kept):8}", *numbers(kept)]
+            kept_values = values[nonzero_rows[0] : nonzero_rows[-1] + 1]
+            lines += [
+                f"{column:8}{nonzero_rows[0] + 1:8}{len(kept_values):8}",
+                *numbers(kept_values),
+            ]
             continue
-        strings = np.split(there, np.flatnonzero(np.diff(there) > 1) + 1)
+        strings = np.split(nonzero_rows, np.flatnonzero(np.diff(nonzero_rows) > 1) + 1)
         spent = 2 if layout == "big" else 1
         words = sum(2 * len(string) + spent for string in strings)
         lines.append(f"{column:8}{0:8}{words:8}")
@@ -266,9 +290,12 @@ def test_matrices_of_output4(layout: str, tmp_path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError, match="no whole matrix whose name begins with B"):
         read_matrix(path, "B")
-    wrong = ("2KAA", "4KAA", "KAA.*is not of a real"), ("E-01", "X-01", "is not of a real matrix")
-    for old, new, words in wrong:
-        path.write_text("\n".join(lines).replace(old, new))
+    replacements = (
+        ("2KAA", "4KAA", "KAA.*is not of a real"),
+        ("E-01", "X-01", "is not of a real matrix"),
+    )
+    for old_text, new_text, words in replacements:
+        path.write_text("\n".join(lines).replace(old_text, new_text))
         with pytest.raises(ValueError, match=words):
             read_matrix(path, "K")
     path.write_text("\n".join(lines[:-8]))
@@ -292,10 +319,10 @@ def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene
     structure, own = fc.build_structure(changed_scene), fc.build_structure(scene)
     assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-8)
     assert structure.pair_points == pytest.approx(own.pair_points)
-    moved = np.zeros((1, structure.n_dofs))
-    moved[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
-    expected = 1e-6 if program == "a table" else 0.5e-6
-    assert structure.apply_bt(moved) == pytest.approx(np.full((1, 2), expected))
+    displacements = np.zeros((1, structure.n_dofs))
+    displacements[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
+    tolerance = 1e-6 if program == "a table" else 0.5e-6
+    assert structure.apply_bt(displacements) == pytest.approx(np.full((1, 2), tolerance))
     assert (structure.pair_areas is None) == (program == "a table")
 
 
@@ -326,10 +353,12 @@ def test_matrices_that_do_not_fit_their_rows(folder: Path, scene: Scene) -> None
 def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> None:
     """Rows whose nodes are mixed are put in order, and with them those of a load's file."""
     matrices = plate_matrices()
-    mixed = np.random.default_rng(1).permutation(len(matrices["labels"]))
+    node_order = np.random.default_rng(1).permutation(len(matrices["labels"]))
     for kind in "KM":
-        scipy.io.mmwrite(folder / f"{kind}.mtx", matrices[kind][mixed][:, mixed], precision=17)
-    rows = [f"{node}.{direction}" for node, direction in matrices["labels"][mixed]]
+        scipy.io.mmwrite(
+            folder / f"{kind}.mtx", matrices[kind][node_order][:, node_order], precision=17
+        )
+    rows = [f"{node}.{direction}" for node, direction in matrices["labels"][node_order]]
     (folder / "rows.dof").write_text("\n".join(rows))
     load = np.array([[row == "7.2"] for row in rows], dtype=float)  # node 7: (0, 0.02, 0)
     scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(100.0 * load))
@@ -369,9 +398,9 @@ def on_ranks_of(text: str, folder: str, comm: MPI.Comm) -> tuple[list[float], fl
 def test_two_ranks_share_the_matrices(on_ranks: Callable[..., Any]) -> None:
     """Whole nodes on each."""
     omega, square, name = on_ranks(on_ranks_of, TEXT, str(FOLDER))
-    expected = on_ranks_of(TEXT, str(FOLDER), MPI.COMM_SELF)
-    assert omega == pytest.approx(expected[0], rel=1e-9)
-    assert (square, name) == (pytest.approx(expected[1]), expected[2])
+    expected_numbers = on_ranks_of(TEXT, str(FOLDER), MPI.COMM_SELF)
+    assert omega == pytest.approx(expected_numbers[0], rel=1e-9)
+    assert (square, name) == (pytest.approx(expected_numbers[1]), expected_numbers[2])
 
 
 SOLID = """
@@ -415,13 +444,16 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     for place in pairs.places.values():
         here = pairs.cracks == pairs.cracks[place]
         assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
-    mixed = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
-    cells = np.argsort(mixed)[structure.nodes.cells]
-    other = find_pairs_and_gaps(
-        Model(model.labels, points[mixed], {24: cells}), dofs[mixed], stiffness, has_rotations=False
+    node_order = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
+    cells = np.argsort(node_order)[structure.nodes.cells]
+    other_pairs = find_pairs_and_gaps(
+        Model(model.labels, points[node_order], {24: cells}),
+        dofs[node_order],
+        stiffness,
+        has_rotations=False,
     )[1]
-    places = [np.lexsort(found.round(9).T) for found in (pairs.points, other.points)]
-    np.testing.assert_array_equal(pairs.cracks[places[0]], other.cracks[places[1]])
+    places = [np.lexsort(found.round(9).T) for found in (pairs.points, other_pairs.points)]
+    np.testing.assert_array_equal(pairs.cracks[places[0]], other_pairs.cracks[places[1]])
     nodes, _ = find_pairs_and_gaps(
         Model(model.labels, points, {}), dofs, stiffness, has_rotations=False
     )
@@ -454,33 +486,35 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     body closes the gap but that of one of them, which does as a whole."""
     base, edges = (SQUARE, HEXAHEDRON) if kind in (12, 25) else (TRIANGLE, WEDGE)
     corners = [(x, y, z) for z in (0.0, 1.0) for x, y in base]
-    lower = np.array(corners)
+    lower_nodes = np.array(corners)
     if kind in (25, 26):
-        lower = np.concatenate([lower, [(lower[i] + lower[j]) / 2.0 for i, j in edges]])
-    n = len(lower)
-    points = np.concatenate([lower, lower + (0.0, 0.0, 1.0)]) @ TURN.T
+        lower_nodes = np.concatenate(
+            [lower_nodes, [(lower_nodes[i] + lower_nodes[j]) / 2.0 for i, j in edges]]
+        )
+    n = len(lower_nodes)
+    points = np.concatenate([lower_nodes, lower_nodes + (0.0, 0.0, 1.0)]) @ TURN.T
     cells = np.arange(2 * n).reshape(2, n)
     dofs = np.arange(6 * n).reshape(-1, 3)
-    joined = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
+    joined_matrix = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
     model = Model(np.arange(2 * n), points, {kind: cells})
-    gap, pairs = find_pairs_and_gaps(model, dofs, joined, has_rotations=False)
+    gap, pairs = find_pairs_and_gaps(model, dofs, joined_matrix, has_rotations=False)
     area = 2.0 if kind in (12, 25) else 1.0
     assert pairs.areas is not None and len(pairs.areas) == len(base)
     assert pairs.areas.sum() == pytest.approx(area, rel=1e-13)
-    along, across = TURN[:, 0], TURN[:, 2]
-    both = [np.tile(direction, 2 * n) for direction in (along, across)]
-    down = np.where(np.arange(2 * n)[:, None] >= n, -across, 0.0).ravel()
-    leaning = down * np.repeat(points @ along, 3)  # further down the farther along
+    along_direction, across_direction = TURN[:, 0], TURN[:, 2]
+    both = [np.tile(direction, 2 * n) for direction in (along_direction, across_direction)]
+    down = np.where(np.arange(2 * n)[:, None] >= n, -across_direction, 0.0).ravel()
+    leaning = down * np.repeat(points @ along_direction, 3)  # further down the farther along
     motions = np.array([*both, down, leaning])
     ends = np.array([point[0] for point in base], dtype=float)
     means = {(0.0, 2.0, 2.0, 0.0): [2 / 3, 4 / 3, 4 / 3, 2 / 3], (0.0, 2.0, 0.0): [0.5, 1.0, 0.5]}
     expected = np.outer([0.0, 0.0, 1.0, 0.0], np.ones(len(base)))
-    corners_at = points[len(base) : 2 * len(base)] @ along
-    order = np.argmin(np.abs(corners_at - (pairs.points @ along)[:, None]), axis=1)
+    corners_at = points[len(base) : 2 * len(base)] @ along_direction
+    order = np.argmin(np.abs(corners_at - (pairs.points @ along_direction)[:, None]), axis=1)
     expected[3] = np.array(means[tuple(ends)])[order]
     assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
     nodes, _ = find_pairs_and_gaps(
-        Model(np.arange(2 * n), points, {}), dofs, joined, has_rotations=False
+        Model(np.arange(2 * n), points, {}), dofs, joined_matrix, has_rotations=False
     )
     assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
 
@@ -502,18 +536,20 @@ CARDS = {  # gmsh's corners; edges in the order of Nastran's nodes in their midd
 def test_nodes_of_nastran_in_the_order_of_vtk(card: str, tmp_path: Path) -> None:
     """Edges around the bottom, upright, around the top there; and the upright ones last."""
     corners, theirs, wanted = CARDS[card]
-    at = np.array(corners, dtype=float)
-    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in theirs]])
-    lines = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(at, 1)]
-    fields = [card, "1", "1", *map(str, range(1, len(at) + 1))]
+    points = np.array(corners, dtype=float)
+    points = np.concatenate([points, [(points[i] + points[j]) / 2.0 for i, j in theirs]])
+    lines = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(points, 1)]
+    fields = [card, "1", "1", *map(str, range(1, len(points) + 1))]
     rows = [fields[:9], *([""] + fields[k : k + 8] for k in range(9, len(fields), 8))]
     (tmp_path / "one.bdf").write_text("\n".join([*lines, *map(",".join, rows)]) + "\n")
     model = read_model(tmp_path / "one.bdf")
     ((cell,),) = model.cells.values()
-    found = model.points[cell]
+    model_points = model.points[cell]
     n = len(corners)
-    np.testing.assert_allclose(found[:n], corners)
-    np.testing.assert_allclose(found[n:], [(found[i] + found[j]) / 2.0 for i, j in wanted])
+    np.testing.assert_allclose(model_points[:n], corners)
+    np.testing.assert_allclose(
+        model_points[n:], [(model_points[i] + model_points[j]) / 2.0 for i, j in wanted]
+    )
 
 
 @pytest.mark.parametrize(
@@ -541,9 +577,9 @@ def test_bad_blocks_of_ansys(tmp_path: Path, old: str, new: str, words: str) -> 
 def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
     """Twenty nodes on two lines, in a file that another one includes; a node of a plane model; and
     what is no solid is left out."""
-    at = np.array([(x, y, z) for z in (0, 1) for x, y in SQUARE], dtype=float)
-    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in HEXAHEDRON]])
-    nodes = [f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(at, 1)]
+    points = np.array([(x, y, z) for z in (0, 1) for x, y in SQUARE], dtype=float)
+    points = np.concatenate([points, [(points[i] + points[j]) / 2.0 for i, j in HEXAHEDRON]])
+    nodes = [f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(points, 1)]
     cell = ", ".join(map(str, range(16))) + ",\n16, 17, 18, 19, 20"
     (tmp_path / "cells.inc").write_text(
         f"*Element, type=C3D20R\n{cell}\n*Element, type=S4\n1,1,2,3,4\n"
@@ -638,10 +674,10 @@ def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     model = Model(np.arange(len(points)), points, {})
     gap, pairs = find_pairs_and_gaps(model, dofs, csr(structure.stiffness), has_rotations=False)
     assert pairs.points is not None and pairs.areas is None
-    here, there = (
+    pair_order, structure_order = (
         np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, structure.pair_points)
     )
-    assert abs(gap[:, here] - structure.gap[:, there]).max() < 1e-9
+    assert abs(gap[:, pair_order] - structure.gap[:, structure_order]).max() < 1e-9
 
 
 def test_cracks_that_cross_are_refused() -> None:
@@ -706,9 +742,9 @@ KEYS: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("changes", "key"), KEYS, ids=range(len(KEYS)))
 def test_bad_keys_are_named(folder: Path, scene: Scene, changes: dict[str, Any], key: str) -> None:
-    moved = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
+    settings = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
     with pytest.raises(InputError, match=rf"^{key}( =| is)"):
-        fc.build_structure(scene.replace(moved))
+        fc.build_structure(scene.replace(settings))
 
 
 @pytest.mark.parametrize(

@@ -86,8 +86,8 @@ def test_block_loading_of_a_strip() -> None:
     exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
     assert growth.life == pytest.approx(exact, rel=0.015)
     assert growth.repeats[-1] == pytest.approx(growth.life / 4500.0, rel=1e-12)
-    lasting = growth.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
-    assert growth.time[-1] == pytest.approx(lasting, rel=1e-9)
+    life = growth.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
+    assert growth.time[-1] == pytest.approx(life, rel=1e-9)
 
 
 @pytest.mark.nightly
@@ -108,10 +108,10 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     followed = scene.replace({f"curve.{key}": value for key, value in keys.items()})
     followed = followed.replace({"output.quantities": ("delta_K_effective",)})
     curve = columns_of_curve(followed, tmp_path)
-    strength, along = curve["delta_K_effective"] / 1e6, curve["frequency"]
-    grown = 6.9e-12 * trapezoid(strength**3 * along / rate, along)
-    first = growth.length[1] - growth.length[0]
-    assert first / growth.repeats[1] == pytest.approx(grown, rel=0.02)
+    strength, frequencies = curve["delta_K_effective"] / 1e6, curve["frequency"]
+    expected_step = 6.9e-12 * trapezoid(strength**3 * frequencies / rate, frequencies)
+    first_step = growth.length[1] - growth.length[0]
+    assert first_step / growth.repeats[1] == pytest.approx(expected_step, rel=0.02)
 
 
 def test_a_threshold_next_to_the_range_makes_the_life_unsure(
@@ -120,10 +120,10 @@ def test_a_threshold_next_to_the_range_makes_the_life_unsure(
     """Within the error of the ranges: how many of the cycles make the crack grow is not known."""
     monkeypatch.setattr("fenics_crack.fatigue.growth._error_at", lambda *_: (0.02, []))
     blocks = {"drive": "spectrum", "frequencies": [2.0, 8.0], "cycles": [4000.0, 500.0]}
-    near = {"threshold": 0.99 * 2.0 * STRESS * edge_crack(0.02), "until": 0.0201}
+    near_threshold = {"threshold": 0.99 * 2.0 * STRESS * edge_crack(0.02), "until": 0.0201}
     scene = fc.Scene.from_mapping(STRIP)
     growth = fc.grow(
-        scene.replace({f"growth.{key}": value for key, value in (blocks | near).items()}),
+        scene.replace({f"growth.{key}": value for key, value in (blocks | near_threshold).items()}),
         comm=MPI.COMM_SELF,
     )
     assert growth.errors["vibration"] > 10.0 * 2.0 * 0.02
@@ -135,16 +135,16 @@ def test_levels_below_the_threshold_do_not_grow() -> None:
     """Of two frequencies the one far below the resonance drops out, and its cycles are for
     nothing."""
     two = {"drive": "spectrum", "frequencies": [300.0, 800.0], "cycles": [9000.0, 1000.0]}
-    both = fc.grow(plate(until=0.036, threshold=1.5e6, **two), comm=MPI.COMM_SELF)
-    alone = fc.grow(plate(until=0.036), comm=MPI.COMM_SELF)
-    assert both.life == pytest.approx(10.0 * alone.life, rel=0.02)
+    joint_growth = fc.grow(plate(until=0.036, threshold=1.5e6, **two), comm=MPI.COMM_SELF)
+    single_growth = fc.grow(plate(until=0.036), comm=MPI.COMM_SELF)
+    assert joint_growth.life == pytest.approx(10.0 * single_growth.life, rel=0.02)
 
 
 @pytest.mark.usefixtures("errors_left_out")
 def test_full_reversal_takes_the_open_half() -> None:
     """Closure by the lips: with m = 2 four times the cycles of lips that would pass each other."""
-    swing = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
-    scene = fc.Scene.from_mapping(STRIP | {"loads": swing})
+    loads = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
+    scene = fc.Scene.from_mapping(STRIP | {"loads": loads})
     growth = fc.grow(scene.replace({"growth.until": 0.03, "mesh.lip_elements": 8}))
     passing = 2.0 * STRESS / 1e6
     exact = quad(lambda a: 1.0 / (1e-11 * (passing * edge_crack(a)) ** 2), 0.02, 0.03)[0]
@@ -159,12 +159,12 @@ def test_every_opening_makes_the_crack_grow() -> None:
     twice = {"excitation.frequency": 418.0, "excitation.omega": None, "damping.ratio": 0.001}
     scene = plate(until=0.0352, life_tolerance=1.0).replace(twice)
     stress_intensity = fc.stress_intensity(fc.solve(scene))
-    one = np.tile(np.maximum(stress_intensity.one[:, 0], 0.0), 3)
-    peaks, seen = find_peaks(one, prominence=1e-9 * one.max())
-    own = np.flatnonzero(
+    mode_one = np.tile(np.maximum(stress_intensity.one[:, 0], 0.0), 3)
+    peaks, peak_properties = find_peaks(mode_one, prominence=1e-9 * mode_one.max())
+    middle_indices = np.flatnonzero(
         (peaks >= len(stress_intensity.time)) & (peaks < 2 * len(stress_intensity.time))
     )
-    ranges = np.sort(seen["prominences"][own])
+    ranges = np.sort(peak_properties["prominences"][middle_indices])
     assert ranges[-2] > 0.3 * ranges[-1]
     exact = np.cbrt(np.sum(ranges**3))
     assert stress_intensity.numbers["delta_K_equivalent"][0] == pytest.approx(exact, rel=1e-9)
@@ -172,7 +172,7 @@ def test_every_opening_makes_the_crack_grow() -> None:
     assert rate == pytest.approx(6.9e-12 * np.sum((ranges / 1e6) ** 3), rel=1e-3)
     assert rate > 1.1 * 6.9e-12 * (stress_intensity.effective[0] / 1e6) ** 3
     linear = fc.stress_intensity(fc.solve(scene.replace({"growth.exponent": 1.0})))
-    rises = np.sum(np.maximum(np.diff(one[: len(stress_intensity.time) + 1]), 0.0))
+    rises = np.sum(np.maximum(np.diff(mode_one[: len(stress_intensity.time) + 1]), 0.0))
     assert linear.numbers["delta_K_equivalent"][0] == pytest.approx(rises, rel=1e-6)
 
 
@@ -191,20 +191,20 @@ def test_growth_asks_for_a_law() -> None:
 def test_threshold_and_toughness(request: pytest.FixtureRequest) -> None:
     """A range below the threshold stops the crack where it is; at its toughness the plate
     breaks."""
-    coarse = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
+    coarse_scene = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
     high = {"growth.threshold": 1e8, "mesh.error": False}
-    stopped = fc.grow(coarse.replace(high), comm=MPI.COMM_SELF)
-    assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
-    assert stopped.rate.tolist() == [0.0]
-    assert stopped.life == 0.0 and math.isfinite(stopped.factor)
+    stopped_growth = fc.grow(coarse_scene.replace(high), comm=MPI.COMM_SELF)
+    assert stopped_growth.end == "arrested" and stopped_growth.length.tolist() == [0.02]
+    assert stopped_growth.rate.tolist() == [0.0]
+    assert stopped_growth.life == 0.0 and math.isfinite(stopped_growth.factor)
     request.getfixturevalue("errors_left_out")
-    largest = 4.0 * STRESS * edge_crack(0.03)
-    broken = fc.grow(coarse.replace({"growth.toughness": largest}), comm=MPI.COMM_SELF)
+    largest_range = 4.0 * STRESS * edge_crack(0.03)
+    broken = fc.grow(coarse_scene.replace({"growth.toughness": largest_range}), comm=MPI.COMM_SELF)
     assert broken.end == "broken" and broken.length[-1] == pytest.approx(0.03, rel=0.02)
-    assert broken.largest[-1] == pytest.approx(largest, rel=0.02)
+    assert broken.largest[-1] == pytest.approx(largest_range, rel=0.02)
     steady = {"loads.1.traction_sin": [0.0, 0.0], "harmonic_balance.harmonics": 5}
-    still = fc.grow(coarse.replace(steady), comm=MPI.COMM_SELF)
-    assert still.end == "arrested" and still.length.tolist() == [0.02]
+    resting_growth = fc.grow(coarse_scene.replace(steady), comm=MPI.COMM_SELF)
+    assert resting_growth.end == "arrested" and resting_growth.length.tolist() == [0.02]
 
 
 @pytest.fixture(scope="module")
@@ -263,9 +263,9 @@ def test_a_sweep_at_resonance() -> None:
     assert np.all(sweep.converged)
     assert sweep["omega"] == pytest.approx(sweep["omega_bilinear"], rel=2e-3)
     assert sweep["omega"][1] < 0.99 * sweep["omega"][0]
-    again = sweep.solution(1)
-    assert again.omega == sweep["omega"][1]
-    np.testing.assert_allclose(again.gap_coefficients, sweep.gap(1))
+    solution = sweep.solution(1)
+    assert solution.omega == sweep["omega"][1]
+    np.testing.assert_allclose(solution.gap_coefficients, sweep.gap(1))
 
 
 @pytest.mark.parametrize(("clearance", "lips"), [(1.0, "open"), (-1.0, "tied")])
@@ -293,14 +293,14 @@ def test_resonance_of_lips_that_never_part_or_meet(
     assert sweep.converged.all()
     squares, shapes = np.linalg.eigh(stiffness)
     damping = shapes * (2.0 * 0.005 * np.sqrt(squares)) @ shapes.T
-    closed = np.diag([0.0, stop if lips == "tied" else 0.0])
+    contact_stiffness = np.diag([0.0, stop if lips == "tied" else 0.0])
 
     def response(omega: float) -> float:
-        matrix = stiffness + closed - omega**2 * mass + 1j * omega * damping
+        matrix = stiffness + contact_stiffness - omega**2 * mass + 1j * omega * damping
         return float(np.linalg.norm(np.linalg.solve(matrix, [1.0, 0.0])))
 
-    first = np.sqrt(np.linalg.eigvalsh(stiffness + closed)[0])
-    peak = minimize_scalar(lambda w: -response(w), bounds=(0.98 * first, 1.02 * first))
+    first_omega = np.sqrt(np.linalg.eigvalsh(stiffness + contact_stiffness)[0])
+    peak = minimize_scalar(lambda w: -response(w), bounds=(0.98 * first_omega, 1.02 * first_omega))
     assert sweep["omega"][0] == pytest.approx(peak.x, rel=2e-4)
     bilinear = sweep["omega_bilinear"][0]
     assert abs(sweep["omega"][0] / bilinear - 1.0) > 10.0 * 0.005
@@ -313,17 +313,17 @@ def test_natural_frequencies_are_of_one_mode() -> None:
     frequency has the life and the error of that frequency."""
     scene = plate(until=0.05, life_tolerance=1.0)
     ends = [fc.modes(scene.replace({"crack.length": a}), 2).result.omega for a in (0.035, 0.05)]
-    between = [0.5 * (omega[0] + omega[1]) for omega in ends]
-    keys = {"excitation.frequency": None, "excitation.omega": 0.5 * sum(between)}
+    mean_omega = [0.5 * (omega[0] + omega[1]) for omega in ends]
+    keys = {"excitation.frequency": None, "excitation.omega": 0.5 * sum(mean_omega)}
     found = fc.grow(scene.replace(keys), comm=MPI.COMM_SELF)
     assert np.all(np.diff(found.omega_open) < 0.0)
-    own = int(np.argmin(np.abs(ends[0] - found.omega_open[0])))
-    assert found.omega_open[-1] == pytest.approx(ends[1][own], rel=1e-9)
+    mode_index = int(np.argmin(np.abs(ends[0] - found.omega_open[0])))
+    assert found.omega_open[-1] == pytest.approx(ends[1][mode_index], rel=1e-9)
     blocks = {"drive": "spectrum", "frequencies": [keys["excitation.omega"] / (2.0 * np.pi)]}
     law = {f"growth.{key}": value for key, value in (blocks | {"cycles": [1.0]}).items()}
-    same = fc.grow(scene.replace(keys | law), comm=MPI.COMM_SELF)
-    assert same.life == pytest.approx(found.life, rel=1e-9)
-    assert same.errors["vibration"] == pytest.approx(found.errors["vibration"], rel=1e-6)
+    law_growth = fc.grow(scene.replace(keys | law), comm=MPI.COMM_SELF)
+    assert law_growth.life == pytest.approx(found.life, rel=1e-9)
+    assert law_growth.errors["vibration"] == pytest.approx(found.errors["vibration"], rel=1e-6)
 
 
 def test_a_load_of_nothing(tmp_path: Path) -> None:
@@ -372,19 +372,21 @@ def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
     process = subprocess.Popen(words, env=os.environ | environment)
     file = tmp_path / "growth_1.h5"
     until = time.monotonic() + LIMIT
-    solved = 0
-    while time.monotonic() < until and solved < 2 and process.poll() is None:
+    n_solved = 0
+    while time.monotonic() < until and n_solved < 2 and process.poll() is None:
         time.sleep(0.05)
         if file.exists():
-            solved = int(fc.SweepResult.load(file).converged.sum())
+            n_solved = int(fc.SweepResult.load(file).converged.sum())
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert solved >= 2
-    before = fc.SweepResult.load(file)
+    assert n_solved >= 2
+    earlier_sweep = fc.SweepResult.load(file)
     growth = fc.grow(plate(), tmp_path, MPI.COMM_SELF)
-    after = fc.SweepResult.load(file)
-    kept = before.converged
-    np.testing.assert_array_equal(after["seconds"][kept], before["seconds"][kept])
+    later_sweep = fc.SweepResult.load(file)
+    was_converged = earlier_sweep.converged
+    np.testing.assert_array_equal(
+        later_sweep["seconds"][was_converged], earlier_sweep["seconds"][was_converged]
+    )
     assert growth.life == pytest.approx(driven.life, rel=1e-9)
 
 
@@ -478,9 +480,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert names[:4] == ["cycles", "time", "crack_length", "rate"]
     assert {"K_max", "delta_K_effective", "frequency_drop"} <= set(names)
     assert (folder / "growth.png").stat().st_size > 10_000
-    growth, again = fc.grow(fc.Scene.load(scene), folder), fc.Growth.load(folder / "growth.h5")
-    assert again.life == growth.life and again.remarks == growth.remarks
-    assert again.errors == growth.errors and again.scene == growth.scene
+    growth, stored_growth = (
+        fc.grow(fc.Scene.load(scene), folder),
+        fc.Growth.load(folder / "growth.h5"),
+    )
+    assert stored_growth.life == growth.life and stored_growth.remarks == growth.remarks
+    assert stored_growth.errors == growth.errors and stored_growth.scene == growth.scene
     drawn = tmp_path / "drawn"
     assert main(["plot", str(folder / "growth.h5"), "--output", str(drawn)]) == 0
     assert (drawn / "growth.png").read_bytes() == (folder / "growth.png").read_bytes()
@@ -500,18 +505,18 @@ def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
     no error, and a length that is none is refused before anything is solved."""
     scene, folder = tmp_path / "blade.toml", tmp_path / "grown"
     assert main(["new", str(scene), "--blade", "--quiet"]) == 0
-    coarse = ["growth.until=0.0305", "growth.rate=7e-12", "growth.exponent=3",
+    coarse_options = ["growth.until=0.0305", "growth.rate=7e-12", "growth.exponent=3",
               "growth.life_tolerance=1", "mesh.size=0.05", "mesh.lip_elements=3",
               "mesh.error=false", "reduction.modes=4", "harmonic_balance.tolerance=none",
               "harmonic_balance.harmonics=3"]  # fmt: skip
     words = ["grow", str(scene), "--output", str(folder)]
-    words += [word for change in coarse for word in ("--set", change)]
+    words += [word for change in coarse_options for word in ("--set", change)]
     assert main([*words, "--set", "growth.until=0.2"]) == 2
     assert not folder.exists() or not list(folder.glob("*.h5"))
     assert main(words) == 0
-    found = fc.Growth.load(folder / "growth.h5")
-    assert found.errors["vibration"] > 0.0
-    assert found.scene.curve is not None and found.scene.curve.parameter == "rpm"
+    crack_growth = fc.Growth.load(folder / "growth.h5")
+    assert crack_growth.errors["vibration"] > 0.0
+    assert crack_growth.scene.curve is not None and crack_growth.scene.curve.parameter == "rpm"
 
 
 @pytest.mark.nightly
@@ -524,8 +529,10 @@ def test_a_resonance_between_two_lengths_is_seen() -> None:
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse | keys)
     growth = fc.grow(scene, comm=MPI.COMM_SELF)
     changed_scene = scene.replace({"crack.length": 0.042})
-    alone = fc.stress_intensity(fc.solve(changed_scene, MPI.COMM_SELF)).effective[0]
-    assert np.interp(0.042, growth.length, growth.effective) == pytest.approx(alone, rel=0.05)
+    effective_range = fc.stress_intensity(fc.solve(changed_scene, MPI.COMM_SELF)).effective[0]
+    assert np.interp(0.042, growth.length, growth.effective) == pytest.approx(
+        effective_range, rel=0.05
+    )
 
 
 @pytest.mark.nightly
@@ -548,8 +555,8 @@ def test_lengths_without_a_stable_vibration() -> None:
     """Each length of a table over lengths and levels once, of what was solved."""
     is_unstable = np.array([[False, True], [True, True], [True, False], [False, False]])
     axes = [SimpleNamespace(values=[0.01, 0.02, 0.03, 0.04]), SimpleNamespace(values=[1.0, 2.0])]
-    converged = np.array([[True, True], [True, True], [False, True], [True, True]])
-    table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=converged)
+    is_converged = np.array([[True, True], [True, True], [False, True], [True, True]])
+    table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=is_converged)
     path = LengthPath(np.array(axes[0].values), {}, (table, table))
     assert path.not_stable == [0.01, 0.02]
 

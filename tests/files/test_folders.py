@@ -41,13 +41,13 @@ SETTINGS = {
 
 def run(folder: Path, words: list[str], **surroundings: str) -> str:
     """What a program prints that ends well, and leaves no file in its folder but its results."""
-    before = {*folder.iterdir()}
+    earlier_files = {*folder.iterdir()}
     process = subprocess.run(
         words, cwd=folder, env=os.environ | surroundings, capture_output=True, text=True,
         timeout=LIMIT,
     )  # fmt: skip
     assert process.returncode == 0, process.stderr
-    assert {*folder.iterdir()} - {folder / "output"} == before
+    assert {*folder.iterdir()} - {folder / "output"} == earlier_files
     return process.stdout
 
 

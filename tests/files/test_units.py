@@ -75,17 +75,19 @@ def test_units_of_all_numbers(scene: fc.Scene, tmp_path: Path) -> None:
         with h5py.File(path) as file:
             for key, item in file.items():
                 words = h5py.check_string_dtype(item.dtype) is not None
-                plain = words or not item.size or key in COUNTS | RATIOS
-                assert plain or item.attrs.get("unit"), (name, key)
+                is_plain = words or not item.size or key in COUNTS | RATIOS
+                assert is_plain or item.attrs.get("unit"), (name, key)
     with h5py.File(tmp_path / "curve.h5") as file:
         assert file["values"].attrs["unit"] == "rad/s"
         points, rows, watched = file["watched_coefficients"].shape
         assert (points, rows, watched) == (len(runs["curve"].result), 11, 2)
         curve = runs["curve"].result
-        first = evaluate(file["watched_coefficients"][0], 1.0, np.linspace(0.0, 2 * np.pi, 9))
+        first_motion = evaluate(
+            file["watched_coefficients"][0], 1.0, np.linspace(0.0, 2 * np.pi, 9)
+        )
     dofs = [watched.dof for watched in runs["curve"].watched]
     exact = curve.solution(0).displacement(np.linspace(0.0, curve.solution(0).period, 9), dofs)
-    np.testing.assert_allclose(first, exact, atol=1e-9 * np.abs(exact).max())
+    np.testing.assert_allclose(first_motion, exact, atol=1e-9 * np.abs(exact).max())
     with h5py.File(tmp_path / "integration.h5") as file:
         motion = file["watched_displacement"][()]
     np.testing.assert_array_equal(motion, runs["integration"].result.displacement(dofs))
@@ -111,8 +113,8 @@ class Hardening:
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """lambda(g)."""
-        closed = np.maximum(gap, 0.0)
-        return self.stiffness * closed * (1.0 + closed / self.depth)
+        penetration = np.maximum(gap, 0.0)
+        return self.stiffness * penetration * (1.0 + penetration / self.depth)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
         """Its slope."""

@@ -19,13 +19,13 @@ def test_lists_are_changed_and_written(paper_scene: Scene) -> None:
     scene = paper_scene.replace(GRID | SECOND)
     assert list(scene.all_cracks) == ["crack", "cracks.1"]
     assert scene.cracks[0].span(0.1) == pytest.approx((0.025, 0.075))
-    longer = scene.replace({"cracks.1.length": 0.025, "cracks.1.center": 0.0375})
-    assert longer.cracks[0].length == 0.025 and scene.cracks[0].length == 0.05
+    longer_scene = scene.replace({"cracks.1.length": 0.025, "cracks.1.center": 0.0375})
+    assert longer_scene.cracks[0].length == 0.025 and scene.cracks[0].length == 0.05
     three = {f"cracks.2.{key}": v for key, v in (("edge", "right"), ("height", 0.025))}
     assert len(scene.replace(three | {"cracks.2.length": 0.025}).cracks) == 2
     assert scene.replace({"cracks": None}) == paper_scene.replace(GRID)
-    swept = scene.replace({"sweep.over": {"cracks.1.clearance": [0.0, 1e-6]}})
-    assert Scene.from_mapping(tomllib.loads(swept.as_toml())) == swept
+    swept_scene = scene.replace({"sweep.over": {"cracks.1.clearance": [0.0, 1e-6]}})
+    assert Scene.from_mapping(tomllib.loads(swept_scene.as_toml())) == swept_scene
 
 
 def test_cracks_inside_alone(paper_scene: Scene) -> None:

@@ -19,9 +19,9 @@ IN_HERTZ = {"excitation.omega": GONE, "excitation.frequency": 318.25}
 
 def test_a_frequency_in_hertz_is_one_in_radians() -> None:
     """w = 2 pi f for the load, the first natural frequency and the two of Rayleigh's damping."""
-    first = {"crack.length": GONE, "crack.first_frequency": 366}
+    first_settings = {"crack.length": GONE, "crack.first_frequency": 366}
     two = {"damping": {"ratios": [0.01, 0.02], "frequencies": [100.0, 900.0]}}
-    scene = Scene.from_mapping(changed(GRADED | IN_HERTZ | first | two))
+    scene = Scene.from_mapping(changed(GRADED | IN_HERTZ | first_settings | two))
     assert scene.excitation.omega == TURN * 318.25
     assert scene.crack is not None and scene.crack.first_omega == TURN * 366.0
     assert scene.damping.omegas == (TURN * 100.0, TURN * 900.0)
@@ -101,10 +101,10 @@ def test_sweeps_in_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
     swept_scene = scene.replace({"sweep.over": {"excitation.frequency": [300.0, 310.0]}})
     assert swept_scene.in_hertz and swept_scene.sweep is not None
     assert swept_scene.swept_omegas == (TURN * 300.0, TURN * 310.0)
-    built, whole = [], fc.prepare
+    built, prepare_function = [], fc.prepare
     monkeypatch.setattr(
         "fenics_crack.sweep.case.prepare",
-        lambda *given, **more: built.append(given) or whole(*given, **more),
+        lambda *given, **more: built.append(given) or prepare_function(*given, **more),
     )
     sweep = fc.run_sweep(swept_scene, verdicts=False)
     assert sweep["omega"].tolist() == [TURN * 300.0, TURN * 310.0]
@@ -113,8 +113,8 @@ def test_sweeps_in_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
     for axes in (over, dict(reversed(over.items()))):
         with pytest.raises(InputError) as caught:
             scene.replace({"sweep.over": axes})
-        both = f"{caught.value.value} {caught.value.allowed}"
-        assert all(key in both for key in over)
+        message = f"{caught.value.value} {caught.value.allowed}"
+        assert all(key in message for key in over)
 
 
 def test_a_curve_in_hertz() -> None:

@@ -28,8 +28,8 @@ def test_frequencies_are_those_of_each_speed() -> None:
     for row, speed in enumerate(campbell.speed):
         plate = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
         assert campbell.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-8)
-        tied = fc.solve_modes(plate, 2, lips="tied").omega
-        assert campbell.omega_tied[row] == pytest.approx(tied, rel=1e-8)
+        bonded_omega = fc.solve_modes(plate, 2, lips="tied").omega
+        assert campbell.omega_tied[row] == pytest.approx(bonded_omega, rel=1e-8)
     bilinear = 2.0 / (1.0 / campbell.omega_open + 1.0 / campbell.omega_tied)
     assert campbell.omega_bilinear == pytest.approx(bilinear)
     assert np.all(np.diff(campbell.omega_open, axis=0) > 0.0)
@@ -38,10 +38,10 @@ def test_frequencies_are_those_of_each_speed() -> None:
 def test_between_speeds() -> None:
     """Squares w^2 = a + b W^2 are met everywhere; d ln w / d ln W is b W^2 / w^2."""
     speeds = np.array([0.0, 60.0, 100.0, 180.0])
-    is_open, tied = (np.sqrt(4e4 * a + 2.0 * speeds[:, None] ** 2) for a in (1.0, 2.0))
+    is_open, bonded_omega = (np.sqrt(4e4 * a + 2.0 * speeds[:, None] ** 2) for a in (1.0, 2.0))
     kinds = np.full(is_open.shape, "open")
     diagram = fc.Campbell(
-        cracked(100.0), speeds, is_open, tied, is_open, True, kinds, (), np.zeros(1)
+        cracked(100.0), speeds, is_open, bonded_omega, is_open, True, kinds, (), np.zeros(1)
     )
     for speed in (30.0, 90.0, 175.0):
         squares = np.array([4e4, 8e4]) + 2.0 * speed**2
@@ -92,20 +92,22 @@ def test_a_crack_that_is_held_is_not_bilinear(
 def test_a_crack_that_is_held_partly_open() -> None:
     """A steady load that presses one crack together and opens another, under a small load: neither
     breathes, and the frequency is that with stiff springs across the gaps of the pressed pairs."""
-    other = {"cracks.1.edge": "right", "cracks.1.height": 0.07, "cracks.1.length": 0.006}
-    other["excitation.force_sin"] = [1e-3, 0.0]
-    scene = cracked(200.0, -600.0).replace(other)
+    other_crack = {"cracks.1.edge": "right", "cracks.1.height": 0.07, "cracks.1.length": 0.006}
+    other_crack["excitation.force_sin"] = [1e-3, 0.0]
+    scene = cracked(200.0, -600.0).replace(other_crack)
     campbell = fc.campbell(scene, [200.0, 210.0], 1)
     plate = fc.build_structure(scene)
-    stiffness, mass = (csc_matrix(dense(one)) for one in (plate.stiffness, plate.mass))
+    stiffness, mass = (csc_matrix(dense(matrix)) for matrix in (plate.stiffness, plate.mass))
     gap, flexible = plate.gap.toarray(), splu(stiffness)
     # Forces that pull nowhere, of least energy: those of lips that do not overlap.
     root = np.linalg.cholesky(gap.T @ flexible.solve(gap))
-    pressed, _ = nnls(root.T, np.linalg.solve(root, gap.T @ flexible.solve(plate.force[0])))
-    assert {*plate.pairs.cracks[pressed > 0.0]} == {0} and np.all(pressed[plate.pairs.cracks == 0])
-    ties = plate.gap[:, pressed > 0.0]
-    tied = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
-    [square], _ = eigsh(tied.tocsc(), 1, mass, sigma=0.0)
+    pressing_forces, _ = nnls(root.T, np.linalg.solve(root, gap.T @ flexible.solve(plate.force[0])))
+    assert {*plate.pairs.cracks[pressing_forces > 0.0]} == {0} and np.all(
+        pressing_forces[plate.pairs.cracks == 0]
+    )
+    ties = plate.gap[:, pressing_forces > 0.0]
+    tied_stiffness = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
+    [square], _ = eigsh(tied_stiffness.tocsc(), 1, mass, sigma=0.0)
     assert campbell.kind.tolist() == [["partly"], ["partly"]]
     assert campbell.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
     rows = campbell.to_dict()
@@ -125,9 +127,9 @@ def test_states_follow_each_other(top: float) -> None:
     speeds = [300.0, *(speed for _, speed, _ in campbell.changes), top]
     kinds = [campbell.kind[0, 0], *(kind for *_, kind in campbell.changes)]
     assert kinds[-1] == campbell.kind[1, 0] and np.all(np.diff(speeds) > 0.0)
-    for low, high, kind in zip(speeds, speeds[1:], kinds, strict=False):
-        if high - low > 1.0:
-            middle = 0.5 * (low + high)
+    for lower_speed, upper_speed, kind in zip(speeds, speeds[1:], kinds, strict=False):
+        if upper_speed - lower_speed > 1.0:
+            middle = 0.5 * (lower_speed + upper_speed)
             assert fc.campbell(scene, [middle, top], 1).kind[0, 0] == kind
 
 
@@ -140,25 +142,25 @@ def test_a_crossing_has_the_state_of_the_crack_at_it(mean: float, does: str) -> 
     which the crack changes, which a diagram of two speeds next to it has, too; the drawn line goes
     through it, and rises but where the crack changes."""
     scene = cracked(1.0, mean).replace({"excitation.force_sin": [0.5, 0.0]})
-    wide = fc.campbell(scene, [0.0, 1200.0], 1)
-    [[_, speed]], [text] = wide.crossings(12, "real"), wide.meetings(12)
-    near = fc.campbell(scene, [0.99 * speed, 1.01 * speed], 1)
-    assert near.crossings(12, "real")[:, 1] == pytest.approx([speed], rel=1e-4)
+    wide_campbell = fc.campbell(scene, [0.0, 1200.0], 1)
+    [[_, speed]], [text] = wide_campbell.crossings(12, "real"), wide_campbell.meetings(12)
+    near_campbell = fc.campbell(scene, [0.99 * speed, 1.01 * speed], 1)
+    assert near_campbell.crossings(12, "real")[:, 1] == pytest.approx([speed], rel=1e-4)
     if does == "changes":
-        assert near.kind[:, 0].tolist() == ["bilinear", "open"]
+        assert near_campbell.kind[:, 0].tolist() == ["bilinear", "open"]
         assert "with the crack breathing before and held open after" in text
     else:
-        assert near.kind[:, 0].tolist() == [does, does]
-        assert wide.crossings(12, does)[0, 1] == speed
+        assert near_campbell.kind[:, 0].tolist() == [does, does]
+        assert wide_campbell.crossings(12, does)[0, 1] == speed
         words = {"open": "held open", "tied": "held shut"}
         state = words.get(does, "breathing (bilinear estimate)")
         assert f"with the crack {state}; it would be" in text
-    speeds, omega, kinds = map(np.array, zip(*wide.real_line(1), strict=True))
+    speeds, omega, kinds = map(np.array, zip(*wide_campbell.real_line(1), strict=True))
     steps = np.diff(speeds) == 0.0
-    assert steps.sum() == len(wide.changes) > 0
+    assert steps.sum() == len(wide_campbell.changes) > 0
     assert np.all(np.diff(omega)[~steps] > 0.0) and np.all(np.diff(omega)[steps] < 0.0)
     assert np.all(kinds[1:][~steps] == kinds[:-1][~steps])
-    [panel] = fc.draw_campbell(wide, [12], in_hertz=False, in_rpm=False).axes
+    [panel] = fc.draw_campbell(wide_campbell, [12], in_hertz=False, in_rpm=False).axes
     [ring] = [line for line in panel.lines if line.get_marker() == "o"]
     assert ring.get_xydata() == pytest.approx(np.array([[speed, 12.0 * speed]]))
     assert panel.lines[0].get_xydata() == pytest.approx(np.column_stack([speeds, omega]))
@@ -227,9 +229,11 @@ def test_crossings_between_speeds_far_apart() -> None:
     scene = Scene.from_text(BAR).replace(changes | {"mesh.lip_elements": None})
     two, nine = (fc.campbell(scene, np.linspace(0.0, 2500.0, n), 2) for n in (2, 9))
     for order in (5, 6):
-        found = two.crossings(order, "open")
-        assert len(found) == 2 and found == pytest.approx(nine.crossings(order, "open"), rel=1e-4)
-        for mode, speed in found:
+        crossings = two.crossings(order, "open")
+        assert len(crossings) == 2 and crossings == pytest.approx(
+            nine.crossings(order, "open"), rel=1e-4
+        )
+        for mode, speed in crossings:
             bar = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
             omega = fc.solve_modes(bar, 2).omega[int(mode) - 1]
             assert omega == pytest.approx(order * speed, rel=1e-4)
@@ -270,19 +274,21 @@ def test_picture_reaches_as_far_as_the_orders() -> None:
         [panel] = fc.draw_campbell(campbell, orders).axes
         labels = panel.get_legend_handles_labels()[1]
         assert labels == ["mode 1", "mode 2"][:modes]
-        highest = campbell.omega_open[:, :modes].max() / (2.0 * np.pi)
-        assert panel.get_ylim()[1] == pytest.approx(1.08 * highest)
+        highest_frequency = campbell.omega_open[:, :modes].max() / (2.0 * np.pi)
+        assert panel.get_ylim()[1] == pytest.approx(1.08 * highest_frequency)
 
 
 def test_how_a_frequency_follows_the_speed() -> None:
     """Between speeds and beyond them, by its values at those beside it, of what the crack does."""
     speeds = 600.0 * np.exp([-0.01, 0.0, 0.01])
     scene = cracked(1.0).replace({"excitation.order": 12})
-    found, wide = (fc.campbell(scene, at, 2) for at in (speeds, [300.0, 590.0]))
-    assert found.kind[1].tolist() == ["bilinear", "open"]
-    for line in found.omega_real.T:
+    campbell, wide_campbell = (
+        fc.campbell(scene, speed_list, 2) for speed_list in (speeds, [300.0, 590.0])
+    )
+    assert campbell.kind[1].tolist() == ["bilinear", "open"]
+    for line in campbell.omega_real.T:
         slope = float(np.log(line[2] / line[0]) / 0.02)
-        for diagram in (found, wide):
+        for diagram in (campbell, wide_campbell):
             assert diagram.stiffening(600.0, 1.01 * line[1]) == pytest.approx(slope, rel=5e-3)
 
 
@@ -298,10 +304,10 @@ def test_command(run_command: RunCommand, tmp_path: Path) -> None:
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
     assert (tmp_path / "campbell.png").stat().st_size > 10_000
-    closing = "1 mode found between 4000 and 4100 rpm; engine order 12 meets none of them"
-    assert closing in run_command(*words, 4000, 4100, 2).err
-    for wrong in ([8000, 4000, 3], [0, 1, 1.5]):
-        run_command(*words, *wrong, code=2)
+    expected_end = "1 mode found between 4000 and 4100 rpm; engine order 12 meets none of them"
+    assert expected_end in run_command(*words, 4000, 4100, 2).err
+    for wrong_speeds in ([8000, 4000, 3], [0, 1, 1.5]):
+        run_command(*words, *wrong_speeds, code=2)
 
 
 def test_a_blade_of_few_modes_has_all_of_them() -> None:

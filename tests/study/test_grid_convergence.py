@@ -19,14 +19,14 @@ def test_worked_example() -> None:
     """Celik and others, J. Fluids Eng. 130, 2008, 078001, table 1: the reattachment length on
     18000, 8000 and 4500 cells."""
     convergence = fc.grid_convergence([cells**-0.5 for cells in CELLS], REATTACHMENT)
-    fine, coarse = (convergence.sizes[n + 1] / convergence.sizes[n] for n in range(2))
-    assert (fine, coarse) == (pytest.approx(1.5), pytest.approx(1.333, abs=4e-4))
+    fine_ratio, coarse_ratio = (convergence.sizes[n + 1] / convergence.sizes[n] for n in range(2))
+    assert (fine_ratio, coarse_ratio) == (pytest.approx(1.5), pytest.approx(1.333, abs=4e-4))
     assert convergence.behaviour == "asymptotic" and convergence.factor == 1.25
     assert convergence.order == pytest.approx(1.53, abs=0.01)
     assert convergence.extrapolated == pytest.approx(6.1685, abs=5e-4)
-    one, two, _ = REATTACHMENT
-    assert abs(one - two) / one == pytest.approx(0.015, abs=5e-4)
-    assert 1.0 - one / convergence.extrapolated == pytest.approx(0.017, abs=5e-4)
+    finest_value, two, _ = REATTACHMENT
+    assert abs(finest_value - two) / finest_value == pytest.approx(0.015, abs=5e-4)
+    assert 1.0 - finest_value / convergence.extrapolated == pytest.approx(0.017, abs=5e-4)
     assert convergence.gci == pytest.approx(0.022, abs=5e-4)
 
 
@@ -105,10 +105,12 @@ def test_sums_of_powers_lie_within(shares: list[float], fine: float, coarse: flo
     """1 + sum C_q h^q, q = 1, 2, 3, 4 and C_q >= 0: no value is farther from 1 than is stated, by
     the factor of 1.25 at least."""
     sizes = [1.0, fine, fine * coarse]
-    true = [sum(c * size**q for q, c in enumerate(shares, 1)) for size in sizes]
-    convergence = fc.grid_convergence(sizes, [1.0 + e for e in true], formal=1.0, highest=4.0001)
+    true_errors = [sum(c * size**q for q, c in enumerate(shares, 1)) for size in sizes]
+    convergence = fc.grid_convergence(
+        sizes, [1.0 + e for e in true_errors], formal=1.0, highest=4.0001
+    )
     assert convergence.behaviour == "asymptotic"
-    for place, error in enumerate(true):
+    for place, error in enumerate(true_errors):
         assert convergence.uncertainty(place) >= 1.25 * error * (1.0 - 1e-6)
 
 

@@ -86,12 +86,12 @@ def test_static_deflection_stays(scene: fc.Scene, law: dict[str, Any]) -> None:
     """Under a steady load that shuts the crack, which is not at rest otherwise."""
     steady = {"excitation.force_sin": [0.0, 0.0], "excitation.force_mean": [-100.0, 0.0]}
     scene = scene.replace(law | steady | {"integration.periods": 2})
-    kept, started = (
+    kept_history, started_history = (
         fc.integrate(scene.replace({"integration.deflection": factor}), MPI.COMM_SELF).result
         for factor in (1.0, None)
     )
-    assert kept.contact_force.max() > 1.0
-    assert np.ptp(kept.displacement()) < 1e-9 * np.ptp(started.displacement())
+    assert kept_history.contact_force.max() > 1.0
+    assert np.ptp(kept_history.displacement()) < 1e-9 * np.ptp(started_history.displacement())
 
 
 @laws
@@ -129,14 +129,14 @@ def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
     """One error names the key, of a file before anything is built."""
     fc.modes(scene, 1, MPI.COMM_SELF).save(tmp_path / "modes.h5")
     fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
-    wrong: list[tuple[str, dict[str, Any]]] = [
+    wrong_tables: list[tuple[str, dict[str, Any]]] = [
         ("initial", {"initial": str(tmp_path / "none.h5")}),
         ("initial", {"initial": str(tmp_path / "modes.h5")}),
         ("deflection", {"initial": "solution.h5", "deflection": 1.0}),
         ("deflection", {"deflection": 0.0}),
         ("free", {"free": 1}),
     ]
-    for key, table in wrong:
+    for key, table in wrong_tables:
         with pytest.raises(fc.InputError, match=rf"^integration\.{key}( =| is)"):
             changes = {f"integration.{name}": value for name, value in table.items()}
             fc.integrate(scene.replace(changes), MPI.COMM_SELF)

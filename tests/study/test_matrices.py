@@ -52,18 +52,24 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
     pairs = [
         (fc.modes(plate, 4, comm).result.omega, fc.modes(scene, 4, comm).result.omega),
         *[
-            tuple(fc.solve(one, comm).result.gap_coefficients for one in (plate, scene)),
             tuple(
-                fc.curve(one.replace(CURVE), comm).result.gap_coefficients for one in (plate, scene)
+                fc.solve(source_scene, comm).result.gap_coefficients
+                for source_scene in (plate, scene)
+            ),
+            tuple(
+                fc.curve(source_scene.replace(CURVE), comm).result.gap_coefficients
+                for source_scene in (plate, scene)
             ),
         ],
     ]
-    for expected, found in pairs:
-        assert relative(found, expected) < 1e-9
+    for expected_value, actual_value in pairs:
+        assert relative(actual_value, expected_value) < 1e-9
     time = {"integration.periods": 3}
-    histories = [fc.integrate(one.replace(time), comm).result for one in (plate, scene)]
+    histories = [
+        fc.integrate(source_scene.replace(time), comm).result for source_scene in (plate, scene)
+    ]
     assert relative(histories[1].gap, histories[0].gap) < 1e-9
-    runs = [fc.solve(one, comm) for one in (plate, scene)]
+    runs = [fc.solve(source_scene, comm) for source_scene in (plate, scene)]
     assert runs[0].watched_dof == runs[1].watched_dof
     assert runs[1].watched_name == f"displacement of dof {runs[1].watched_dof}"
 
@@ -80,8 +86,8 @@ def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) 
     assert sweep.converged.all()
     assert relative(sweep.gap((1, 0)), expected.gap_coefficients) < 1e-6
     assert sweep["response"][1, 0] == pytest.approx(expected.amplitude(found.watched_dof), rel=1e-3)
-    again = sweep.solution((1, 1))
-    assert relative(again.gap_coefficients, sweep.gap((1, 1))) < 1e-9
+    solution = sweep.solution((1, 1))
+    assert relative(solution.gap_coefficients, sweep.gap((1, 1))) < 1e-9
 
 
 def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
@@ -102,9 +108,9 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
 def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
     """Its verdict and its curve are not to be had; without mass at the pairs they are."""
     words = ["check", str(DEMOS / "chain.toml"), "--set", "contact.stiffness=none"]
-    for more, remarked in ((), True), (("--set", "reduction.method=massless"), False):
-        said = run_command(*words, "--set", "contact.law=unilateral", *more).err
-        assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == remarked
+    for more_options, is_remarked in ((), True), (("--set", "reduction.method=massless"), False):
+        said = run_command(*words, "--set", "contact.law=unilateral", *more_options).err
+        assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == is_remarked
 
 
 @pytest.mark.drawn(3)
@@ -118,21 +124,23 @@ def test_the_example_runs_from_the_shell(
     output = [] if name == "check" else ["--output", str(tmp_path)]
     process = run_command(name, DEMOS / "chain.toml", *output)
     remarks = [line for line in process.err.splitlines() if line.startswith("remark")]
-    over = ["steps over a peak" in line for line in remarks]  # narrower than the steps of 1 Hz
-    assert over == [True] * (name == "sweep") and "warning" not in process.err
+    has_remark = [
+        "steps over a peak" in line for line in remarks
+    ]  # narrower than the steps of 1 Hz
+    assert has_remark == [True] * (name == "sweep") and "warning" not in process.err
     result = {"solve": "solution", "integrate": "integration"}.get(name, name)
     if name == "check":  # of masses: nothing that plates alone have
         assert not re.search("crack|lips|flap|torsion|plate|mesh", process.out)
         return
     told = run_command("plot", tmp_path / f"{result}.h5").err
     pictures = {path.name for path in tmp_path.glob("*.*") if path.suffix not in (".csv", ".json")}
-    expected = {
+    expected_pictures = {
         "solve": {"solution_waves.png", "solution_orbits.png"},
         "integrate": {"integration_waves.png"},
         "sweep": {"sweep_response.png"},
         "modes": {"modes.h5"},
     }[name]
-    assert expected <= pictures
+    assert expected_pictures <= pictures
     assert ("no mesh" in told) == (name in ("solve", "modes"))
 
 
@@ -146,9 +154,13 @@ def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> N
         "contact": {"stiffness": 1e5}, "harmonic_balance": {"harmonics": 40},
     }  # fmt: skip
     scene = scene_of_matrices(tmp_path, matrices, tables)
-    marched, solved = (way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve))
-    assert marched.settled < 1e-4
-    assert marched.indicators(0).amplitude == pytest.approx(solved.amplitude(0), rel=1e-3)
+    marched_result, solved_result = (
+        way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve)
+    )
+    assert marched_result.settled < 1e-4
+    assert marched_result.indicators(0).amplitude == pytest.approx(
+        solved_result.amplitude(0), rel=1e-3
+    )
     with pytest.raises(InputError, match=r"crack\.first_omega"):
         fc.find_crack_length(scene, MPI.COMM_SELF)
 
@@ -162,8 +174,10 @@ def test_the_example_meets_its_stop() -> None:
     run = fc.solve(scene, MPI.COMM_SELF)
     settled = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
     history = fc.integrate(scene.replace(settled), MPI.COMM_SELF).result
-    marched = float(np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :]))
-    assert run.result.amplitude(run.watched_dof) == pytest.approx(marched / 2.0, rel=5e-3)
+    marched_range = float(
+        np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :])
+    )
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(marched_range / 2.0, rel=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -192,9 +206,9 @@ def test_bad_matrices_are_named(
     scene: Scene, changes: dict[str, Any], key: str, tmp_path: Path
 ) -> None:
     """By the key of the scene."""
-    moved = {k: str(tmp_path / v) if str(v).endswith("mtx") else v for k, v in changes.items()}
+    settings = {k: str(tmp_path / v) if str(v).endswith("mtx") else v for k, v in changes.items()}
     with pytest.raises(InputError) as caught:
-        fc.build_structure(scene.replace(moved), MPI.COMM_SELF)
+        fc.build_structure(scene.replace(settings), MPI.COMM_SELF)
     assert caught.value.key.startswith(key)
 
 
@@ -223,7 +237,8 @@ def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:
     matrix = Scene.from_text(text, folder=tmp_path)
     assert matrix.damping is None and Scene.from_text(matrix.as_toml()) == matrix
     rule = scene.replace({"damping.ratio": None, "damping.mass": 50.0})
-    found, expected = (
-        fc.solve(one, MPI.COMM_SELF).result.gap_coefficients for one in (matrix, rule)
+    matrix_gap, rule_gap = (
+        fc.solve(damped_scene, MPI.COMM_SELF).result.gap_coefficients
+        for damped_scene in (matrix, rule)
     )
-    assert relative(found, expected) < 1e-9
+    assert relative(matrix_gap, rule_gap) < 1e-9

@@ -77,9 +77,9 @@ def test_modes_that_change_a_number_little_by_chance(
     """Twice the modes change these numbers by a fortieth to a third of what four times do; the size
     of the change of the motion states them."""
     run = fc.solve(fc.Scene.load(scene).replace(ALONE | changes))
-    true = true_changes(run)
+    true_numbers = true_changes(run)
     for name in names:
         part = run.errors.parts["modes"][name]
         next_change = abs(part.values[0] - part.values[1])
-        assert next_change < true[name] / 3.0 < part.uncertainty(-1), name
-        assert true[name] < 1.6 * part.uncertainty(-1) < 10.0 * true[name], name
+        assert next_change < true_numbers[name] / 3.0 < part.uncertainty(-1), name
+        assert true_numbers[name] < 1.6 * part.uncertainty(-1) < 10.0 * true_numbers[name], name

@@ -71,12 +71,16 @@ def test_default_reduction(scene: fc.Scene, changes: dict[str, Any], expected: s
 def test_default_reduction_of_few_dofs(paper_scene: fc.Scene) -> None:
     """None; and where all modes are kept, nothing is left to be without mass."""
     assert fc.prepare(paper_scene, MPI.COMM_SELF).scene.reduction is None
-    asked = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
-    for modes, method in asked.items():
+    method_by_dofs = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
+    for modes, method in method_by_dofs.items():
         table = "[reduction]" if modes is None else f"[reduction]\nmodes = {modes}"
         given = fc.Scene.from_text(f"{paper_scene.as_toml()}\n{table}\n")
-        found = fc.prepare(given, MPI.COMM_SELF).scene.reduction
-        assert found is not None and found.method == method and found.modes == (modes or 50)
+        reduction = fc.prepare(given, MPI.COMM_SELF).scene.reduction
+        assert (
+            reduction is not None
+            and reduction.method == method
+            and reduction.modes == (modes or 50)
+        )
 
 
 def test_more_modes_than_there_are_dofs_are_refused(scene: fc.Scene) -> None:

@@ -52,9 +52,12 @@ def test_static_load_is_held(method: str) -> None:
     )
     reaction = fc.reaction(solved(scene))
     np.testing.assert_allclose(reaction.center, [0.05, 0.0], atol=1e-12)
-    left, top = HEIGHT * THICK * np.array([2e4, -1e4]), WIDTH * THICK * np.array([0.0, -3e4])
-    force = np.array([700.0, 300.0]) + left + top
-    moment = 0.05 * 300.0 - 0.15 * 700.0 - 0.05 * left[1] - 0.1 * left[0]
+    expected_force, top = (
+        HEIGHT * THICK * np.array([2e4, -1e4]),
+        WIDTH * THICK * np.array([0.0, -3e4]),
+    )
+    force = np.array([700.0, 300.0]) + expected_force + top
+    moment = 0.05 * 300.0 - 0.15 * 700.0 - 0.05 * expected_force[1] - 0.1 * expected_force[0]
     np.testing.assert_allclose(reaction.force, np.tile(-force, (len(reaction.time), 1)), rtol=1e-9)
     np.testing.assert_allclose(reaction.moment, -moment, rtol=1e-9)
 
@@ -98,19 +101,21 @@ def momentum(structure: fc.Structure, moved: np.ndarray, about: np.ndarray) -> n
     Gauss points in bilinear rectangles: (n, 3)."""
     points, cells, dofs = (getattr(structure.nodes, name) for name in ("points", "cells", "dofs"))
     field = np.where(dofs >= 0, moved[:, dofs], 0.0)  # (n, node, 2)
-    found = np.zeros((len(moved), 3))
+    momenta = np.zeros((len(moved), 3))
     for cell in cells:
         corners = points[cell]
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        lower_corner, upper_corner = corners.min(axis=0), corners.max(axis=0)
         for xi in 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0):
             for eta in 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0):
-                place = low + (high - low) * [xi, eta]
-                weights = np.prod(1.0 - np.abs(corners - place) / (high - low), axis=1)
+                place = lower_corner + (upper_corner - lower_corner) * [xi, eta]
+                weights = np.prod(
+                    1.0 - np.abs(corners - place) / (upper_corner - lower_corner), axis=1
+                )
                 v = weights @ field[:, cell]
                 x, y = place - about
-                mass = 0.25 * DENSITY * THICK * np.prod(high - low)
-                found += mass * np.column_stack([v, x * v[:, 1] - y * v[:, 0]])
-    return found
+                mass = 0.25 * DENSITY * THICK * np.prod(upper_corner - lower_corner)
+                momenta += mass * np.column_stack([v, x * v[:, 1] - y * v[:, 0]])
+    return momenta
 
 
 @pytest.mark.drawn(2)
@@ -148,27 +153,30 @@ def test_newtons_law_of_the_whole_body(changes: dict[str, Any]) -> None:
     sine = np.sin(found.omega * time)[:, None]
     x, y = np.array(scene.excitation.point) - reaction.center
     fx, fy = scene.excitation.force_sin
-    outside = sine * np.array([fx, fy, x * fy - y * fx])
+    outer_load = sine * np.array([fx, fy, x * fy - y * fx])
     if scene.base is not None:  # the mass of the plate is carried along
         ax, ay = np.array(scene.base.acceleration_sin) * DENSITY * THICK * WIDTH * HEIGHT
-        outside -= sine * np.array([ax, ay, -0.5 * HEIGHT * ax])
+        outer_load -= sine * np.array([ax, ay, -0.5 * HEIGHT * ax])
     if scene.damping.mass:
-        outside -= 40.0 * momentum(structure, velocity(time), reaction.center)
-    seen = np.hstack([reaction.force, reaction.moment])[::64]
-    for ours, theirs in zip(seen.T, (rate - outside).T, strict=True):
+        outer_load -= 40.0 * momentum(structure, velocity(time), reaction.center)
+    reaction_rows = np.hstack([reaction.force, reaction.moment])[::64]
+    for ours, theirs in zip(reaction_rows.T, (rate - outer_load).T, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-5 * np.abs(theirs).max())
-    assert np.abs(rate).max() > 0.1 * np.abs(seen).max()
+    assert np.abs(rate).max() > 0.1 * np.abs(reaction_rows).max()
 
 
 def test_lips_without_mass_and_few_modes() -> None:
     """What the modes leave out has its share of the load: few of them beside many, below the first
     resonance; with the same harmonics, of which forces need more than gaps."""
-    few, many = (
+    few_reaction, many_reaction = (
         fc.reaction(solved(plate(reduction__modes=count, harmonic_balance__harmonics=5)))
         for count in (4, 40)
     )
-    for one, other in ((few.force, many.force), (few.moment, many.moment)):
-        np.testing.assert_allclose(one, other, atol=0.01 * np.abs(other).max())
+    for few_value, many_value in (
+        (few_reaction.force, many_reaction.force),
+        (few_reaction.moment, many_reaction.moment),
+    ):
+        np.testing.assert_allclose(few_value, many_value, atol=0.01 * np.abs(many_value).max())
 
 
 @pytest.mark.nightly
@@ -200,8 +208,8 @@ def test_quantities_of_a_scene(tmp_path: Path) -> None:
     run = solved(scene)
     ends = columns_of_curve(scene, tmp_path)
     assert main(["solve", f"{tmp_path}/scene.toml", "--output", str(tmp_path), "--quiet"]) == 0
-    told = json.loads((tmp_path / "solution.json").read_text())
-    rows = {row["name"]: row["value"] for row in told if row["name"] in BOTH}
+    stored_numbers = json.loads((tmp_path / "solution.json").read_text())
+    rows = {row["name"]: row["value"] for row in stored_numbers if row["name"] in BOTH}
     assert rows == pytest.approx(fc.reaction(run).numbers)
     swept_scene = scene.replace(
         {"sweep.over": {"excitation.force_sin": [[700.0, 300.0], [1400.0, 600.0]]}}
@@ -220,10 +228,10 @@ def test_by_load_a_curve_follows_it(tmp_path: Path) -> None:
     scene = plate(output__quantities=BOTH, harmonic_balance__harmonics=5).replace(
         {f"curve.{key}": value for key, value in keys.items()}
     )
-    along = columns_of_curve(scene, tmp_path)
-    assert len(along["load"]) > 1
+    columns = columns_of_curve(scene, tmp_path)
+    assert len(columns["load"]) > 1
     for name in BOTH:
-        np.testing.assert_allclose(along[name] / along[name][0], along["load"], rtol=1e-6)
+        np.testing.assert_allclose(columns[name] / columns[name][0], columns["load"], rtol=1e-6)
 
 
 def test_table_and_words() -> None:

@@ -33,24 +33,26 @@ def test_solution_and_motion_agree(scene: fc.Scene, law: dict[str, Any], tmp_pat
     """Balanced with its stability, marched by exponential steps, and read again."""
     scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
     solved = fc.solve(scene, MPI.COMM_SELF)
-    found, plate = solved.result, solved.structure
-    assert isinstance(plate, fc.MasslessStructure) and found.stability is not None
+    solution, plate = solved.result, solved.structure
+    assert isinstance(plate, fc.MasslessStructure) and solution.stability is not None
     assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
     history, dof = fc.integrate(scene, MPI.COMM_SELF).result, [solved.watched_dof]
     assert history.steps_per_period == 512 and history.settled < 1e-5
-    time, motion = history.time[-512:], found.displacement(history.time[-512:], dof)
-    assert relative(history.gap[-512:], found.gap(time)) < 5e-3
+    time, motion = history.time[-512:], solution.displacement(history.time[-512:], dof)
+    assert relative(history.gap[-512:], solution.gap(time)) < 5e-3
     assert relative(history.displacement(dof)[-512:], motion) < 2e-3
-    fc.save(found, tmp_path / "solution.h5", solved.scene)
+    fc.save(solution, tmp_path / "solution.h5", solved.scene)
     stored_run = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
-    read = stored_run.result
-    assert read.static_above == found.static_above
-    assert read.contact == found.contact == stored_run.contact == solved.contact
-    np.testing.assert_allclose(read.gap(time), found.gap(time), atol=1e-9 * np.ptp(motion))
+    stored_solution = stored_run.result
+    assert stored_solution.static_above == solution.static_above
+    assert stored_solution.contact == solution.contact == stored_run.contact == solved.contact
+    np.testing.assert_allclose(
+        stored_solution.gap(time), solution.gap(time), atol=1e-9 * np.ptp(motion)
+    )
     # The whole displacement closes the gaps as they are, with their kinks.
-    field = read.displacement_field(time[::64])
-    closing = plate.whole.apply_bt(field) - plate.clearance
-    np.testing.assert_allclose(closing, found.gap(time[::64]), atol=1e-9 * np.ptp(motion))
+    field = stored_solution.displacement_field(time[::64])
+    gap = plate.whole.apply_bt(field) - plate.clearance
+    np.testing.assert_allclose(gap, solution.gap(time[::64]), atol=1e-9 * np.ptp(motion))
     np.testing.assert_allclose(field[:, dof], motion[::64], atol=1e-9 * np.ptp(motion))
 
 

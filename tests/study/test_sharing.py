@@ -32,11 +32,11 @@ def scene() -> fc.Scene:
 def numbers(scene: fc.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> dict[str, Any]:
     """All that is stated of a solution, and the solution at its watched dof (collective)."""
     run = fc.solve(scene, comm)
-    found: dict[str, Any] = dict(run.errors.values)
+    error_values: dict[str, Any] = dict(run.errors.values)
     for cause, parts in run.errors.parts.items():
-        found |= {f"{cause} {name}": part.uncertainty(-1) for name, part in parts.items()}
+        error_values |= {f"{cause} {name}": part.uncertainty(-1) for name, part in parts.items()}
     [(_, waves)] = run.motion().items()
-    return found | {
+    return error_values | {
         "waves": waves,
         "modes": run.structure.n_modes,
         "clamp": run.structure.whole.clamp.load,
@@ -85,12 +85,12 @@ def test_as_alone(
 def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
     """The last one, let go before another mesh is made; ranks that share another communicator do
     not share it."""
-    fine = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
-    assert fine() is not None and len(LAST) == 1
+    body_reference = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
+    assert body_reference() is not None and len(LAST) == 1
     fc.prepare(scene, MPI.COMM_SELF, whole=True)
     assert len(meshes) == 1
     fc.prepare(scene, MPI.COMM_WORLD, whole=True)
-    assert len(meshes) == 2 and fine() is None
+    assert len(meshes) == 2 and body_reference() is None
 
 
 def test_a_changed_mesh_is_noticed(scene: fc.Scene, tmp_path: Path, meshes: list[fc.Scene]) -> None:
@@ -136,18 +136,18 @@ def both_on(scene: fc.Scene, comm: MPI.Comm) -> tuple[int, list[dict[str, Any]]]
     LAST.clear()
     if comm.rank == 0:
         fc.prepare(scene, MPI.COMM_SELF, whole=True)
-    found = [numbers(one, comm) for one in (scene, scene.replace(OTHER))]
-    return len(LAST), found
+    all_numbers = [numbers(changed_scene, comm) for changed_scene in (scene, scene.replace(OTHER))]
+    return len(LAST), all_numbers
 
 
 @pytest.mark.nightly
 def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> None:
     """Ranks agree on what they share; which modes are enough may hang on rounding."""
     scene = scene.replace({"reduction.modes": 20})
-    count, found = on_ranks(both_on, scene)
+    count, shared_numbers = on_ranks(both_on, scene)
     assert count == 1
-    for one, changes in zip(found, ({}, OTHER), strict=True):
+    for rank_numbers, changes in zip(shared_numbers, ({}, OTHER), strict=True):
         LAST.clear()
         expected = numbers(scene.replace(changes))
-        assert one["amplitude"] == pytest.approx(expected["amplitude"], rel=1e-6)
-        assert one["mesh amplitude"] == pytest.approx(expected["mesh amplitude"], rel=1e-3)
+        assert rank_numbers["amplitude"] == pytest.approx(expected["amplitude"], rel=1e-6)
+        assert rank_numbers["mesh amplitude"] == pytest.approx(expected["mesh amplitude"], rel=1e-3)

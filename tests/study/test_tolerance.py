@@ -91,8 +91,8 @@ def test_tighter_is_never_worse(new: fc.Scene, modes: int | None) -> None:
         if totals[-1] > tolerance:
             assert modes and tolerance < 5e-3
             size = f"{100.0 * totals[-1]:.2g} %"
-            asked = f"{100.0 * tolerance:.2g} % was asked"
-            words = f"solved; error {size}, {asked}; what helps: reduction.modes "
+            asked_text = f"{100.0 * tolerance:.2g} % was asked"
+            words = f"solved; error {size}, {asked_text}; what helps: reduction.modes "
             assert found.status.startswith(words)
     assert totals == sorted(totals, reverse=True) and totals[-1] < 1e-2
 
@@ -170,10 +170,10 @@ def test_orbit_beside_which_harmonic_balance_has_no_solution(
         raise fc.ConvergenceError("no solution")
 
     monkeypatch.setattr("fenics_crack.errors.stated.solve_again", fail)
-    stated = stated_errors(run, run.result)
-    assert "harmonics" not in stated.unknown and "modes" not in stated.unknown
+    report = stated_errors(run, run.result)
+    assert "harmonics" not in report.unknown and "modes" not in report.unknown
     error = abs(run.result.orbit.amplitude() / run.result.amplitude() - 1.0)
     assert 0.0 < error < 1e-3
-    assert stated.contributions("amplitude")["harmonics"] == pytest.approx(
-        error * stated.values["amplitude"], rel=1e-3
+    assert report.contributions("amplitude")["harmonics"] == pytest.approx(
+        error * report.values["amplitude"], rel=1e-3
     )

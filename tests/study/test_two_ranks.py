@@ -52,7 +52,9 @@ def test_same_on_two_ranks(
     numbers: Callable[..., np.ndarray], scene: fc.Scene, on_ranks: Callable[..., Any]
 ) -> None:
     """Relative to the largest of each kind."""
-    alone = numbers(scene, MPI.COMM_SELF)
-    largest = np.abs(alone).max(axis=1, keepdims=True)
-    shared = on_ranks(numbers, scene)
-    np.testing.assert_allclose(shared / largest, alone / largest, rtol=0.0, atol=1e-6)
+    single_numbers = numbers(scene, MPI.COMM_SELF)
+    largest_numbers = np.abs(single_numbers).max(axis=1, keepdims=True)
+    shared_numbers = on_ranks(numbers, scene)
+    np.testing.assert_allclose(
+        shared_numbers / largest_numbers, single_numbers / largest_numbers, rtol=0.0, atol=1e-6
+    )

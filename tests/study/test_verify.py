@@ -65,27 +65,30 @@ def test_each_part_is_what_its_runs_say() -> None:
     part = verification.parts["mesh"]["omega_bilinear_1"]
     error = part.uncertainty(-1) / part.values[-1]
     shifts = [1.0 + 0.5 * error, 1.0 + error, part.values[-1] / part.extrapolated]
-    most = max(abs(opening(study, 2000.0 * shift) - value) for shift in shifts)
-    assert verification.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
-    finer = [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)]
-    plates = [fc.prepare(scene.replace(changes)) for changes in finer]
+    shift_error = max(abs(opening(study, 2000.0 * shift) - value) for shift in shifts)
+    assert verification.contributions("opening")["shift"] == pytest.approx(shift_error, rel=1e-6)
+    finer_settings = [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)]
+    plates = [fc.prepare(scene.replace(changes)) for changes in finer_settings]
     omegas = [2000.0 * breathing(one) / breathing(study) for one in plates]
-    values = [opening(one, at) for one, at in zip(plates, omegas, strict=True)]
+    values = [opening(one, omega) for one, omega in zip(plates, omegas, strict=True)]
     assert verification.parts["mesh"]["opening"].values[1::-1] == pytest.approx(values, rel=1e-6)
     most_harmonics = {"harmonic_balance.harmonics": 100}
-    many, *values = (
+    reference_opening, *values = (
         opening(fc.prepare(scene.replace(most_harmonics | {"reduction.modes": modes})), 2000.0)
         for modes in (6, 12, 24)
     )
-    changed = [value + one - many for one in values]
+    changed = [value + one - reference_opening for one in values]
     assert verification.parts["modes"]["opening"].values[1::-1] == pytest.approx(changed, rel=1e-4)
-    known, mesh = verification.parts["harmonics"]["opening"], verification.parts["mesh"]["opening"]
-    assert known.extrapolated == pytest.approx(many, rel=1e-4)
-    assert known.behaviour == "exact orbit" and known.gci == 0.0
+    harmonics_part, mesh = (
+        verification.parts["harmonics"]["opening"],
+        verification.parts["mesh"]["opening"],
+    )
+    assert harmonics_part.extrapolated == pytest.approx(reference_opening, rel=1e-4)
+    assert harmonics_part.behaviour == "exact orbit" and harmonics_part.gci == 0.0
     assert mesh.sizes[2] == pytest.approx(math.sqrt(0.01 / verification.counts["mesh"][0]))
     parts = verification.contributions("opening")
-    both = math.hypot(parts["mesh"] + parts["shift"], parts["modes"], parts["harmonics"])
-    assert verification.total("opening") == pytest.approx(both)
+    total_error = math.hypot(parts["mesh"] + parts["shift"], parts["modes"], parts["harmonics"])
+    assert verification.total("opening") == pytest.approx(total_error)
     assert verification.total("opening", independent=False) == pytest.approx(sum(parts.values()))
     tiny = replace(
         verification, values={name: value / 1e3 for name, value in verification.values.items()}
@@ -120,8 +123,8 @@ def test_orders_of_natural_frequencies(order: int) -> None:
     if order == 2:
         assert part.order == pytest.approx(1.52, abs=0.1)
     assert set(whole_verification.absent) == {"harmonics", "samples"}
-    cracked = fc.verify(plate(mesh)).parts["mesh"]["omega_open_1"]
-    assert cracked.order == pytest.approx(1.0, abs=0.15) and cracked.exponent <= 1.0
+    cracked_part = fc.verify(plate(mesh)).parts["mesh"]["omega_open_1"]
+    assert cracked_part.order == pytest.approx(1.0, abs=0.15) and cracked_part.exponent <= 1.0
 
 
 def test_force_at_a_point_is_told() -> None:
@@ -143,7 +146,9 @@ def test_force_at_a_point_is_told() -> None:
 def test_dent(place: tuple[float, float], share: float) -> None:
     """What a halving of the elements adds, in a corner, on an edge and, about, inside."""
     scene = plate({"crack": None, "contact": None})
-    point = tuple(side * at for side, at in zip(scene.geometry.sides, place, strict=True))
+    point = tuple(
+        side * coordinate for side, coordinate in zip(scene.geometry.sides, place, strict=True)
+    )
     scene = scene.replace({"excitation.point": point, "excitation.force_sin": (0.0, 9.0)})
     grid = {"mesh.layout": "grid", "mesh.size": None, "mesh.lip_elements": None}
     grid |= {"mesh.grading": 4.0, "damping.ratio": None, "damping.stiffness": 1e-9}
@@ -152,9 +157,9 @@ def test_dent(place: tuple[float, float], share: float) -> None:
         finer_scene = scene.replace(grid | {"mesh.columns": count, "mesh.rows": count})
         structure = fc.build_structure(finer_scene)
         sizes.append(fc.solve_linear(structure, 1.0).amplitude(structure.watched_dof))
-    told = fc.Verification(scene, {"amplitude": sizes[1]}, {"amplitude": "m"}).dents[0]
-    added = 0.01 * float(told.partition("by about ")[2].partition(" %")[0])
-    assert sizes[1] - sizes[0] == pytest.approx(added * sizes[1], rel=share)
+    dent_text = fc.Verification(scene, {"amplitude": sizes[1]}, {"amplitude": "m"}).dents[0]
+    stated_share = 0.01 * float(dent_text.partition("by about ")[2].partition(" %")[0])
+    assert sizes[1] - sizes[0] == pytest.approx(stated_share * sizes[1], rel=share)
 
 
 @pytest.mark.nightly
@@ -178,13 +183,13 @@ def test_what_cannot_be_varied() -> None:
     for demo, key in (("chain", "[structure]"), ("inclined_crack", "mesh.file")):
         few = {"harmonic_balance.harmonics": 2}
         found = fc.verify(Scene.load(DEMOS / f"{demo}.toml").replace(few))
-        left = ["mesh", "friction"] if demo == "chain" else ["mesh"]  # it has no tangents
-        assert list(found.unknown) == left and key in found.unknown["mesh"]
+        left_out_parts = ["mesh", "friction"] if demo == "chain" else ["mesh"]  # it has no tangents
+        assert list(found.unknown) == left_out_parts and key in found.unknown["mesh"]
         assert "mesh" not in found.parts and found.parts["harmonics"]
         assert any(text.startswith("mesh not varied") for text in found.statement)
     assert "reduced" in fc.verify(plate({"reduction.method": "off"})).absent["modes"]
-    large = {"crack": None, "contact": None, "mesh.lip_elements": None, "mesh.size": 1.0}
-    found = fc.verify(plate(large | {"reduction": None}))
+    large_settings = {"crack": None, "contact": None, "mesh.lip_elements": None, "mesh.size": 1.0}
+    found = fc.verify(plate(large_settings | {"reduction": None}))
     assert "mesh" not in found.parts and "as many elements" in found.unknown["mesh"]
 
 

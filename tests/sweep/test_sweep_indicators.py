@@ -75,8 +75,8 @@ def test_cases_have_the_indicators_of_their_solutions(
         fc.floquet(study.structure, solution),
     )
     np.testing.assert_allclose(result["omega_tied"], bilinear_frequencies.omega_tied[0], rtol=1e-9)
-    breathing = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
-    np.testing.assert_allclose(breathing, bilinear_frequencies.omega_bilinear[:3], rtol=1e-9)
+    bilinear_omegas = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
+    np.testing.assert_allclose(bilinear_omegas, bilinear_frequencies.omega_bilinear[:3], rtol=1e-9)
     np.testing.assert_allclose(
         result["over_open"][1], 2000.0 / bilinear_frequencies.omega_open[0], rtol=1e-9
     )
@@ -90,8 +90,8 @@ def test_without_verdicts(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -
     plain = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
     assert np.all(whole["verdict"] != "") and np.all(plain["verdict"] == "")
     assert np.all(np.isnan(plain["multiplier"])) and not plain.not_stable.any()
-    told = zip(whole["status"].flat, plain["status"].flat, strict=True)
-    assert all(one.startswith(other) for one, other in told)
+    status_pairs = zip(whole["status"].flat, plain["status"].flat, strict=True)
+    assert all(own_status.startswith(plain_status) for own_status, plain_status in status_pairs)
     for name in set(whole.columns) - {"verdict", "multiplier", "seconds", "status"}:
         np.testing.assert_array_equal(plain[name], whole[name], err_msg=name)
     again = run_sweep(scene, whole.path, MPI.COMM_SELF, verdicts=False)
@@ -101,19 +101,21 @@ def test_without_verdicts(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -
 def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None:
     """Its error is missing, and all else is the same."""
     reduced_scene = scene.replace({"reduction.method": None, "reduction.modes": 5})
-    judged, plain = (
+    judged_sweep, plain_sweep = (
         run_sweep(reduced_scene, tmp_path / f"{how}.h5", MPI.COMM_SELF, verdicts=False, judged=how)
         for how in (True, False)
     )
-    assert np.all(judged["reduction_error"] > 0.0) and np.all(np.isnan(plain["reduction_error"]))
+    assert np.all(judged_sweep["reduction_error"] > 0.0) and np.all(
+        np.isnan(plain_sweep["reduction_error"])
+    )
     for name in ("response", "ratio_2_1", "opening", "truncation_error", "omega_open_1"):
-        np.testing.assert_allclose(plain[name], judged[name], rtol=1e-6, err_msg=name)
+        np.testing.assert_allclose(plain_sweep[name], judged_sweep[name], rtol=1e-6, err_msg=name)
 
 
 def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -> None:
     """At some places of the last axis nothing else is found; elsewhere all is the same."""
-    path, how = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
-    part = run_sweep(scene, path, MPI.COMM_SELF, **how)  # type: ignore[arg-type]
+    path, options = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
+    part = run_sweep(scene, path, MPI.COMM_SELF, **options)  # type: ignore[arg-type]
     assert np.all(part["status"][:, 1] == "natural frequencies alone")
     assert np.all(np.isnan(part["response"][:, 1])) and part.converged[:, 0].all()
     np.testing.assert_array_equal(part["omega_open_1"], whole["omega_open_1"])
@@ -125,17 +127,19 @@ def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path
 def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> None:
     """Where some are missing, no others than those that it was begun with have empty columns."""
     path = tmp_path / "sweep.h5"
-    whole = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
+    first_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
     with h5py.File(path, "r+") as file:
         file["checksum"][0] = 0  # as of a case that was not finished
-    for asked, begun in (
+    for message_text, first_options in (
         ({}, "judged=False"),
         ({"verdicts": False}, "judged=False, verdicts=True"),
     ):
-        with pytest.raises(fc.InputError, match=f"begun with {begun}.*continued as it was begun"):
-            run_sweep(scene, path, MPI.COMM_SELF, **asked)
-    again = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
-    assert again.complete and np.all(again["verdict"] == whole["verdict"])
+        with pytest.raises(
+            fc.InputError, match=f"begun with {first_options}.*continued as it was begun"
+        ):
+            run_sweep(scene, path, MPI.COMM_SELF, **message_text)
+    second_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
+    assert second_sweep.complete and np.all(second_sweep["verdict"] == first_sweep["verdict"])
 
 
 def test_a_case_with_longer_words_is_written_again(
@@ -184,8 +188,8 @@ def test_default_quantities(whole: SweepResult) -> None:
 def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
     """A file that lost a column is not read: its cases are no longer what was written."""
     path = Path(shutil.copy(whole.path, tmp_path))
-    with changed(path) as opened:
-        del opened["ratio_2_1"]
+    with changed(path) as open_file:
+        del open_file["ratio_2_1"]
     with pytest.raises(fc.InputError, match="cases are damaged"):
         SweepResult.load(path)
 
@@ -205,12 +209,15 @@ def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCo
     many = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
     assert few["verdict"].tolist() == ["stable", "stable"] == [*many["verdict"][1:], "stable"]
     assert many["verdict"][0] == "unstable"
-    [(place, said)] = few.contradicted
-    largest = f"largest multiplier {many['multiplier'][0]:.6g}"
-    assert place == (0,) and said == f"with 18 modes the orbit is unstable ({largest})"
+    [(place, contradiction)] = few.contradicted
+    multiplier_text = f"largest multiplier {many['multiplier'][0]:.6g}"
+    assert (
+        place == (0,)
+        and contradiction == f"with 18 modes the orbit is unstable ({multiplier_text})"
+    )
     depends = "1 case or more whose verdict depends on truncated modes, the first at omega = "
-    assert f"{depends}9050.0: {said}; raise reduction.modes" in told
+    assert f"{depends}9050.0: {contradiction}; raise reduction.modes" in told
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
     alone_scene = scene.replace({"sweep": None, "excitation.omega": 9050.0})
-    assert said in run_command("solve", alone_scene, "--output", tmp_path, code=4).err
+    assert contradiction in run_command("solve", alone_scene, "--output", tmp_path, code=4).err

@@ -63,15 +63,20 @@ def solve(problem: Problem) -> Answer:
     order = np.r_[0, 1 : len(rows) : 2, 2 : len(rows) : 2]  # all cosines, then all sines
     moved = np.hstack([rows, 0.0 * rows])
     moved[1::2, n:], moved[2::2, n:] = rates * rows[2::2], -rates * rows[1::2]
-    solver, first = NewtonSolver(max_iterations=200), system(FROM * end, moved[order].ravel())
-    solver.solve(first)
-    for point in follow(first, solver, 0.1, (0.001, 0.1), 1, "omega", False, POINTS):
-        last, reached = point.X, float(np.squeeze(point.omega))
-        if reached > end:
+    solver, start_system = (
+        NewtonSolver(max_iterations=200),
+        system(FROM * end, moved[order].ravel()),
+    )
+    solver.solve(start_system)
+    for point in follow(start_system, solver, 0.1, (0.001, 0.1), 1, "omega", False, POINTS):
+        last_unknowns, reached_omega = point.X, float(np.squeeze(point.omega))
+        if reached_omega > end:
             break
-    found = system(end, last)
-    solver.solve(found)
-    rows[order] = found.X.reshape(len(rows), 2 * n)[:, :n]
-    said = f"swept to {reached / end:.3f} w, {solver.num_iter} iterations"
-    word = {True: "stable", False: "unstable"}.get(found.stable)
-    return Answer(gap=problem.gap(rows), converged=bool(found.solved), verdict=word, message=said)
+    end_system = system(end, last_unknowns)
+    solver.solve(end_system)
+    rows[order] = end_system.X.reshape(len(rows), 2 * n)[:, :n]
+    message = f"swept to {reached_omega / end:.3f} w, {solver.num_iter} iterations"
+    word = {True: "stable", False: "unstable"}.get(end_system.stable)
+    return Answer(
+        gap=problem.gap(rows), converged=bool(end_system.solved), verdict=word, message=message
+    )
