@@ -114,7 +114,8 @@ def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
     _, verdict_time = timed(lambda: fc.judge_curve(curve))
     orbits, exact = timed(lambda: fc.continue_frequency(reduced_wheel, *ends, LAW, tolerance=0.01))
     return [
-        wheel.sector.count, wheel.sector.structure.n_dofs, reduced_wheel.n_modes, assembly_time, reduction_time, repeat_time,
+        wheel.sector.count, wheel.sector.structure.n_dofs, reduced_wheel.n_modes,
+        assembly_time, reduction_time, repeat_time,
         solution, len(curve.omega), curve_time, verdict_time, len(orbits.omega), exact,
     ]  # fmt: skip
 

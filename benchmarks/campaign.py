@@ -779,7 +779,8 @@ def line(name: str, rows: list[dict]) -> list[object]:
     times = [row["seconds"] for row in rows if not np.isnan(row["seconds"])]
     return [
         name, len({key(row["of"]) for row in rows}),
-        len(rows), count(WRONG, rows), f"{lower_quantile:.2f}", f"{middle:.2f}", f"{upper_quantile:.2f}",
+        len(rows), count(WRONG, rows),
+        f"{lower_quantile:.2f}", f"{middle:.2f}", f"{upper_quantile:.2f}",
         share(sum(row["estimate"] >= UNKNOWN for row in estimated_rows), estimated_rows),
         share(sum(LARGE < row["estimate"] < UNKNOWN for row in estimated_rows), estimated_rows),
         share(len(undecided_rows), judged_rows),

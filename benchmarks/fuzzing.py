@@ -950,7 +950,7 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
         return getattr(place(), method)(*arguments.values(), **more_arguments)
 
     return (
-        f"{name}({', '.join(f'{key}={type(value).__name__}' for key, value in odd_arguments.items())})",
+        f"{name}({', '.join(f'{key}={type(x).__name__}' for key, x in odd_arguments.items())})",
         attempt,
     )
 
@@ -1043,16 +1043,10 @@ def called(attempt: Callable[[], object]) -> tuple[int, str]:
     except fc.ConvergenceError as error:
         return 3, str(error)
     except Exception as error:
-        *_, last_frame = traceback.extract_tb(error.__traceback__)
-        if isinstance(error, TypeError) and last_frame.name in (
-            "attempt",
-            "call",
-        ):  # as of any function
+        *_, frame = traceback.extract_tb(error.__traceback__)
+        if isinstance(error, TypeError) and frame.name in ("attempt", "call"):  # as of any function
             return 2, f"fenics-crack: {error}"
-        return (
-            1,
-            f"{type(error).__name__}: {error} ({Path(last_frame.filename).name}:{last_frame.lineno})",
-        )
+        return (1, f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno})")
     return 0, ""
 
 

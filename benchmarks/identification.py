@@ -200,8 +200,10 @@ class Score:
     def __str__(self) -> str:
         median_errors, median_widths = np.median(self.off, axis=0), np.median(self.wide, axis=0)
         return (
-            f"{self.held} of {len(self.off)} held, median error {median_errors[0]:.1%} and {median_errors[1]:.1%}, "
-            f"median interval {median_widths[0]:.1%} and {median_widths[1]:.1%}, claimed {self.seen}"
+            f"{self.held} of {len(self.off)} held, median error "
+            f"{median_errors[0]:.1%} and {median_errors[1]:.1%}, "
+            f"median interval {median_widths[0]:.1%} and {median_widths[1]:.1%}, "
+            f"claimed {self.seen}"
         )
 
 

@@ -73,10 +73,12 @@ def with_patches(
     report, reason = solution.report, solution.assessment.rejection_reason
     total_time = time.process_time() - clock
     print(
-        f"{whole_structure.n_dofs} dofs, {whole_structure.n_pairs} pairs, {modes} modes: H = {solution.harmonics}"
+        f"{whole_structure.n_dofs} dofs, {whole_structure.n_pairs} pairs, "
+        f"{modes} modes: H = {solution.harmonics}"
     )
     print(
-        f"prepared in {preparation_time:.1f} s, {memory:.2f} GiB; all {total_time:.1f} s, {_memory():.2f} GiB"
+        f"prepared in {preparation_time:.1f} s, {memory:.2f} GiB; "
+        f"all {total_time:.1f} s, {_memory():.2f} GiB"
     )
     print(report, reason, sep="\n")
     if solution.orbit is not None:

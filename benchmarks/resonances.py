@@ -158,8 +158,8 @@ def compared(scene: fc.Scene) -> str:
     is_right = abs(peak_offset) <= RIGHT[0] and abs(higher) <= RIGHT[1]
     remark = "  several" if resonance.several else "" if is_right else "  WRONG"
     return (
-        f"{row}{top / (2.0 * math.pi):11.3f}{peak_offset:11.4f}{higher:11.2e}{resonance.apart:9.4f}{spent:7.2f}"
-        f"{time.process_time() - begun:9.1f}{remark}"
+        f"{row}{top / (2.0 * math.pi):11.3f}{peak_offset:11.4f}{higher:11.2e}{resonance.apart:9.4f}"
+        f"{spent:7.2f}{time.process_time() - begun:9.1f}{remark}"
     )
 
 

@@ -1109,9 +1109,9 @@ def report(arguments: common.Arguments, part: str, rows: list[common.Row]) -> No
     asymptotic = np.array([row[5] for row in rows if row[7] == "asymptotic"])
     smallest_share, middle, largest_share = np.quantile(shares, (0.05, 0.5, 0.95))
     print(
-        f"{part}: {np.sum(shares > 1.0)} of {len(shares)} above 1; 5, 50, 95 %: {smallest_share:.2f}, "
-        f"{middle:.2f}, {largest_share:.2f}; largest {shares.max():.2f}; median of the {len(asymptotic)} "
-        f"asymptotic ones {np.median(asymptotic) if len(asymptotic) else np.nan:.2f}"
+        f"{part}: {np.sum(shares > 1.0)} of {len(shares)} above 1; 5, 50, 95 %: "
+        f"{smallest_share:.2f}, {middle:.2f}, {largest_share:.2f}; largest {shares.max():.2f}; "
+        f"median of the {len(asymptotic)} asymptotic ones {np.median(asymptotic) if len(asymptotic) else np.nan:.2f}"
     )
 
 

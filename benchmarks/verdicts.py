@@ -83,7 +83,8 @@ def verdicts(arguments: common.Arguments) -> None:
     ]
     print(
         f"\n{len(rows)} cases: {sum(row[5] == 'undecided' for row in rows)} undecided; of "
-        f"{len(decided_rows)} that can be compared {sum(row[13] == 'yes' for row in decided_rows)} agree. "
+        f"{len(decided_rows)} that can be compared "
+        f"{sum(row[13] == 'yes' for row in decided_rows)} agree. "
         f"Measured rate against |mu|: median {np.median(rates):.1e}, largest {max(rates):.1e}."
     )
     draw(rows, arguments.folder / "verdicts.png")
@@ -361,11 +362,13 @@ def draw(rows: list[tuple], path: object) -> None:
     for verdict, (marker, colour) in MARKS.items():
         chosen_rows = [row for row in rows if row[5] == verdict]
         axes.plot(
-            [row[8] for row in chosen_rows], [row[12] for row in chosen_rows], marker, color=colour, ms=5,
+            [row[8] for row in chosen_rows], [row[12] for row in chosen_rows], marker,
+            color=colour, ms=5,
             label=verdict, mfc="none",
         )  # fmt: skip
         other.plot(
-            [row[2] for row in chosen_rows], [row[8] for row in chosen_rows], marker, color=colour, ms=5,
+            [row[2] for row in chosen_rows], [row[8] for row in chosen_rows], marker,
+            color=colour, ms=5,
             label=verdict, mfc="none",
         )  # fmt: skip
     values = [row[8] for row in rows if np.isfinite(row[8] * row[12])]

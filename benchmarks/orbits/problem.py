@@ -154,7 +154,8 @@ class Problem:
         return replace(
             face_problem, mass=turned(face_problem.mass), damping=turned(face_problem.damping),
             stiffness=turned(face_problem.stiffness), pairs=inverse_rows.T @ face_problem.pairs,
-            tangents=inverse_rows.T @ face_problem.tangents, mean=face_problem.mean @ inverse_rows, cos=face_problem.cos @ inverse_rows,
+            tangents=inverse_rows.T @ face_problem.tangents, mean=face_problem.mean @ inverse_rows,
+            cos=face_problem.cos @ inverse_rows,
             sin=face_problem.sin @ inverse_rows,
         )  # fmt: skip
 

@@ -76,7 +76,8 @@ def prove(case: dict, orbit: dict) -> dict:
     require(sets[0] == sets[-1], "the last set is not the first")
     (G, P, R), k, states = equations(case), case["law"]["stiffness"], len(orbit["state"])
     parts = [G - P * arb_mat([[arb(k[i]) * int(on and i == j) for j in range(len(k))]
-                              for i, on in enumerate(closed_pairs)]) * R for closed_pairs in sets]  # fmt: skip
+                              for i, on in enumerate(closed_pairs)]) * R
+             for closed_pairs in sets]  # fmt: skip
     T = 2 * arb.pi() * orbit["subharmonic"] / arb(case["load"]["omega"])
     m = [arb(v) for v in orbit["state"]]
     m += [arb(b) - arb(a) for a, b in zip((0, *times), times, strict=False)]

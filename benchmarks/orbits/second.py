@@ -153,7 +153,8 @@ class Motion:
             event.terminal, event.direction = True, 1.0  # type: ignore[attr-defined]
             inner_moments = moments[(moments >= current_time - 1e-14 * period)]
             run = solve_ivp(
-                rate, (current_time, period), packed_state, "DOP853", rtol=RELATIVE, atol=1e-15 * size,
+                rate, (current_time, period), packed_state, "DOP853", rtol=RELATIVE,
+                atol=1e-15 * size,
                 max_step=STEP / self.fastest, events=event, t_eval=np.append(inner_moments, period),
             )  # fmt: skip
             for time, values in zip(run.t, np.transpose(run.y), strict=False):

@@ -220,7 +220,9 @@ def stored(case: dict[str, Any], periods: int, state: np.ndarray, gap: np.ndarra
         "subharmonic": periods, "state": state.tolist(), "gap": rounded(gap),
         "harmonics": rounded(harmonics), "least": gap.min(axis=0).tolist(),
         "most": gap.max(axis=0).tolist(), "loss": float(loss), "events": int(events),
-        "multipliers": [[float(multiplier.real), float(multiplier.imag)] for multiplier in leading_multipliers], "verdict": verdict,
+        "multipliers": [[float(multiplier.real), float(multiplier.imag)]
+                        for multiplier in leading_multipliers],
+        "verdict": verdict,
     }  # fmt: skip
 
 

@@ -109,7 +109,8 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     because = f"{words} (no exact orbit was found next to it)"
     advice = f"{because}; --set harmonic_balance.tolerance=1e-2 may decide it"
     for given, one, said in (
-        (scene, undecided_verdict, words), (scene, told, because), (scene.replace(FIXED), told, advice)
+        (scene, undecided_verdict, words), (scene, told, because),
+        (scene.replace(FIXED), told, advice),
     ):  # fmt: skip
         assert [*describe_instability(given, run, one)] == [said]
 

@@ -124,8 +124,8 @@ def test_curve(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None
     header_words = [
         word.strip() for word in printed_text.splitlines()[0].split("  ") if word.strip()
     ]
-    assert header_words == ["point", "frequency [Hz]", *(f"{n}.u{a}.ratio_2_1" for n in ("tip", "side")
-                     for a in "xy"), "frequency_open [Hz]"]  # fmt: skip
+    ratios = [f"{n}.u{a}.ratio_2_1" for n in ("tip", "side") for a in "xy"]
+    assert header_words == ["point", "frequency [Hz]", *ratios, "frequency_open [Hz]"]
     with open(tmp_path / "curve.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     curve = fc.load_run(tmp_path / "curve.h5", MPI.COMM_SELF).result

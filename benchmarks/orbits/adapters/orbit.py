@@ -47,7 +47,8 @@ def answered(problem: Problem, **how: Any) -> Answer:
     error = solution.report.total
     return Answer(
         gap=gap, tangential=slide, converged=solution.converged, message=solution.status,
-        error=error if np.isfinite(error) else None, verdict=fc.floquet(structure, solution).verdict,
+        error=error if np.isfinite(error) else None,
+        verdict=fc.floquet(structure, solution).verdict,
     )  # fmt: skip
 
 
