@@ -1111,7 +1111,8 @@ def report(arguments: common.Arguments, part: str, rows: list[common.Row]) -> No
     print(
         f"{part}: {np.sum(shares > 1.0)} of {len(shares)} above 1; 5, 50, 95 %: "
         f"{smallest_share:.2f}, {middle:.2f}, {largest_share:.2f}; largest {shares.max():.2f}; "
-        f"median of the {len(asymptotic)} asymptotic ones {np.median(asymptotic) if len(asymptotic) else np.nan:.2f}"
+        f"median of the {len(asymptotic)} asymptotic ones "
+        f"{np.median(asymptotic) if len(asymptotic) else np.nan:.2f}"
     )
 
 

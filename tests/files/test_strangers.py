@@ -514,12 +514,12 @@ def test_a_cache_of_another_user(
     """It is not used, nor is one within that of this user."""
     cache = tmp_path / "cache"
     (cache / "fenics").mkdir(parents=True)
-    for other_path in (cache, cache / "fenics"):
-        os.chown(other_path, 1000, 1000)
+    for cache_path in (cache, cache / "fenics"):
+        os.chown(cache_path, 1000, 1000)
         monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
         settle_caches.__wrapped__()
         assert os.environ["XDG_CACHE_HOME"] == str(temporary)
-        os.chown(other_path, 0, 0)
+        os.chown(cache_path, 0, 0)
 
 
 def test_a_new_cache(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,12 +52,12 @@ def test_static_load_is_held(method: str) -> None:
     )
     reaction = fc.reaction(solved(scene))
     np.testing.assert_allclose(reaction.center, [0.05, 0.0], atol=1e-12)
-    expected_force, top = (
+    left_force, top = (
         HEIGHT * THICK * np.array([2e4, -1e4]),
         WIDTH * THICK * np.array([0.0, -3e4]),
     )
-    force = np.array([700.0, 300.0]) + expected_force + top
-    moment = 0.05 * 300.0 - 0.15 * 700.0 - 0.05 * expected_force[1] - 0.1 * expected_force[0]
+    force = np.array([700.0, 300.0]) + left_force + top
+    moment = 0.05 * 300.0 - 0.15 * 700.0 - 0.05 * left_force[1] - 0.1 * left_force[0]
     np.testing.assert_allclose(reaction.force, np.tile(-force, (len(reaction.time), 1)), rtol=1e-9)
     np.testing.assert_allclose(reaction.moment, -moment, rtol=1e-9)
 

@@ -47,8 +47,8 @@ def test_plate() -> None:
 
 def test_what_is_not_known() -> None:
     """It is said why: several modes, a smooth law, no damping, no crack; friction is left out."""
-    several_resonances = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
-    assert several_resonances.in_words == SEE_CURVE and several_resonances.value > 0.0
+    resonance = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
+    assert resonance.in_words == SEE_CURVE and resonance.value > 0.0
     plate = fc.Scene.load(DEMOS / "blade.toml")
     smooth = {"contact.law": "smoothed", "contact.sharpness": 1e9, "contact.stiffness": 1e10}
     assert "law" in at_load(plate.replace(smooth)).unknown

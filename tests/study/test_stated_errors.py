@@ -413,16 +413,16 @@ def test_far_too_few_harmonics(frequency: float, tmp_path: Path) -> None:
             "reduction": {"modes": 20},
         }
     )  # fmt: skip
-    own_result, fine_result = (
+    own_run, fine_run = (
         fc.solve(few_scene.replace({"harmonic_balance.harmonics": harmonics}), MPI.COMM_SELF)
         for harmonics in (5, 80)
     )
-    exact, value = (run.errors.values["amplitude"] for run in (fine_result, own_result))
-    error, cause = own_result.errors.stated("amplitude")
+    exact, value = (run.errors.values["amplitude"] for run in (fine_run, own_run))
+    error, cause = own_run.errors.stated("amplitude")
     true = abs(exact / value - 1.0)
     assert true > 0.08
     if np.isnan(error):
-        assert own_result.errors.unknown.keys() & {"modes", "harmonics"}
+        assert own_run.errors.unknown.keys() & {"modes", "harmonics"}
     else:
         assert cause == "harmonics" and 0.5 < error / true < 2.0
 

@@ -130,14 +130,14 @@ def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> Non
     first_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
     with h5py.File(path, "r+") as file:
         file["checksum"][0] = 0  # as of a case that was not finished
-    for message_text, first_options in (
+    for options, first_words in (
         ({}, "judged=False"),
         ({"verdicts": False}, "judged=False, verdicts=True"),
     ):
         with pytest.raises(
-            fc.InputError, match=f"begun with {first_options}.*continued as it was begun"
+            fc.InputError, match=f"begun with {first_words}.*continued as it was begun"
         ):
-            run_sweep(scene, path, MPI.COMM_SELF, **message_text)
+            run_sweep(scene, path, MPI.COMM_SELF, **options)
     second_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
     assert second_sweep.complete and np.all(second_sweep["verdict"] == first_sweep["verdict"])
 

@@ -35,17 +35,11 @@ def solve(problem: Problem) -> Answer:
         start, n_done = n_done * problem.period, n_done + max(12, 6 * round(n_done / 12))
         times = problem.period * (n_done - 6 + np.arange(6 * INSTANTS + 1) / INSTANTS)
         run = solve_ivp(rates, (start, times[-1]), state, "LSODA", times, rtol=RTOL, atol=atol)
-        state, earlier_motion, motion = run.y[:, -1], motion, run.y[:n, :-1].T
+        state, previous, motion = run.y[:, -1], motion, run.y[:n, :-1].T
         for periods in (1, 2, 3):
-            other_motions = (
-                np.roll(motion, periods * INSTANTS, axis=0),
-                earlier_motion,
-                motion.mean(axis=0),
-            )
-            closure_error, sweep_change, motion_size = (
-                np.linalg.norm(motion - other_motion) for other_motion in other_motions
-            )
-            if (change := float(max(closure_error, sweep_change) / motion_size)) < SETTLED:
+            references = np.roll(motion, periods * INSTANTS, axis=0), previous, motion.mean(axis=0)
+            closure, step, size = (np.linalg.norm(motion - reference) for reference in references)
+            if (change := float(max(closure, step) / size)) < SETTLED:
                 break
     gap = gaps(problem, times[:-1], motion)[-periods * INSTANTS :: periods]
     answer = Answer(gap=gap, converged=change < SETTLED, periods=periods)
@@ -56,17 +50,15 @@ def solve(problem: Problem) -> Answer:
 
 def gaps(problem: Problem, times: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Gaps (times, p) at motions (times, n); of pairs without mass by Newton's method."""
-    gap = free_gap = q @ problem.pairs - problem.clearance
+    gap = base = q @ problem.pairs - problem.clearance
     if problem.flexibility is not None:
         angles = problem.omega * np.outer(times, 1 + np.arange(len(lift := problem.lift) // 2))
-        gap = free_gap = (
-            free_gap + lift[0] + (np.exp(-1j * angles) @ (lift[1::2] + 1j * lift[2::2])).real
-        )
+        gap = base = base + lift[0] + (np.exp(-1j * angles) @ (lift[1::2] + 1j * lift[2::2])).real
         for _ in range(50):
             push, slope = problem.contact(gap)
             tangent = np.eye(gap.shape[1]) + problem.flexibility * slope[:, None, :]
-            residual = gap + push @ problem.flexibility.T - free_gap
-            if np.abs(residual).max() <= 1e-13 * np.abs(free_gap).max():
+            residual = gap + push @ problem.flexibility.T - base
+            if np.abs(residual).max() <= 1e-13 * np.abs(base).max():
                 break
             gap = gap - np.linalg.solve(tangent, residual[..., None])[..., 0]
     return gap

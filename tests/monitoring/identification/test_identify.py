@@ -214,16 +214,16 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
         ", or below 4 mm, outside the bounds of the search" in sound.reason and not sound.warnings
     )
     longest = value_in_words("crack.length", sound.intervals["crack.length"][1])
-    smallest_crack_text = f"no crack above {longest} of crack length"
+    conclusion_text = f"no crack above {longest} of crack length"
     assert (
-        sound.conclusion == smallest_crack_text
-        and f"({smallest_crack_text} (" in repr(sound)
+        sound.conclusion == conclusion_text
+        and f"({conclusion_text} (" in repr(sound)
         and "mm," not in repr(sound)
     )
     assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
     closing_text = report_of_identification(Identified(scene, sound.summary(), folder)).closing
-    assert sound.summary()["conclusion"] == smallest_crack_text and closing_text.startswith(
-        f"{smallest_crack_text}; log"
+    assert sound.summary()["conclusion"] == conclusion_text and closing_text.startswith(
+        f"{conclusion_text}; log"
     )
 
 

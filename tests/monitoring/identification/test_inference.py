@@ -334,13 +334,17 @@ def test_soft_clamps() -> None:
     }  # fmt: skip
     scene = fc.Scene.from_text(identification.SCENE)
     table = scene.given("identify")
-    frequency_change = Whole(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
+    frequency_deviations = Whole(scene.replace(changes | {"identify": None}), table).since_at(1.0)[
+        0
+    ]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
-        bending = frequency_change[:3, column]
+        bending = frequency_deviations[:3, column]
         np.testing.assert_allclose(bending / bending[0], expected, rtol=0.03)
-    assert np.hypot(*frequency_change[0, :2]) == pytest.approx(table.before_deviation, rel=1e-12)
+    assert np.hypot(*frequency_deviations[0, :2]) == pytest.approx(
+        table.before_deviation, rel=1e-12
+    )
 
 
 def test_units_at_other_speeds() -> None:
