@@ -170,18 +170,18 @@ def test_check_proposes_a_curve_through_the_resonance(
     in the scene's unit, around the resonance. Once it is copied nothing is proposed."""
     path = tmp_path / "plate.toml"
     run_command("new", path, "--quiet", *kind)
-    other = [*COARSE, "geometry.height=0.28", "excitation.point=[0.1, 0.28]"]
+    height_options = [*COARSE, "geometry.height=0.28", "excitation.point=[0.1, 0.28]"]
     names = [f"proposed curve.{end} [{unit}]" for end in ("start", "stop")]
-    rows, messages = checked(run_command, path, *other, f"curve.start={low}")
+    rows, messages = checked(run_command, path, *height_options, f"curve.start={low}")
     ends = [rows[name] for name in names]
     assert ends[0] < rows[middle] < ends[1] < 1.25 * ends[0]
     assert "remark: curve.start" in messages and f"{ends[0]:g}" in messages
     parameter = rows["proposed curve.parameter"]
-    rows, messages = checked(run_command, path, *other, "curve=none")
+    rows, messages = checked(run_command, path, *height_options, "curve=none")
     assert ends == [rows[name] for name in names] and "curve.start" not in messages
     assert parameter == rows["proposed curve.parameter"]
-    copied = [f"curve.start={ends[0]}", f"curve.stop={ends[1]}"]
-    rows, messages = checked(run_command, path, *other, *copied)
+    copied_options = [f"curve.start={ends[0]}", f"curve.stop={ends[1]}"]
+    rows, messages = checked(run_command, path, *height_options, *copied_options)
     assert (
         not [name for name in rows if name.startswith("proposed")] and "curve.start" not in messages
     )
@@ -198,8 +198,8 @@ def test_the_sweep_of_a_new_scene_meets_its_tolerance(
 ) -> None:
     """The cases of the template whose errors by harmonics, and by modes, are the largest."""
     run_command("new", tmp_path / "plate.toml", "--quiet", *kind)
-    over = f"sweep.over={{'{key}' = [{value}], 'crack.length' = [0.02, 0.03]}}"
-    run_command("sweep", tmp_path / "plate.toml", "--output", tmp_path, sets=[over])
+    axis_option = f"sweep.over={{'{key}' = [{value}], 'crack.length' = [0.02, 0.03]}}"
+    run_command("sweep", tmp_path / "plate.toml", "--output", tmp_path, sets=[axis_option])
     sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
     assert sweep.errors.sum(axis=0).max() < sweep.scene.given("harmonic_balance").tolerance
 
@@ -277,8 +277,10 @@ def test_new_scene_resonates_as_it_breathes(plate: Path, run_command: RunCommand
     [stated_percent] = re.findall(
         "[0-9.]+", rows["error of the resonance at the load due to the mesh"]
     )
-    true = abs(831.8 / rows["resonance at the load [Hz]"] - 1.0)  # of the mesh that new writes
-    assert 0.2 < 100.0 * true / float(stated_percent) < 1.6
+    true_error = abs(
+        831.8 / rows["resonance at the load [Hz]"] - 1.0
+    )  # of the mesh that new writes
+    assert 0.2 < 100.0 * true_error / float(stated_percent) < 1.6
 
 
 def test_not_converged_says_so(tmp_path: Path, run_command: RunCommand) -> None:
@@ -298,9 +300,9 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
     texts = {}
     commands = ("new", "check", "modes", "solve", "curve", "integrate", "sweep", "plot")
     for words in (["--help"], ["--version"], *([command, "--help"] for command in commands)):
-        with pytest.raises(SystemExit) as left:
+        with pytest.raises(SystemExit) as exit_info:
             main(words)
-        assert left.value.code == 0
+        assert exit_info.value.code == 0
         texts[words[0]] = capsys.readouterr().out
     assert texts["--version"].strip() == f"fenics-crack {fc.__version__}"
     for command in commands:
@@ -326,8 +328,8 @@ def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str])
 @pytest.mark.mpi
 def test_bad_input_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """One line for each key, from one rank, and both ranks end."""
-    wrong = ["--set", "crack.length=-1.0", "--set", "material.young=none"]
-    codes, lines = on_ranks(run_program, ["solve", str(PAPER), *wrong])
+    wrong_options = ["--set", "crack.length=-1.0", "--set", "material.young=none"]
+    codes, lines = on_ranks(run_program, ["solve", str(PAPER), *wrong_options])
     assert codes == [2, 2] and len(lines) == 2
     assert sum("crack.length = -1.0: must be a finite number > 0" in one for one in lines) == 1
     assert sum("material.young is missing: must be a finite" in one for one in lines) == 1
@@ -348,8 +350,9 @@ def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
         "--output",
         str(tmp_path),
     ]
-    held = HELD.format(cases=1, go=str(tmp_path / "go"))
-    source = f"{held}import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
+    waiting_program = HELD.format(cases=1, go=str(tmp_path / "go"))
+    main_program = "import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
+    source = waiting_program + main_program
     program = subprocess.Popen(
         [*launcher(2), sys.executable, "-c", source, *words], env=ENVIRONMENT,
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -371,14 +374,14 @@ def test_a_failed_run_leaves_older_results(tmp_path: Path, monkeypatch: pytest.M
     """A file is replaced only when the new one is complete."""
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
     assert main(words) == 0
-    before = (tmp_path / "modes.h5").read_bytes()
+    earlier_content = (tmp_path / "modes.h5").read_bytes()
 
     def replace(old: str, new: str) -> None:
         raise OSError(errno.ENOSPC, "the disk is full")
 
     monkeypatch.setattr(os, "replace", replace)
     assert main([*words, "--count", "3"]) == 1
-    assert (tmp_path / "modes.h5").read_bytes() == before
+    assert (tmp_path / "modes.h5").read_bytes() == earlier_content
     names = {path.name for path in tmp_path.iterdir()}
     assert names - {"before"} == {"modes.csv", "modes.h5", "modes.json"}
 
@@ -402,12 +405,15 @@ def test_a_largest_response_is_one_peak_or_still_rising(
     """The table, the sentence, the page and Python have the same place and size of a peak; what is
     largest at the end of the range, which a resonance lies beyond, is none."""
     chain = ["curve", str(ROOT / "demos" / "chain.toml"), "--set", f"curve.stop={stop}"]
-    said, run = run_command(*chain, "--output", tmp_path).err, fc.load_run(tmp_path / "curve.h5")
+    messages, run = (
+        run_command(*chain, "--output", tmp_path).err,
+        fc.load_run(tmp_path / "curve.h5"),
+    )
     peak = run.peak()
     assert peak.at_end == at_end
     points = {row["point"]: row for row in json.loads((tmp_path / "curve.json").read_text())}
     [(name, largest_rows)] = [(n, row) for n, row in points.items() if n.startswith("largest")]
-    assert ("still rising" in name) == ("still rising" in said) == at_end
+    assert ("still rising" in name) == ("still rising" in messages) == at_end
     assert largest_rows["frequency [Hz]"] == pytest.approx(peak.frequency, rel=1e-9)
     assert largest_rows["amplitude [m]"] == pytest.approx(peak.amplitude, rel=1e-9)
     assert largest_rows["over_open"] * largest_rows["frequency_open [Hz]"] == pytest.approx(
@@ -417,7 +423,7 @@ def test_a_largest_response_is_one_peak_or_still_rising(
         assert largest_rows["frequency [Hz]"] == pytest.approx(stop)
     else:
         assert np.abs(run.result.omega / peak.omega - 1.0).min() > 1e-8  # between two points
-    assert f"{peak.frequency:.6g} Hz" in said
+    assert f"{peak.frequency:.6g} Hz" in messages
     assert main(["report", str(tmp_path / "curve.h5"), "--quiet"]) == 0
     assert f"{peak.frequency:.6g} Hz" in (tmp_path / "report.html").read_text()
 
@@ -463,12 +469,12 @@ def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
 def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     """A result whose mesh file has changed is refused."""
     mesh, paths = tmp_path / "plate.msh", [tmp_path / "solution.h5", tmp_path / "sweep.h5"]
-    drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
-    fc.write_msh(drawn, mesh)
+    drawn_scene = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
+    fc.write_msh(drawn_scene, mesh)
     of_mesh = dict.fromkeys(("geometry.width", "geometry.height", "mesh.columns", "mesh.rows"))
     of_mesh |= {"crack.edge": None, "crack.height": None, "crack.length": None}
     of_mesh |= {"mesh.layout": "file", "mesh.file": str(mesh), "curve": None}
-    scene = drawn.replace(of_mesh)
+    scene = drawn_scene.replace(of_mesh)
     fc.solve(scene, MPI.COMM_SELF).save(paths[0])
     assert isinstance(fc.load_run(paths[0]).result, fc.PeriodicSolution)
     scene = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
@@ -477,7 +483,7 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     for reader in (fc.load_run, lambda path: fc.load(path, sweep.solution(0).structure)):
         with pytest.raises(fc.InputError, match=r"sweep is read by .* SweepResult\.load"):
             reader(paths[1])
-    fc.write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
+    fc.write_msh(drawn_scene.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         fc.load_run(paths[0])
     with pytest.raises(fc.InputError, match="it has changed or gone"):

@@ -100,23 +100,23 @@ def test_a_sweep_with_remarks_ends_well(
 def test_another_motion_attracts_from_rest(two_masses: Path, tmp_path: Path) -> None:
     """The steady motion that never meets the stop is stable; from rest it is met, and the motion
     settles to one of twice the period, as a march in time finds it."""
-    away = {"structure.clearance": 1.02 * amplitude_without_stop(BESIDE)}
-    assert run("solve", two_masses, tmp_path, away) == 0
+    distant_settings = {"structure.clearance": 1.02 * amplitude_without_stop(BESIDE)}
+    assert run("solve", two_masses, tmp_path, distant_settings) == 0
     rows = rows_of(tmp_path / "solution.json")
     assert rows["verdict"]["value"] == "stable" and rows["closed_share"]["value"] == 0.0
     amplitude, rest_amplitude = (rows[name]["value"] for name in ("amplitude", "rest_amplitude"))
     assert amplitude == pytest.approx(amplitude_without_stop(BESIDE), rel=1e-5)
     assert 2.0 * amplitude < rest_amplitude < 3.0 * amplitude
-    scene = fc.Scene.load(two_masses, away | {"integration.periods": 400})
-    marched = fc.integrate(scene).result
-    sizes = np.ptp(marched.by_period(marched.displacement([1])[:, 0]), axis=1) / 2.0
+    scene = fc.Scene.load(two_masses, distant_settings | {"integration.periods": 400})
+    marched_history = fc.integrate(scene).result
+    sizes = np.ptp(marched_history.by_period(marched_history.displacement([1])[:, 0]), axis=1) / 2.0
     assert sizes[0] == pytest.approx(sizes[2], rel=1e-2) != pytest.approx(sizes[1], rel=1e-2)
-    assert rest_amplitude == pytest.approx(marched.indicators(1).amplitude, rel=1e-2)
+    assert rest_amplitude == pytest.approx(marched_history.indicators(1).amplitude, rel=1e-2)
     # Twice as far away nothing is met from rest either, and nothing is said.
     assert run("solve", two_masses, tmp_path, {"structure.clearance": 1.0}) == 0
     assert "rest_amplitude" not in rows_of(tmp_path / "solution.json")
     # What is saved is what is reported.
-    assert run("solve", two_masses, tmp_path, away) == 0
+    assert run("solve", two_masses, tmp_path, distant_settings) == 0
     stored_run = fc.load_run(tmp_path / "solution.h5")
     assert stored_run.result.stability.rest_amplitude == rest_amplitude
 
@@ -126,11 +126,11 @@ def test_a_crack_that_a_mean_load_holds_open(tmp_path: Path) -> None:
     """Is no breathing one, in the file, in Python and on the page; the remark of ``check`` comes
     with it."""
     scene = DEMOS.parent / "benchmarks" / "plate.toml"
-    held = {
+    mean_load_settings = {
         "excitation.force_mean": "[1400.0, 0.0]", "excitation.frequency": 500.0,
         "mesh.size": 0.05, "reduction.modes": 8,
     }  # fmt: skip
-    assert run("solve", scene, tmp_path, held) == 0
+    assert run("solve", scene, tmp_path, mean_load_settings) == 0
     rows = rows_of(tmp_path / "solution.json")
     assert rows["closed_share"]["value"] == 0.0
     assert "excitation.force_mean" in rows["remarks"]["value"]
@@ -157,9 +157,9 @@ def test_no_error_is_asked_for(
     run = fc.solve(plain_scene, MPI.COMM_SELF)
     assert run.errors is None and run.result.stability is None
     assert not run.result.report.estimated and run.result.converged
-    refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
+    tolerance_settings = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
     with pytest.raises(fc.InputError, match=r"harmonic_balance\.error = False"):
-        scene.replace(refused | {"harmonic_balance.error": False})
+        scene.replace(tolerance_settings | {"harmonic_balance.error": False})
 
 
 def test_one_sentence_holds_the_answer(

@@ -56,8 +56,8 @@ def test_new_writes_a_scene(kinds: list[str], here: Path) -> None:
 def test_every_command_runs_on_what_new_wrote(here: Path) -> None:
     """A blade with probes and measurements takes all of them."""
     assert main(["new", "own.toml", *(f"--{kind}" for kind in KINDS), "--quiet"]) == 0
-    few = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
-    words = sets(*COARSE, *few, "integration.periods=3", "integration.settle=10.0")
+    few_options = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
+    words = sets(*COARSE, *few_options, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "campbell", "solve", "curve", "integrate", "sweep", "timing"):
         more_options = (
             ["--speeds", "0", "3000", "2", "--count", "1"] if command == "campbell" else []
@@ -69,9 +69,9 @@ def test_every_command_runs_on_what_new_wrote(here: Path) -> None:
 def test_the_crack_of_the_sample_is_found(here: Path, run_command: RunCommand) -> None:
     """From the measurements that new wrote."""
     assert main(["new", "plain.toml", "--identify", "--quiet"]) == 0
-    coarse = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
+    coarse_options = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
     *_, row = run_command(
-        "identify", "plain.toml", "plain_measured.csv", *coarse, "--quiet"
+        "identify", "plain.toml", "plain_measured.csv", *coarse_options, "--quiet"
     ).out.splitlines()
     assert float(row.split()[1]) == pytest.approx(0.025, rel=0.05)
 
@@ -84,9 +84,13 @@ def test_commands_run_on_the_solid_that_new_wrote(here: Path, run_command: RunCo
         in run_command("new", "own.toml", "--solid", "--blade", code=2).err
     )
     assert main(["new", "own.toml", "--solid", "--quiet"]) == 0
-    few = ["sweep.over={'crack.depth' = [0.002, 0.003]}", "curve.stop=604.0", "mesh.size=0.015"]
-    few += ["mesh.lip_elements=1", "reduction.modes=6"]
-    words = sets(*few, "integration.periods=3", "integration.settle=10.0")
+    few_options = [
+        "sweep.over={'crack.depth' = [0.002, 0.003]}",
+        "curve.stop=604.0",
+        "mesh.size=0.015",
+    ]
+    few_options += ["mesh.lip_elements=1", "reduction.modes=6"]
+    words = sets(*few_options, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "solve", "curve", "integrate", "sweep"):
         more_options = sets(f"mesh.error={'true' if command == 'solve' else 'false'}")
         more_options += ["--count", "2"] if command == "modes" else []
@@ -122,8 +126,14 @@ def test_lines_to_paste(command: str, gone: str, here: Path, run_command: RunCom
     assert message.startswith(f"fenics-crack: {gone} is missing: ") and message.count("\n") == 1
     Path("own.toml").write_text(f"{text}\n{lines}")
     coarse_options = [change for change in COARSE if not change.startswith(("curve", gone))]
-    short = {"curve": ["curve.stop=780.5"], "sweep": ["sweep.over={'crack.length' = [0.02]}"]}
-    assert main([command, "own.toml", *sets(*coarse_options, *short.get(gone, [])), "--quiet"]) == 0
+    short_options = {
+        "curve": ["curve.stop=780.5"],
+        "sweep": ["sweep.over={'crack.length' = [0.02]}"],
+    }
+    assert (
+        main([command, "own.toml", *sets(*coarse_options, *short_options.get(gone, [])), "--quiet"])
+        == 0
+    )
 
 
 WRONG = {
@@ -223,17 +233,17 @@ def test_the_curve_to_paste_is_of_this_scene(
 def test_commands_to_paste_quote_their_paths(here: Path, run_command: RunCommand) -> None:
     """A shell takes each as the words of a call that runs; also those in the scene itself."""
     name = "my 'plate' $x.toml"
-    said = run_command("new", name, "--identify").err.splitlines()
-    assert shlex.split(said[0].partition("now: ")[2])[1:] == ["check", name]
+    proposal_lines = run_command("new", name, "--identify").err.splitlines()
+    assert shlex.split(proposal_lines[0].partition("now: ")[2])[1:] == ["check", name]
     rows = "my 'plate' $x_measured.csv"
-    assert shlex.split(said[1].partition("then: ")[2])[1:] == ["identify", name, rows]
+    assert shlex.split(proposal_lines[1].partition("then: ")[2])[1:] == ["identify", name, rows]
     text = Path(name).read_text()
     assert f"check  {shlex.quote(name)} " in text
     assert f"identify {shlex.quote(name)} {shlex.quote(rows)}\n" in text
     [line] = [
-        one
-        for one in run_command("modes", name, "--count", "1", *sets(*COARSE)).err.splitlines()
-        if "pictures: " in one
+        mode_line
+        for mode_line in run_command("modes", name, "--count", "1", *sets(*COARSE)).err.splitlines()
+        if "pictures: " in mode_line
     ]
     program, *words = shlex.split(line.partition("pictures: ")[2])
     assert program == "fenics-crack" and main([*words, "--quiet"]) == 0
@@ -299,15 +309,15 @@ def test_wrong_words(
     """A command or an option that there is not."""
     with pytest.raises(SystemExit):
         main(words)
-    said = capsys.readouterr().err
-    assert said.rstrip().endswith(question) if question else "did you mean" not in said
+    messages = capsys.readouterr().err
+    assert messages.rstrip().endswith(question) if question else "did you mean" not in messages
 
 
 def completion(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
     pytest.importorskip("shtab")
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as exit_info:
         main(["--completion", shell])
-    assert left.value.code == 0
+    assert exit_info.value.code == 0
     return capsys.readouterr().out
 
 

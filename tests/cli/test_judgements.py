@@ -76,14 +76,14 @@ def test_advice_is_by_the_largest_part(
     unknown = ErrorReport(**(ZERO | {part: 1.5}))
     [text] = describe_large_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
     assert "unknown at 800 Hz, its estimate for" in text and advice in text
-    small = ErrorReport(**(ZERO | {part: 0.02}))
-    assert not [*describe_large_error(scene, small, harmonics)]
+    small_report = ErrorReport(**(ZERO | {part: 0.02}))
+    assert not [*describe_large_error(scene, small_report, harmonics)]
 
 
 def test_undecided_stretches_of_a_curve() -> None:
     """The longest first, also at the ends; none of what is not judged."""
-    left = np.array([True, False, True, True, True, False, True])
-    curve: Any = SimpleNamespace(undecided=left)
+    undecided_mask = np.array([True, False, True, True, True, False, True])
+    curve: Any = SimpleNamespace(undecided=undecided_mask)
     ranges = _find_undecided_ranges(curve)
     assert ranges == [(2, 4), (0, 0), (6, 6)]
     curve.undecided = None
@@ -186,9 +186,9 @@ def test_sweep_of_few_modes(
     """Loads at natural frequencies that two modes do not have, and at one where twenty are few: the
     cases are told as solve tells the largest of them, and marked in pictures; none is whose error
     was not asked for."""
-    few = {"reduction.modes": 2, "reduction.method": "massless"}
+    few_modes = {"reduction.modes": 2, "reduction.method": "massless"}
     axes = {"reduction.modes": [2, 20], "excitation.frequency": [800.0, 3205.0, 4232.0]}
-    swept_scene, lines = scene.replace(FIXED | few | {"sweep.over": axes}), []
+    swept_scene, lines = scene.replace(FIXED | few_modes | {"sweep.over": axes}), []
     for command, sets, code in (("solve", ["excitation.frequency=4232.0"], 4), ("sweep", [], 0)):
         err = run_command(command, swept_scene, "--output", tmp_path, sets=sets, code=code).err
         lines += [
@@ -196,10 +196,10 @@ def test_sweep_of_few_modes(
         ]
     place_text = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
     assert "for truncated modes" in lines[0] and lines[1:] == [f"{place_text}: {lines[0]}"]
-    found = SweepResult.load(tmp_path / "sweep.h5")
-    assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
-    asked = swept_scene.replace({"harmonic_balance.tolerance": 0.01})
-    sentence, depends = describe_sweep_warnings(replace(found, scene=asked))
+    sweep = SweepResult.load(tmp_path / "sweep.h5")
+    assert sweep.inexact.tolist() == [[False, True, True], [False, False, True]]
+    tolerance_scene = swept_scene.replace({"harmonic_balance.tolerance": 0.01})
+    sentence, depends = describe_sweep_warnings(replace(sweep, scene=tolerance_scene))
     assert "whose verdict depends on truncated modes" in depends
     assert sentence.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
     drawing_mock = Mock(wraps=plot.draw_response)
@@ -209,8 +209,8 @@ def test_sweep_of_few_modes(
         call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawing_mock.call_args_list
     ]
     assert marked_cases and all(rings == [False, True, True] for rings in marked_cases)
-    unasked = fc.run_sweep(swept_scene, judged=False)
-    assert not unasked.inexact.any() and not [*describe_sweep_warnings(unasked)]
+    unjudged_sweep = fc.run_sweep(swept_scene, judged=False)
+    assert not unjudged_sweep.inexact.any() and not [*describe_sweep_warnings(unjudged_sweep)]
 
 
 def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
@@ -275,17 +275,17 @@ def test_large_is_what_rotates(scene: fc.Scene, tmp_path: Path, run_command: Run
     for share, warns in ((0.02, False), (0.2, True)):
         force = [f"excitation.force_sin=[{unit * share * 0.1}, 0.0]"]
         for command in (["check", blade], ["solve", blade, "--output", tmp_path / "out"]):
-            said = run_command(*command, sets=force).err
-            assert ("beyond small displacements" in said) == warns, command
+            messages = run_command(*command, sets=force).err
+            assert ("beyond small displacements" in messages) == warns, command
 
 
 def test_errors_without_the_mesh_are_told_of_every_number(
     tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Also where the amplitude is not among those that are asked for."""
-    chosen = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
-    chosen += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
-    process = run_command("solve", PAPER, "--output", tmp_path, sets=chosen)
+    options = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
+    options += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
+    process = run_command("solve", PAPER, "--output", tmp_path, sets=options)
     assert "harmonic ratio 2/1" in process.out and "half peak-to-peak" not in process.out
     assert "error due to the mesh not included: mesh.error = false" in process.err
 
@@ -296,11 +296,14 @@ def test_a_steady_load_moves_nothing(
 ) -> None:
     """Whether it opens the crack or closes it: amplitude and harmonics are 0, not rounding, and the
     file is read again, though all gaps of closed lips are rounding."""
-    folder, still = tmp_path / "out", {"excitation.force_sin": [0.0, 0.0], "mesh.error": False}
+    folder, mean_settings = (
+        tmp_path / "out",
+        {"excitation.force_sin": [0.0, 0.0], "mesh.error": False},
+    )
     for force, closed in ((1400.0, 0.0), (-1400.0, 1.0)):
-        held_scene = scene.replace(still | {"excitation.force_mean": [force, 0.0]})
-        told = run_command("solve", held_scene, "--output", folder).err
-        assert "nothing vibrates" in told and "estimated error" not in told
+        held_scene = scene.replace(mean_settings | {"excitation.force_mean": [force, 0.0]})
+        messages = run_command("solve", held_scene, "--output", folder).err
+        assert "nothing vibrates" in messages and "estimated error" not in messages
         run = fc.load_run(folder / "solution.h5")
         indicators = run.result.indicators(run.watched_dof)
         assert indicators.amplitude == indicators.harmonic_1 == indicators.harmonic_2 == 0.0
@@ -316,13 +319,13 @@ def test_a_motion_of_closed_lips_settles(
     scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Their gaps are rounding, of which nothing repeats: the displacement of the load does."""
-    pressed = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
-    pressed |= {"output.quantities": ["amplitude"]}
-    process = run_command("integrate", scene.replace(pressed), "--output", tmp_path)
+    pressed_settings = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
+    pressed_settings |= {"output.quantities": ["amplitude"]}
+    process = run_command("integrate", scene.replace(pressed_settings), "--output", tmp_path)
     assert "not settled" not in process.err and "distance from the settled motion" in process.out
     run = fc.load_run(tmp_path / "integration.h5")
-    longer = {"integration.settle": 1e-10, "integration.periods": 2000}
-    exact = fc.integrate(run.scene.replace(longer))
+    longer_settings = {"integration.settle": 1e-10, "integration.periods": 2000}
+    exact = fc.integrate(run.scene.replace(longer_settings))
     last_period, limit = (
         history.by_period(history.displacement()[:, 0])[-1] for history in (run, exact)
     )
@@ -369,8 +372,8 @@ def test_what_differs(paper_scene: fc.Scene) -> None:
         "excitation.force_sin = 5 N",
         "excitation.force_sin = 20 N",
     ]
-    closed = paper_scene.replace({"crack.clearance": -2e-7})
-    assert describe_differences([paper_scene.replace({"crack.clearance": 0.0}), closed]) == [
+    closed_scene = paper_scene.replace({"crack.clearance": -2e-7})
+    assert describe_differences([paper_scene.replace({"crack.clearance": 0.0}), closed_scene]) == [
         "crack.clearance = 0 m",
         "crack.clearance = -200 nm",
     ]
@@ -441,11 +444,11 @@ def test_rounding_is_no_high_harmonic(
     means = [[0.0, 0.0], *([mean, 0.0] for mean in (100.0, -100.0, 200.0, -200.0))]
     slow = {"excitation.frequency": 138.8, "harmonic_balance.harmonics": 8, "curve": None}
     changed_scene = scene.replace(FIXED | slow | {"sweep.over": {"excitation.force_mean": means}})
-    said = run_command("sweep", changed_scene, "--output", tmp_path).err
+    messages = run_command("sweep", changed_scene, "--output", tmp_path).err
     sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
     assert sweep["largest_order"][0] > 3.0 and np.isnan(sweep["largest_order"][1:]).all()
     assert np.all(sweep["ratio_largest"][1:] < 1e-9)
-    assert "in 1 case the largest higher harmonic is above the third" in said
+    assert "in 1 case the largest higher harmonic is above the third" in messages
 
 
 # --- what ends a command, and what it says meanwhile ----------------------------------------------
@@ -512,10 +515,13 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
 
     wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._record", record)
     changes = [*RANGE, "harmonic_balance.tolerance=0.05"]
-    said = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
-    assert "was interrupted; its errors were not examined" in said
-    assert re.search(r"(\d) stable of \1 points", said)
-    assert "; curve interrupted; " in f"; {said.splitlines()[-1]}" and "estimated error" not in said
+    messages = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
+    assert "was interrupted; its errors were not examined" in messages
+    assert re.search(r"(\d) stable of \1 points", messages)
+    assert (
+        "; curve interrupted; " in f"; {messages.splitlines()[-1]}"
+        and "estimated error" not in messages
+    )
 
 
 def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -588,7 +594,7 @@ def test_a_result_is_kept_where_another_one_is_stopped(
     """While it is written; the earlier one is whole in its folder."""
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
     assert main(words) == 0
-    first = (tmp_path / "modes.h5").read_bytes()
+    first_content = (tmp_path / "modes.h5").read_bytes()
     monkeypatch.setattr("fenics_crack.runs.run.Run.save", Mock(side_effect=KeyboardInterrupt))
     assert main([*words, "--set", "material.young=2e11"]) == 130
-    assert (tmp_path / "before" / "modes.h5").read_bytes() == first
+    assert (tmp_path / "before" / "modes.h5").read_bytes() == first_content

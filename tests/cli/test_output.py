@@ -156,8 +156,8 @@ def test_a_verdict_that_is_left_out_is_told(
 ) -> None:
     """Of lips that have mass and may not overlap."""
     rigid = {"contact.law": "unilateral", "contact.stiffness": None, "reduction.method": "off"}
-    small = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
-    words = ["solve", scene.replace(rigid | small), "--output", tmp_path]
+    small_settings = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
+    words = ["solve", scene.replace(rigid | small_settings), "--output", tmp_path]
     printed_text = run_command(*words)
     assert "the stability is not assessed" in printed_text.err and "verdict" not in printed_text.out
     printed_text = run_command(*words, sets=["reduction.method=massless", "reduction.modes=6"])
@@ -223,7 +223,7 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
 ) -> None:
     """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
     still varies, those of ``fc.attractors``. And of the largest response of a curve."""
-    said = run_command("solve", leaning, "--output", tmp_path).err
+    messages = run_command("solve", leaning, "--output", tmp_path).err
     run = fc.load_run(tmp_path / "solution.h5")
     [attractor] = fc.attractors(run.structure, run.result)
     sizes = [
@@ -231,14 +231,14 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     ]
     settling_text = "; the motion still varies after 1000 periods, between"
     expected_text = f"{settling_text} {' and '.join(sizes)} half peak-to-peak"
-    assert expected_text in said
+    assert expected_text in messages
     run_command("report", tmp_path / "solution.h5", "--quiet")
     assert expected_text in (tmp_path / "report.html").read_text()
     # To where two periods of the load are one.
-    said = run_command("curve", leaning, "--output", tmp_path).err
+    messages = run_command("curve", leaning, "--output", tmp_path).err
     curve = fc.load_run(tmp_path / "curve.h5")
     last_solution = curve.result.solution(len(curve.result) - 1)
     [doubled_motion] = fc.attractors(curve.structure, last_solution)
     sizes = [f"{size:.4g} m" for size in np.sort(doubled_motion.amplitudes(curve.watched_dof))]
     expected_text = f"response is unstable; the motion settles to between {sizes[0]} and "
-    assert f"{expected_text}{sizes[1]} half" in said
+    assert f"{expected_text}{sizes[1]} half" in messages

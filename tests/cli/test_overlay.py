@@ -17,15 +17,20 @@ NIGHTLY = pytest.mark.nightly
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Solutions under two loads, curves with two dampings."""
     folder = tmp_path_factory.mktemp("results")
-    common = ["--set=contact.stiffness=1e7", "--set=damping.ratio=0.05", "--quiet"]
-    common += ["--set=contact.friction_error=false"]
+    common_options = ["--set=contact.stiffness=1e7", "--set=damping.ratio=0.05", "--quiet"]
+    common_options += ["--set=contact.friction_error=false"]
     for load in LOADS:
-        here = ["--set", f"excitation.force_sin=[{load},0]", "--output", f"{folder}/{load:g}"]
-        assert main(["solve", SCENE, *common, *here]) == 0
+        run_options = [
+            "--set",
+            f"excitation.force_sin=[{load},0]",
+            "--output",
+            f"{folder}/{load:g}",
+        ]
+        assert main(["solve", SCENE, *common_options, *run_options]) == 0
     for ratio in (0.05, 0.1):
-        here = ["--set", f"damping.ratio={ratio}", "--output", f"{folder}/{ratio}"]
+        run_options = ["--set", f"damping.ratio={ratio}", "--output", f"{folder}/{ratio}"]
         span = ["--set", "curve.start=2000", "--set", "curve.stop=2100"]
-        assert main(["curve", SCENE, *common, *span, *here]) in (0, 3)
+        assert main(["curve", SCENE, *common_options, *span, *run_options]) in (0, 3)
     return folder
 
 
@@ -94,11 +99,11 @@ def test_mesh_with_a_load_of_many_harmonics(
         ]
     }
     changes |= {"excitation.wave": str(wave), "harmonic_balance.harmonics": None}
-    loaded = fc.Scene.load(scene, changes)
-    run_command("plot", loaded, "--output", tmp_path, "--quiet")
+    loaded_scene = fc.Scene.load(scene, changes)
+    run_command("plot", loaded_scene, "--output", tmp_path, "--quiet")
     assert (tmp_path / "mesh.png").exists()
     if scene == SCENE:
-        run_command("modes", loaded, "--output", tmp_path, "--quiet")
+        run_command("modes", loaded_scene, "--output", tmp_path, "--quiet")
         run_command("report", tmp_path / "modes.h5", "--quiet")
 
 

@@ -163,8 +163,10 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
 def test_rigid_lips_do_not_pass_through_each_other() -> None:
     """Nor in the picture of the orbit, though harmonics round off the kinks of the gap: lips
     without mass rest where they touch, and part with the velocity of the exact orbit."""
-    many = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 100}
-    run = fc.solve(fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(many), MPI.COMM_SELF)
+    many_harmonics = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 100}
+    run = fc.solve(
+        fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(many_harmonics), MPI.COMM_SELF
+    )
     opening, speed = fc.draw_orbits(run.result).axes[0].lines[0].get_data()
     is_touching = opening > -1e-9 * np.ptp(opening)
     assert opening.max() < 1e-9 * np.ptp(opening) and 0.1 < is_touching.mean() < 0.9
@@ -231,16 +233,17 @@ def test_two_ranks_write_the_same(
     """Series, script, numbers of every node and pictures, though the nodes are in another order."""
     folder = tmp_path / "crack"
     magnification = write_on_ranks(small_scene, str(folder), MPI.COMM_SELF)
-    alone = tmp_path / "alone"
-    shutil.move(folder, alone)
+    single_folder = tmp_path / "alone"
+    shutil.move(folder, single_folder)
     assert on_ranks(write_on_ranks, small_scene, str(folder)) == pytest.approx(magnification)
-    assert (folder / "crack.pvd").read_text() == (alone / "crack.pvd").read_text()
-    scripts = [(place / "crack_paraview.py").read_text() for place in (folder, alone)]
+    assert (folder / "crack.pvd").read_text() == (single_folder / "crack.pvd").read_text()
+    scripts = [(place / "crack_paraview.py").read_text() for place in (folder, single_folder)]
     scripts = [[line for line in text.split("\n") if "Rescale" not in line] for text in scripts]
     assert scripts[0] == scripts[1]  # but for the rounded end of the colours
     for frame in range(4):
         first_grid, two = (
-            pyvista.read(place / "crack" / f"frame_{frame:04d}.vtu") for place in (alone, folder)
+            pyvista.read(place / "crack" / f"frame_{frame:04d}.vtu")
+            for place in (single_folder, folder)
         )
         assert first_grid.n_points == two.n_points == 85 and first_grid.n_cells == two.n_cells == 16
         assert set(first_grid.celltypes) == set(two.celltypes) == {70}  # nine nodes
@@ -257,5 +260,7 @@ def test_two_ranks_write_the_same(
             size = max(float(np.abs(first_grid[name]).max()), 1e-300)
             assert np.abs(first_grid[name] - two[name][partner]).max() <= 1e-6 * size, name
     for frame in range(4):
-        first_pixels, second = (pixels(place / "crack.gif", frame) for place in (folder, alone))
+        first_pixels, second = (
+            pixels(place / "crack.gif", frame) for place in (folder, single_folder)
+        )
         assert np.mean(np.any(first_pixels != second, axis=2)) < 0.01, frame

@@ -65,9 +65,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "curve.stability": "false", "contact.friction_error": "false",
         "sweep.over": "{'excitation.omega' = [1900.0, 2000.0, 2100.0]}",
     }  # fmt: skip
-    common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    common_options = [
+        word for key, value in changes.items() for word in ("--set", f"{key}={value}")
+    ]
     for command in COMMANDS:
-        assert main([command, SCENE, *common, "--output", str(folder), "--quiet"]) in (0, 3)
+        assert main([command, SCENE, *common_options, "--output", str(folder), "--quiet"]) in (0, 3)
     files = [str(folder / f"{name}.h5") for name in reversed(FILES)]
     assert main(["report", *files, "--output", str(folder / "page.html"), "--quiet"]) == 0
     return folder
@@ -226,9 +228,11 @@ def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
         "harmonic_balance.tolerance": "none", "harmonic_balance.harmonics": "5",
         "curve.start": "790", "curve.stop": "792", "curve.stability": "false",
     }  # fmt: skip
-    common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    common_options = [
+        word for key, value in changes.items() for word in ("--set", f"{key}={value}")
+    ]
     for command in ("curve", "solve"):
-        assert main([command, scene, *common, "--output", str(tmp_path), "--quiet"]) == 0
+        assert main([command, scene, *common_options, "--output", str(tmp_path), "--quiet"]) == 0
     files = [str(tmp_path / name) for name in ("curve.h5", "solution.h5")]
     assert main(["plot", files[0]]) == 0
     assert main(["report", *files, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
@@ -264,14 +268,14 @@ def test_a_folder(tmp_path: Path, run_command: RunCommand) -> None:
     words has no picture, and the page says why."""
     scene = fc.Scene.load(SCENE, {"contact.stiffness": 1e7, "harmonic_balance.harmonics": 5})
     fc.modes(scene, 2).save(tmp_path / "modes.h5")
-    over = {"sweep.over": {"crack.edge": ["left", "right"]}}
-    fc.run_sweep(scene.replace(over), tmp_path / "sweep.h5")
-    fc.run_sweep(scene.replace(over), tmp_path / "growth_1.h5", judged=False)
+    sweep_axes = {"sweep.over": {"crack.edge": ["left", "right"]}}
+    fc.run_sweep(scene.replace(sweep_axes), tmp_path / "sweep.h5")
+    fc.run_sweep(scene.replace(sweep_axes), tmp_path / "growth_1.h5", judged=False)
     assert "left out, as parts of other results: " in run_command("report", tmp_path).err
     page = Page((tmp_path / "report.html").read_text("utf-8"))
     assert sum(tag == "section" for tag, _ in page.tags) == 5
     assert "no picture: sweep.over = " in page.words.lower()
     assert main(["report", str(tmp_path / "growth_1.h5"), "--quiet"]) == 0
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    assert "must be a folder with results" in run_command("plot", empty, code=2).err
+    empty_folder = tmp_path / "empty"
+    empty_folder.mkdir()
+    assert "must be a folder with results" in run_command("plot", empty_folder, code=2).err

@@ -30,8 +30,8 @@ TURNING = ROTOR | {"excitation.omega": None, "excitation.order": 5}
 def written(folder: Path, changes: dict[str, Any] | None = None) -> Path:
     """A scene whose crack breathes, at 0.9 of its resonance; and its file."""
     force = {"excitation.omega": 1800.0, "excitation.force_sin": [30.0, 0.0]}
-    more = {f"tip_timing.{key}": value for key, value in TIMING.items()} | force
-    scene = fc.Scene.from_mapping(TINY).replace(more | (changes or {}))
+    timing_settings = {f"tip_timing.{key}": value for key, value in TIMING.items()} | force
+    scene = fc.Scene.from_mapping(TINY).replace(timing_settings | (changes or {}))
     (folder / "scene.toml").write_text(scene.as_toml(), encoding="utf-8")
     return folder / "scene.toml"
 
@@ -96,17 +96,17 @@ def test_one_revolution_is_no_sure_fit(tmp_path: Path, timing: RunCommand) -> No
     period. With one more revolution they see it twice, and the warning is gone."""
     scene = written(tmp_path, {"tip_timing.noise": 1e-9, "tip_timing.fitted_harmonics": 2})
     timing(scene)
-    lines, few = (tmp_path / "arrivals.csv").read_text().splitlines(), tmp_path / "few.csv"
+    lines, few_path = (tmp_path / "arrivals.csv").read_text().splitlines(), tmp_path / "few.csv"
     for subharmonic, turns, is_one_period in (
         (1, 1, True),
         (1, 2, False),
         (2, 2, True),
         (2, 3, False),
     ):
-        few.write_text("\n".join(lines[: 1 + turns * len(PROBES)]) + "\n")
-        told = timing(scene, few, sets=[f"tip_timing.subharmonic={subharmonic}"]).err
-        assert ("warning: no probe sees the vibration twice" in told) == is_one_period
-        arrivals = fc.ArrivalTimes.from_csv(few)
+        few_path.write_text("\n".join(lines[: 1 + turns * len(PROBES)]) + "\n")
+        messages = timing(scene, few_path, sets=[f"tip_timing.subharmonic={subharmonic}"]).err
+        assert ("warning: no probe sees the vibration twice" in messages) == is_one_period
+        arrivals = fc.ArrivalTimes.from_csv(few_path)
         fit = fc.fit_order(arrivals, [5], harmonics=2, subharmonic=subharmonic)
         assert fit.spare > 0 and fit.seen_once == is_one_period == (
             "no probe sees it twice" in repr(fit)
@@ -163,11 +163,11 @@ def test_arrivals_of_another_speed(tmp_path: Path, timing: RunCommand) -> None:
     """Times in milliseconds make the rotor 1000 times slower than the scene says: that is told."""
     scene, path = written(tmp_path, TURNING), tmp_path / "seen.csv"
     angle = 2.0 * np.pi * np.arange(20)[:, None] + np.radians(PROBES)
-    seen = (angle - 1e-4 * np.cos(5.0 * angle) / RADIUS) / 360.0
+    turns = (angle - 1e-4 * np.cos(5.0 * angle) / RADIUS) / 360.0
     marks = 2.0 * np.pi * np.arange(21) / 360.0
     remark = "the arrivals are of 0.36 rad/s, [rotation] has 360 rad/s: are they in seconds?"
     for unit in (1.0, 1e3):
-        fc.ArrivalTimes(unit * seen, unit * marks, np.radians(PROBES), RADIUS).to_csv(path)
+        fc.ArrivalTimes(unit * turns, unit * marks, np.radians(PROBES), RADIUS).to_csv(path)
         assert (remark in timing(scene, path).err) == (unit == 1e3)
 
 
@@ -183,9 +183,9 @@ def test_a_run_up_of_another_speed(tmp_path: Path, timing: RunCommand) -> None:
         (np.sqrt(start_speed**2 + 2.0 * rise * at) - start_speed) / rise for at in (angles, turns)
     )
     fc.ArrivalTimes(1e3 * times, 1e3 * marks, np.radians(PROBES), RADIUS).to_csv(path)
-    found = timing(scene, path).err
-    assert "no resonance stands out" in found
-    assert "[rotation] has 360 rad/s: are they in seconds?" in found
+    messages = timing(scene, path).err
+    assert "no resonance stands out" in messages
+    assert "[rotation] has 360 rad/s: are they in seconds?" in messages
     # Resonances that are sought have no harmonics, nor revolutions to fit together.
     for key, value in (("fitted_harmonics", 3), ("subharmonic", 2), ("fitted_revolutions", 10)):
         expected_message = (
@@ -223,8 +223,8 @@ def test_a_resonance_that_is_passed_in_few_revolutions(tmp_path: Path, timing: R
     assert max(row["amplitude_error_1 [m]"] for row in rows) < 1e-4
     middles = 0.5 * (turns[1:] + turns[:-1])
     for name, sizes in (("1", np.abs(wave(middles))), ("2", 0.0 * middles)):
-        off = np.array([row[f"amplitude_{name} [m]"] for row in rows]) - sizes
-        scores = np.abs(off) / [row[f"amplitude_error_{name} [m]"] for row in rows]
+        amplitude_errors = np.array([row[f"amplitude_{name} [m]"] for row in rows]) - sizes
+        scores = np.abs(amplitude_errors) / [row[f"amplitude_error_{name} [m]"] for row in rows]
         assert scores.max() < 4.0 and np.mean(scores > 2.0) < 0.1
 
 
@@ -260,8 +260,8 @@ def test_a_run_up(tmp_path: Path, timing: RunCommand) -> None:
         "tip_timing.frequencies = (150.0, 400.0): not allowed with a run-up, in which "
     )
     for source in (curve, arrivals):
-        sought = ["tip_timing.frequencies=[150, 400]"]
-        assert expected_message in timing(scene, source, sets=sought, code=2).err
+        frequency_options = ["tip_timing.frequencies=[150, 400]"]
+        assert expected_message in timing(scene, source, sets=frequency_options, code=2).err
     # Nor orders in one that is computed; in one that is measured resonances of these are.
     orders = ["tip_timing.orders=[4, 5]"]
     expected_message = (
@@ -287,8 +287,8 @@ def test_a_run_up_of_few_speeds(
 ) -> None:
     """Those of a curve are never one speed, however near they are: amplitudes of each speed are
     the curve's, at its two ends; identify, without a rotor, asks for one speed."""
-    narrow = {"curve.start": 1990.0, "curve.stop": 2000.0, "tip_timing.revolutions": 200}
-    scene, curve = followed(tmp_path, narrow)
+    narrow_settings = {"curve.start": 1990.0, "curve.stop": 2000.0, "tip_timing.revolutions": 200}
+    scene, curve = followed(tmp_path, narrow_settings)
     process = timing(scene, tmp_path / "curve.h5", "--format", "json")
     rows = json.loads(process.out)
     assert from_to(398.0, 400.0, 200) in process.err and len(rows) == 200
@@ -308,14 +308,14 @@ def test_a_curve_at_one_speed_is_no_run_up(
     """Of a rotor whose speed is given, a curve over the load's frequency is refused; one over the
     speed is a run-up between its ends."""
     ends = {"curve.start": 1797.5 * factor, "curve.stop": 1800.0 * factor}
-    along = {"curve.parameter": parameter, "curve.stability": False}
-    scene, _ = followed(tmp_path, TURNING | ends | along)
-    told = timing(scene, tmp_path / "curve.h5", code=code).err
+    curve_settings = {"curve.parameter": parameter, "curve.stability": False}
+    scene, _ = followed(tmp_path, TURNING | ends | curve_settings)
+    messages = timing(scene, tmp_path / "curve.h5", code=code).err
     if code:
-        assert "curve.parameter = 'omega': must be 'rpm' or 'speed' for" in told
-        assert "which is at 360 rad/s all along it" in told
+        assert "curve.parameter = 'omega': must be 'rpm' or 'speed' for" in messages
+        assert "which is at 360 rad/s all along it" in messages
     else:
-        assert from_to(359.5, 360.0, 20) in told
+        assert from_to(359.5, 360.0, 20) in messages
 
 
 def test_a_run_up_that_becomes_unstable(tmp_path: Path, timing: RunCommand) -> None:
@@ -325,15 +325,16 @@ def test_a_run_up_that_becomes_unstable(tmp_path: Path, timing: RunCommand) -> N
         size = np.where(np.arange(len(run.result)) > last_place, 2.0, 0.5).astype(complex)
         judged_run = replace(run, result=replace(run.result, multipliers=size))
         judged_run.save(tmp_path / "judged.h5")
-        told = timing(scene, tmp_path / "judged.h5", code=code).err
+        messages = timing(scene, tmp_path / "judged.h5", code=code).err
         ends, lost_speed = (
             float(f"{run.result.omega[last_place + step] / 5.0:.6g}") for step in (0, 1)
         )
         if code:
-            assert f"unstable at {run.result.omega[1]:.6g} rad/s" in told
+            assert f"unstable at {run.result.omega[1]:.6g} rad/s" in messages
             continue
         assert (
-            f"unstable at {lost_speed:g} rad/s: the run-up ends before, at {ends:g} rad/s" in told
+            f"unstable at {lost_speed:g} rad/s: the run-up ends before, at {ends:g} rad/s"
+            in messages
         )
         arrivals = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")
         assert 0.99 * ends < arrivals.speed[-1] < ends
@@ -341,9 +342,11 @@ def test_a_run_up_that_becomes_unstable(tmp_path: Path, timing: RunCommand) -> N
 
 def test_a_frequency_that_follows_no_order(tmp_path: Path, timing: RunCommand) -> None:
     """The rotor turns as [rotation] says; the frequency is found between two given ones."""
-    turning = {"rotation.rpm": 2000.0, "rotation.hub_radius": 0.1, "tip_timing.order": None}
-    sought = {"tip_timing.frequencies": [150.0, 400.0], "tip_timing.revolutions": 100}
-    scene = written(tmp_path, turning | sought | {"tip_timing.fitted_harmonics": 2})
+    rotor_settings = {"rotation.rpm": 2000.0, "rotation.hub_radius": 0.1, "tip_timing.order": None}
+    frequency_settings = {"tip_timing.frequencies": [150.0, 400.0], "tip_timing.revolutions": 100}
+    scene = written(
+        tmp_path, rotor_settings | frequency_settings | {"tip_timing.fitted_harmonics": 2}
+    )
     process = timing(scene, "--format", "json")
     row = json.loads(process.out)[1]
     assert row["omega [rad/s]"] == pytest.approx(1800.0, rel=1e-6)

@@ -60,11 +60,11 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     wheel = wheel_of(scene)
     write_whole(wheel, tmp_path / "whole.msh")
     plane = whole_scene(scene, tmp_path / "whole.msh")
-    turning = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
+    rotor_scene = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
     center = np.append(wheel.sector.center, 0.0)
     axis = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
     monkeypatch.setattr(Scene, "axis", axis)
-    whole_structure = fc.build_structure(turning)
+    whole_structure = fc.build_structure(rotor_scene)
     sector_omega_at_rest = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
     sector_omega = of_wheel(wheel.cyclic_modes(6))[:12]
     assert sector_omega == pytest.approx(fc.solve_modes(whole_structure, 12).omega, rel=1e-8)
@@ -97,9 +97,9 @@ def test_coordinates_are_those_of_the_whole_matrices(given: dict[str, object]) -
 def test_equal_mistuning_scales_all_frequencies() -> None:
     """By sqrt(1 + delta), with the crack open, too."""
     wheel = wheel_of(ring(disk__families=2))
-    tuned = fc.reduce_wheel(wheel)
-    other = fc.reduce_wheel(wheel.mistuned(0.03))
-    assert other.omega == pytest.approx(np.sqrt(1.03) * tuned.omega, rel=1e-8)
+    tuned_wheel = fc.reduce_wheel(wheel)
+    mistuned_wheel = fc.reduce_wheel(wheel.mistuned(0.03))
+    assert mistuned_wheel.omega == pytest.approx(np.sqrt(1.03) * tuned_wheel.omega, rel=1e-8)
 
 
 def test_ring_of_twelve_blades() -> None:
@@ -111,7 +111,7 @@ def test_ring_of_twelve_blades() -> None:
     reduced_wheel = fc.reduce_wheel(wheel)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
     omega = 2.0 * np.pi * np.linspace(1380.0, 1384.0, 81)
-    sizes = np.array([np.abs(_response(reduced_wheel, one, tips)) for one in omega])
+    sizes = np.array([np.abs(_response(reduced_wheel, frequency, tips)) for frequency in omega])
     top = int(np.argmax(sizes.max(axis=1)))
     assert omega[top] / (2.0 * np.pi) == pytest.approx(1381.8, rel=1e-3)
     assert sizes[top].max() == pytest.approx(82.24e-6, rel=1e-2)

@@ -45,8 +45,8 @@ def test_true_errors_over_stated_ones(families: int, factor: float, mesh: dict[s
     )  # fmt: skip
     scene = scene.replace({"excitation.omega": factor * resonance(scene)})
     run = fc.solve(scene, MPI.COMM_SELF)
-    finer = {"disk.families": 2 * families, "harmonic_balance.tolerance": 1e-4}
-    exact = fc.solve(scene.replace(finer), MPI.COMM_SELF)
+    finer_settings = {"disk.families": 2 * families, "harmonic_balance.tolerance": 1e-4}
+    exact = fc.solve(scene.replace(finer_settings), MPI.COMM_SELF)
     assert run.errors is not None and not run.errors.absent
     own_amplitude, true_amplitude = (
         compared_run.result.indicators(compared_run.watched_dof).amplitude
@@ -55,8 +55,10 @@ def test_true_errors_over_stated_ones(families: int, factor: float, mesh: dict[s
     assert 0.2 < abs(true_amplitude / own_amplitude - 1.0) / run.errors.stated("amplitude")[0] < 1.3
     time = np.linspace(0.0, run.result.period, 2000, endpoint=False)
     gap, exact_gap = (compared_run.result.gap(time) for compared_run in (run, exact))
-    off = np.linalg.norm(gap - exact_gap) / size_of_motion(exact_gap + run.structure.clearance)
-    assert 0.1 < off / run.result.report.total < 1.3
+    gap_error = np.linalg.norm(gap - exact_gap) / size_of_motion(
+        exact_gap + run.structure.clearance
+    )
+    assert 0.1 < gap_error / run.result.report.total < 1.3
 
 
 @pytest.mark.nightly

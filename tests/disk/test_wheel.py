@@ -102,9 +102,9 @@ def test_turned_by_a_sector(mistuned: Wheel) -> None:
     )  # fmt: skip
     sizes = []
     for wheel in (mistuned, turned_wheel):
-        found = solved(fc.reduce_wheel(wheel, 2), 1290.0)
+        solution = solved(fc.reduce_wheel(wheel, 2), 1290.0)
         dofs = wheel.dofs_of_blades(wheel.watched_dof)
-        sizes.append(np.array([found.amplitude(dof) for dof in dofs]))
+        sizes.append(np.array([solution.amplitude(dof) for dof in dofs]))
     assert np.roll(sizes[0], 3) == pytest.approx(sizes[1], rel=1e-7)
 
 
@@ -113,9 +113,9 @@ def test_two_cracked_blades() -> None:
     wheel = wheel_of(ring(disk__cracked=[1, 4]))
     reduced_wheel = fc.reduce_wheel(wheel, 2)
     assert reduced_wheel.n_pairs == 2 * wheel.sector.structure.n_pairs
-    found = solved(reduced_wheel, 1250.0)
+    solution = solved(reduced_wheel, 1250.0)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
-    tip_amplitudes = [found.amplitude(tip) for tip in tips]
+    tip_amplitudes = [solution.amplitude(tip) for tip in tips]
     assert tip_amplitudes[:3] == pytest.approx(tip_amplitudes[3:], rel=1e-7)
     assert list(wheel.watched_pairs) == ["the mouth of blade 1", "the mouth of blade 4"]
     places = wheel.pair_points
@@ -133,27 +133,29 @@ def test_harmonics_of_the_load_have_their_own_orders() -> None:
     for harmonic, order, size in ((1, 2, 1.0), (2, 4, 2.0)):
         complex_load = force[2 * harmonic - 1] - 1j * force[2 * harmonic]
         angles = 2.0 * np.pi * order * np.arange(6) / 6.0
-        first = {1: 1.0, 2: -1j}[harmonic] * size
-        assert complex_load == pytest.approx(first * np.exp(1j * angles), abs=1e-12)
+        expected_load = {1: 1.0, 2: -1j}[harmonic] * size
+        assert complex_load == pytest.approx(expected_load * np.exp(1j * angles), abs=1e-12)
     linear_solution = fc.solve_linear(fc.reduce_wheel(wheel), 2.0 * np.pi * 900.0, harmonics=2)
     rows = linear_solution.structure.values_at(linear_solution.displacement_coefficients, tips)
-    both = rows[3] - 1j * rows[4]
-    assert both[1:] / both[:-1] == pytest.approx(np.exp(2j * np.pi * 4 / 6) * np.ones(5), rel=1e-8)
+    complex_amplitude = rows[3] - 1j * rows[4]
+    assert complex_amplitude[1:] / complex_amplitude[:-1] == pytest.approx(
+        np.exp(2j * np.pi * 4 / 6) * np.ones(5), rel=1e-8
+    )
 
 
 def test_rotation_opens_the_crack() -> None:
     """The mean load is that of the rotor; the first frequency rises with the speed."""
-    turning = ring(rotation__rpm=6000.0, excitation__frequency=None)
-    assert turning.excitation.omega == pytest.approx(2.0 * turning.speed)
-    wheel = wheel_of(turning)
-    reduced = fc.reduce_wheel(wheel, 2)
-    linear_solution = fc.solve_linear(reduced, 100.0, harmonics=1)
+    rotor_scene = ring(rotation__rpm=6000.0, excitation__frequency=None)
+    assert rotor_scene.excitation.omega == pytest.approx(2.0 * rotor_scene.speed)
+    wheel = wheel_of(rotor_scene)
+    rotor_wheel = fc.reduce_wheel(wheel, 2)
+    linear_solution = fc.solve_linear(rotor_wheel, 100.0, harmonics=1)
     assert linear_solution.gap_coefficients[0].max() < 0.0  # open, all along
-    still = fc.reduce_wheel(wheel_of(ring()), 2)
-    assert np.all(reduced.omega[:6] > 1.001 * still.omega[:6])
+    resting_wheel = fc.reduce_wheel(wheel_of(ring()), 2)
+    assert np.all(rotor_wheel.omega[:6] > 1.001 * resting_wheel.omega[:6])
     # As much as the centrifugal load of the blade beyond the crack bends the section there.
     opening = -linear_solution.gap_coefficients[0].min()
-    stress = 7800.0 * turning.speed**2 * (0.18**2 - 0.112**2) / 2.0
+    stress = 7800.0 * rotor_scene.speed**2 * (0.18**2 - 0.112**2) / 2.0
     assert 0.3 < opening / (4.0 * stress * 0.004 / 2.1e11) < 6.0
 
 
@@ -173,17 +175,17 @@ def test_varied_wheel(mistuned: Wheel) -> None:
 
 def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
     """values_at and expand agree, and the pair's gap is that of the whole wheel."""
-    found = solved(fc.reduce_wheel(mistuned, 2), 1290.0)
-    rows = found.displacement_coefficients
-    expanded_rows = found.structure.expand(rows)
+    solution = solved(fc.reduce_wheel(mistuned, 2), 1290.0)
+    rows = solution.displacement_coefficients
+    expanded_rows = solution.structure.expand(rows)
     tips = mistuned.dofs_of_blades(mistuned.watched_dof)
-    tip_rows = found.structure.values_at(rows, tips)
+    tip_rows = solution.structure.values_at(rows, tips)
     assert tip_rows == pytest.approx(
         expanded_rows[:, tips], rel=1e-9, abs=1e-9 * np.abs(expanded_rows).max()
     )
     gap = mistuned.apply_bt(expanded_rows)
     size = np.abs(gap).max()
-    assert gap == pytest.approx(found.gap_coefficients, abs=1e-7 * size)
+    assert gap == pytest.approx(solution.gap_coefficients, abs=1e-7 * size)
 
 
 @pytest.mark.nightly
@@ -262,10 +264,10 @@ def test_resonance_of_the_cracked_blade(mesh: dict[str, Any]) -> None:
     scene = fc.Scene.from_mapping(RING).replace(mesh | {"disk.families": 1})
     coarse_scene = finer_mesh(scene, 0.5)
     (resonance_frequency, dofs), (coarse_resonance, _) = map(resonance, (scene, coarse_scene))
-    stated = abs(resonance_frequency - coarse_resonance) / (
+    stated_error = abs(resonance_frequency - coarse_resonance) / (
         coarse_scene.mesh.given("size") / scene.mesh.given("size") - 1.0
     )
-    true = abs(resonance_frequency - LIMIT)
-    assert true < stated < 4.0 * true + 0.4  # the limit's own error
+    true_error = abs(resonance_frequency - LIMIT)
+    assert true_error < stated_error < 4.0 * true_error + 0.4  # the limit's own error
     if mesh in (GRADED, FINEST):
-        assert true < 0.0015 * LIMIT and dofs <= 10_000
+        assert true_error < 0.0015 * LIMIT and dofs <= 10_000

@@ -41,9 +41,9 @@ def test_as_written_by_scipy(tmp_path: Path, symmetry: str, dense: bool) -> None
     path = tmp_path / "matrix.mtx"
     written_matrix = matrix if dense else sparse.csr_matrix(matrix)
     scipy.io.mmwrite(path, written_matrix, symmetry=symmetry, precision=17)
-    packed = tmp_path / "matrix.mtx.gz"
-    packed.write_bytes(gzip.compress(path.read_bytes()))
-    for file in (path, packed):
+    packed_path = tmp_path / "matrix.mtx.gz"
+    packed_path.write_bytes(gzip.compress(path.read_bytes()))
+    for file in (path, packed_path):
         np.testing.assert_allclose(read(file), matrix, rtol=1e-15)
 
 

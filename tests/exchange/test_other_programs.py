@@ -281,12 +281,14 @@ def test_matrices_of_output4(layout: str, tmp_path: Path) -> None:
     path = tmp_path / "both.op4"
     lines = op4_lines(np.eye(13), "MAA", "sparse", 9) + op4_lines(matrix, "KAA", layout, 9)
     path.write_text("\n".join(lines) + "\n")
-    found = read_matrix(path, "K").matrix.toarray()
-    assert found == pytest.approx(matrix, rel=1e-9) and np.all((found == 0.0) == (matrix == 0.0))
+    read_array = read_matrix(path, "K").matrix.toarray()
+    assert read_array == pytest.approx(matrix, rel=1e-9) and np.all(
+        (read_array == 0.0) == (matrix == 0.0)
+    )
     assert np.array_equal(read_matrix(path, "M").matrix.toarray(), np.eye(13))
     fortran = re.sub(r"(\d)E([+-]\d\d)", r"\1D\2", "\n".join(lines)).replace("8E16.9", "8D16.9")
     path.write_text(fortran.replace("E16.9", "D16.9") + "\n")
-    assert np.array_equal(read_matrix(path, "K").matrix.toarray(), found)
+    assert np.array_equal(read_matrix(path, "K").matrix.toarray(), read_array)
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError, match="no whole matrix whose name begins with B"):
         read_matrix(path, "B")
@@ -316,9 +318,9 @@ def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene
     changed_scene = scene.replace(
         {f"structure.{key}": str(folder / name) for key, name in files.items()}
     )
-    structure, own = fc.build_structure(changed_scene), fc.build_structure(scene)
-    assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-8)
-    assert structure.pair_points == pytest.approx(own.pair_points)
+    structure, plate_structure = fc.build_structure(changed_scene), fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(frequencies(plate_structure), rel=1e-8)
+    assert structure.pair_points == pytest.approx(plate_structure.pair_points)
     displacements = np.zeros((1, structure.n_dofs))
     displacements[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
     expected_gap = 1e-6 if program == "a table" else 0.5e-6
@@ -334,8 +336,8 @@ def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> 
     )
     run = fc.modes(changed_scene, 3, MPI.COMM_SELF)
     fc.save(run.result, folder / "modes.h5", run.scene)
-    again = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
-    np.testing.assert_array_equal(again.shapes, run.result.shapes)
+    stored_modes = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
+    np.testing.assert_array_equal(stored_modes.shapes, run.result.shapes)
 
 
 def test_matrices_that_do_not_fit_their_rows(folder: Path, scene: Scene) -> None:
@@ -367,24 +369,30 @@ def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> Non
         {f"structure.{key}": str(folder / name) for key, name in files.items()}
         | {"excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
     )
-    structure, own = fc.build_structure(changed_scene), fc.build_structure(scene)
-    assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-9)
-    assert structure.dof_name(structure.find_most_loaded_dof()) == own.dof_name(
-        own.find_most_loaded_dof()
+    structure, plate_structure = fc.build_structure(changed_scene), fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(frequencies(plate_structure), rel=1e-9)
+    assert structure.dof_name(structure.find_most_loaded_dof()) == plate_structure.dof_name(
+        plate_structure.find_most_loaded_dof()
     )
 
 
 def test_rows_of_calculix_in_another_place(folder: Path, scene: Scene) -> None:
     """They are read from there without a model, too, where a file of dofs is refused with others:
     it would do nothing."""
-    own = fc.build_structure(scene)
+    plate_structure = fc.build_structure(scene)
     (folder / "plate.dof").rename(folder / "rows.txt")
-    scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(own.force[2][:, None]))
+    scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(plate_structure.force[2][:, None]))
     files = {"dofs": str(folder / "rows.txt"), "force_sin": str(folder / "force.mtx")}
-    alone = {f"structure.{key}": path for key, path in files.items()} | {"structure.model": None}
-    alone |= {"contact": None, "excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
-    other = fc.build_structure(scene.replace(alone))
-    assert frequencies(other) == pytest.approx(frequencies(own), rel=1e-9)
+    matrix_settings = {f"structure.{key}": path for key, path in files.items()} | {
+        "structure.model": None
+    }
+    matrix_settings |= {
+        "contact": None,
+        "excitation.point": None,
+        "excitation.force_sin": [0.0, 0.0, 0.0],
+    }
+    other_structure = fc.build_structure(scene.replace(matrix_settings))
+    assert frequencies(other_structure) == pytest.approx(frequencies(plate_structure), rel=1e-9)
 
 
 def on_ranks_of(text: str, folder: str, comm: MPI.Comm) -> tuple[list[float], float, str]:
@@ -627,22 +635,22 @@ def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
     (tmp_path / "all.inp").write_text(
         f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
     )
-    found, wanted = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
-    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    model, expected_model = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
+    np.testing.assert_array_equal(model.cells[12], expected_model.cells[12])
 
 
 def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
     """SURF154 of four nodes in the block of the solids, each with the number of its type."""
     write_ansys(tmp_path)
     path = tmp_path / "plate.cdb"
-    wanted = read_model(path)
-    label = wanted.labels[wanted.cells[12][0, :4]].tolist()
+    expected_model = read_model(path)
+    label = expected_model.labels[expected_model.cells[12][0, :4]].tolist()
     surface = "".join(f"{x:9}" for x in [1, 2, 1, 1, 0, 0, 0, 0, 4, 0, 99, *label])
     text = path.read_text().replace("/PREP7", "/PREP7\nET,1,185\nET, 2, SURF154")
     path.write_text(text.replace(f"{-1:9}\nFINISH", f"{surface}\n{-1:9}\nFINISH"))
-    found = read_model(path)
-    assert list(found.cells) == [12]
-    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    model = read_model(path)
+    assert list(model.cells) == [12]
+    np.testing.assert_array_equal(model.cells[12], expected_model.cells[12])
     path.write_text(path.read_text().replace("ET,1,185", "ET,1,SHELL181"))
     with pytest.raises(ValueError, match="none of its elements, of types 154, 181, is a solid"):
         read_model(path)

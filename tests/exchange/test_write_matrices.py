@@ -94,12 +94,17 @@ def check_way_back(scene: Scene, folder: Path) -> None:
     structure = fc.build_structure(scene)
     fc.write_matrices(structure, folder, scene)
     assert max(differences(structure, folder).values()) <= 1e-15
-    again = Scene.load(folder / "matrices.toml")
-    assert fc.build_structure(again).force == pytest.approx(structure.force, rel=1e-15, abs=0.0)
-    first, second = solved(scene), solved(again)
-    assert first.converged and first.contact_force(np.linspace(0.0, first.period, 50)).max() > 0.0
+    read_scene = Scene.load(folder / "matrices.toml")
+    assert fc.build_structure(read_scene).force == pytest.approx(
+        structure.force, rel=1e-15, abs=0.0
+    )
+    first_solution, second = solved(scene), solved(read_scene)
+    assert (
+        first_solution.converged
+        and first_solution.contact_force(np.linspace(0.0, first_solution.period, 50)).max() > 0.0
+    )
     for name in ("gap_coefficients", "displacement_coefficients"):
-        first_array, second_array = getattr(first, name), getattr(second, name)
+        first_array, second_array = getattr(first_solution, name), getattr(second, name)
         assert np.abs(second_array - first_array).max() <= 1e-12 * np.abs(first_array).max()
 
 
@@ -255,9 +260,9 @@ def test_on_two_ranks(paper_scene: Scene, tmp_path: Path, on_ranks: Callable[...
     """The first one writes the rows of both."""
     scene = paper_scene.replace(PLATES["friction"])
     shared_results = on_ranks(write_and_solve, scene, str(tmp_path))
-    again = Scene.load(tmp_path / "matrices.toml")
-    assert fc.solve_modes(fc.build_structure(again), 6).omega == pytest.approx(
+    read_scene = Scene.load(tmp_path / "matrices.toml")
+    assert fc.solve_modes(fc.build_structure(read_scene), 6).omega == pytest.approx(
         shared_results, rel=1e-9
     )
-    own_gap, read_gap = (solved(part).gap_coefficients for part in (scene, again))
+    own_gap, read_gap = (solved(part).gap_coefficients for part in (scene, read_scene))
     assert np.abs(read_gap - own_gap).max() < 1e-6 * np.abs(own_gap).max()

@@ -50,8 +50,8 @@ def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
 @pytest.mark.nightly
 def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
     """Modes are doubled where a case needs more; its solution has those with which it was found."""
-    over = {"excitation.frequency": [600.0, 832.0]}
-    scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": over})
+    sweep_axes = {"excitation.frequency": [600.0, 832.0]}
+    scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": sweep_axes})
     sweep = fc.run_sweep(scene, tmp_path / "sweep.h5")
     for name in ("residual", "truncation", "sampling"):
         assert np.all(sweep[f"{name}_error"] <= 0.01)

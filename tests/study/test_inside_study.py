@@ -172,20 +172,24 @@ def test_lips_that_never_meet_or_part(share: float) -> None:
     free_figures = figures_of(PAPER)
     assert free_figures.breathes and free_figures.closed == 0
     law = fc.UnilateralPenalty(1e11)
-    away = PAPER.replace({"crack.clearance": share * free_figures.gap_motion})
-    found = fc.solve_harmonic_balance(fc.build_structure(away), 2000.0, law)
-    is_touching = np.abs(found.force_coefficients).max() > 1e-6
-    assert figures_of(away).breathes == is_touching == (share < 1.0)
+    distant_scene = PAPER.replace({"crack.clearance": share * free_figures.gap_motion})
+    open_solution = fc.solve_harmonic_balance(fc.build_structure(distant_scene), 2000.0, law)
+    is_touching = np.abs(open_solution.force_coefficients).max() > 1e-6
+    assert figures_of(distant_scene).breathes == is_touching == (share < 1.0)
     # Of closed lips a constant preload is F = g0 / R(0); the load carries |s(w) / R(w)|.
-    times = np.linspace(0.0, found.period, 400)
-    pressed = PAPER.replace({"crack.clearance": -1.0})
-    held = fc.solve_harmonic_balance(fc.build_structure(pressed), 2000.0, law)
-    force = held.contact_force(times)[:, 0]
+    times = np.linspace(0.0, open_solution.period, 400)
+    pressed_scene = PAPER.replace({"crack.clearance": -1.0})
+    closed_solution = fc.solve_harmonic_balance(fc.build_structure(pressed_scene), 2000.0, law)
+    force = closed_solution.contact_force(times)[:, 0]
     depth = np.ptp(force) / 2.0 / force.mean()  # clearance of -1 m: where the force just vanishes
-    near = PAPER.replace({"crack.clearance": -float(depth) / share})
-    orbit = fc.solve_harmonic_balance(fc.build_structure(near), 2000.0, law)
-    assert figures_of(near).closed == 1
-    assert figures_of(near).breathes == (orbit.contact_force(times).min() <= 0.0) == (share > 1.0)
+    near_scene = PAPER.replace({"crack.clearance": -float(depth) / share})
+    orbit = fc.solve_harmonic_balance(fc.build_structure(near_scene), 2000.0, law)
+    assert figures_of(near_scene).closed == 1
+    assert (
+        figures_of(near_scene).breathes
+        == (orbit.contact_force(times).min() <= 0.0)
+        == (share > 1.0)
+    )
 
 
 def test_mean_load_keeps_lips_apart_or_together() -> None:
@@ -271,8 +275,8 @@ def test_proportional_to_the_load() -> None:
     )
     assert scales_with_load(PAPER)
     assert not scales_with_load(PAPER.replace({"crack.clearance": 1e-7}))
-    smoothed = {"contact.law": "smoothed", "contact.sharpness": 1e8}
-    assert not scales_with_load(PAPER.replace(smoothed))
+    smoothed_settings = {"contact.law": "smoothed", "contact.sharpness": 1e8}
+    assert not scales_with_load(PAPER.replace(smoothed_settings))
     assert not scales_with_load(fc.Scene.load(DEMOS / "chain.toml"))
 
 
@@ -290,8 +294,8 @@ def test_elements_along_each_lip() -> None:
     mesh = {"layout": "graded", "columns": None, "rows": None, "order": 2}
     changes = {f"mesh.{key}": value for key, value in mesh.items()}
     scene = PAPER.replace(changes | {"mesh.size": 0.05, "mesh.lip_elements": 4})
-    inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
-    for changed_scene in (scene, scene.replace(inside)):
+    inner_crack = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
+    for changed_scene in (scene, scene.replace(inner_crack)):
         assert figures_of(changed_scene).elements == 4
         remarks = remarks_on_scene(changed_scene, figures=figures_of(changed_scene))
         assert not any("elements" in str(remark) for remark in remarks)
@@ -488,15 +492,15 @@ def test_method_of_integration(
     paper_scene: fc.Scene, changes: dict[str, Any], scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The scene's, or that of the structure."""
-    asked: list[dict[str, Any]] = []
+    call_options: list[dict[str, Any]] = []
     module = "central_differences" if scheme == "integrate_central_difference" else "flows"
     monkeypatch.setattr(
-        f"fenics_crack.time.{module}.{scheme}", lambda *given, **rest: asked.append(rest)
+        f"fenics_crack.time.{module}.{scheme}", lambda *given, **rest: call_options.append(rest)
     )
     fc.integrate(paper_scene.replace(FINE | changes), MPI.COMM_SELF)
-    assert len(asked) == 1
+    assert len(call_options) == 1
     if scheme == "integrate_exponential":
-        assert asked[0]["steps_per_period"] == 512
+        assert call_options[0]["steps_per_period"] == 512
 
 
 @pytest.mark.parametrize(("value", "below", "above"), [

@@ -77,15 +77,17 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
 def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) -> None:
     """To lips without mass; over the frequency, and over the preload."""
     changes: dict[str, Any] = {"reduction.modes": 10, "reduction.method": "massless"}
-    found = fc.solve(scene.replace(changes), MPI.COMM_SELF)
-    assert isinstance(found.structure, fc.MasslessStructure)
-    expected = fc.solve(plate.replace(changes), MPI.COMM_SELF).result
-    assert relative(found.result.gap_coefficients, expected.gap_coefficients) < 1e-8
-    over = {"excitation.omega": [1900.0, 2000.0], "structure.clearance": [-1e-7, 0.0]}
-    sweep = run_sweep(scene.replace(changes | {"sweep.over": over}), tmp_path / "sweep.h5")
+    run = fc.solve(scene.replace(changes), MPI.COMM_SELF)
+    assert isinstance(run.structure, fc.MasslessStructure)
+    expected_solution = fc.solve(plate.replace(changes), MPI.COMM_SELF).result
+    assert relative(run.result.gap_coefficients, expected_solution.gap_coefficients) < 1e-8
+    sweep_axes = {"excitation.omega": [1900.0, 2000.0], "structure.clearance": [-1e-7, 0.0]}
+    sweep = run_sweep(scene.replace(changes | {"sweep.over": sweep_axes}), tmp_path / "sweep.h5")
     assert sweep.converged.all()
-    assert relative(sweep.gap((1, 0)), expected.gap_coefficients) < 1e-6
-    assert sweep["response"][1, 0] == pytest.approx(expected.amplitude(found.watched_dof), rel=1e-3)
+    assert relative(sweep.gap((1, 0)), expected_solution.gap_coefficients) < 1e-6
+    assert sweep["response"][1, 0] == pytest.approx(
+        expected_solution.amplitude(run.watched_dof), rel=1e-3
+    )
     solution = sweep.solution((1, 1))
     assert relative(solution.gap_coefficients, sweep.gap((1, 1))) < 1e-9
 
@@ -109,8 +111,10 @@ def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
     """Its verdict and its curve are not to be had; without mass at the pairs they are."""
     words = ["check", str(DEMOS / "chain.toml"), "--set", "contact.stiffness=none"]
     for more_options, is_remarked in ((), True), (("--set", "reduction.method=massless"), False):
-        said = run_command(*words, "--set", "contact.law=unilateral", *more_options).err
-        assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == is_remarked
+        messages = run_command(*words, "--set", "contact.law=unilateral", *more_options).err
+        assert (
+            "remark: contact.law = unilateral: rigid contact of pairs" in messages
+        ) == is_remarked
 
 
 @pytest.mark.drawn(3)
@@ -132,7 +136,7 @@ def test_the_example_runs_from_the_shell(
     if name == "check":  # of masses: nothing that plates alone have
         assert not re.search("crack|lips|flap|torsion|plate|mesh", process.out)
         return
-    told = run_command("plot", tmp_path / f"{result}.h5").err
+    messages = run_command("plot", tmp_path / f"{result}.h5").err
     pictures = {path.name for path in tmp_path.glob("*.*") if path.suffix not in (".csv", ".json")}
     expected_pictures = {
         "solve": {"solution_waves.png", "solution_orbits.png"},
@@ -141,7 +145,7 @@ def test_the_example_runs_from_the_shell(
         "modes": {"modes.h5"},
     }[name]
     assert expected_pictures <= pictures
-    assert ("no mesh" in told) == (name in ("solve", "modes"))
+    assert ("no mesh" in messages) == (name in ("solve", "modes"))
 
 
 def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> None:
@@ -172,8 +176,8 @@ def test_the_example_meets_its_stop() -> None:
     omega = fc.modes(scene, 1, MPI.COMM_SELF).result.omega[0]
     assert omega == pytest.approx(2.0 * np.sqrt(2e4 / 0.1) * np.sin(np.pi / 50.0), rel=1e-12)
     run = fc.solve(scene, MPI.COMM_SELF)
-    settled = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
-    history = fc.integrate(scene.replace(settled), MPI.COMM_SELF).result
+    march_settings = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
+    history = fc.integrate(scene.replace(march_settings), MPI.COMM_SELF).result
     marched_range = float(
         np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :])
     )
@@ -214,9 +218,9 @@ def test_bad_matrices_are_named(
 
 def refused(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
     """What each rank is told where the last one does not see one of the files (collective)."""
-    missing = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
+    missing_settings = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
     with pytest.raises(InputError) as caught:
-        fc.build_structure(scene.replace(missing), comm)
+        fc.build_structure(scene.replace(missing_settings), comm)
     return comm.allgather(caught.value.key)
 
 

@@ -41,17 +41,21 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
     def numbers(orbit: PeriodicOrbit) -> dict[str, float]:
         return of_orbit(replace(run, structure=orbit.structure), result, orbit, 1)
 
-    larger = orbit
+    larger_orbit = orbit
     for factor in (2, 4):
         structure = fc.reduce_structure(
             run.structure.whole, modes=factor * orbit.structure.n_modes, method="massless",
             reference=False,
         )  # fmt: skip
         flow = exact_flow_or_none(structure, run.contact)
-        found = MoreModes(flow, result.assessment.wave, larger).orbit
-        larger = found
-    few, many = numbers(orbit), numbers(larger)
-    return {name: abs(many[name] - value) for name, value in few.items() if name in many}
+        next_orbit = MoreModes(flow, result.assessment.wave, larger_orbit).orbit
+        larger_orbit = next_orbit
+    few_modes_numbers, many_modes_numbers = numbers(orbit), numbers(larger_orbit)
+    return {
+        name: abs(many_modes_numbers[name] - value)
+        for name, value in few_modes_numbers.items()
+        if name in many_modes_numbers
+    }
 
 
 @pytest.mark.nightly

@@ -64,12 +64,14 @@ def true(study: fc.Study) -> float:
 def test_modes_by_an_orbit_that_is_far_away(study: fc.Study, true: float, harmonics: int) -> None:
     """Far away from the solution, the nearest orbit shows what modes change: 16 % where
     two truncated solutions differ by less than 1 %."""
-    found = solved(study, harmonics)
-    assert found.assessment.is_accepted and 0.1 < found.report.truncation < 1.0
-    assert found.report.reduction == pytest.approx(true, rel=0.1)
-    plain = solved(replace(study, structure=study.structure.reference), harmonics)
-    time = np.arange(512) * found.period / 512
-    change = size_of_motion(plain.gap(time) - found.gap(time)) / size_of_motion(found.gap(time))
+    solution = solved(study, harmonics)
+    assert solution.assessment.is_accepted and 0.1 < solution.report.truncation < 1.0
+    assert solution.report.reduction == pytest.approx(true, rel=0.1)
+    plain_solution = solved(replace(study, structure=study.structure.reference), harmonics)
+    time = np.arange(512) * solution.period / 512
+    change = size_of_motion(plain_solution.gap(time) - solution.gap(time)) / size_of_motion(
+        solution.gap(time)
+    )
     assert change / study.structure.share < 0.2 * true
 
 
@@ -80,15 +82,15 @@ def test_modes_without_any_orbit(
     has ended by its budget is said."""
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PIECES", 10)
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
-    found = solved(study, 10)
-    assert found.assessment.nearest_orbit is None
+    solution = solved(study, 10)
+    assert solution.assessment.nearest_orbit is None
     expected_text = "an exact orbit ended at its budget of"
     assert (
-        expected_text in found.assessment.rejection_reason
-        and expected_text in fc.floquet(found.structure, found).reason
+        expected_text in solution.assessment.rejection_reason
+        and expected_text in fc.floquet(solution.structure, solution).reason
     )
-    assert true < 1.5 * found.report.reduction and found.report.reduction < 1.0
-    report = stated_errors(study, found)
+    assert true < 1.5 * solution.report.reduction and solution.report.reduction < 1.0
+    report = stated_errors(study, solution)
     assert not {"modes", "harmonics"} & report.unknown.keys()
     for name in ("amplitude", "opening", "ratio_2_1"):
         parts = report.contributions(name)
@@ -100,8 +102,8 @@ def test_modes_whose_reference_has_no_orbit(
 ) -> None:
     """Solutions with 40 harmonics show of the opening what orbits do, 11 %; with as many as the
     answer has, 13, they show less than 1 %."""
-    chosen = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 0.1}
-    scene = study.scene.replace(chosen)
+    settings = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 0.1}
+    scene = study.scene.replace(settings)
 
     def part() -> float:
         run = fc.solve(scene)
@@ -150,12 +152,15 @@ def test_modes_that_change_the_orbit_too_much() -> None:
             "damping.ratio": 1e-3, "excitation.frequency": 830.0,
         }
     )  # fmt: skip
-    few = solved(study, 10)
-    assert few.assessment.is_accepted and few.report.truncation < 0.1
-    assert 0.15 < few.report.reduction < 4.0 * 0.15
-    report = stated_errors(study, few)
+    few_modes_solution = solved(study, 10)
+    assert few_modes_solution.assessment.is_accepted and few_modes_solution.report.truncation < 0.1
+    assert 0.15 < few_modes_solution.report.reduction < 4.0 * 0.15
+    report = stated_errors(study, few_modes_solution)
     assert "modes" not in report.unknown and report.stated("opening")[1] == "modes"
     larger_orbit = orbit_of(study, 20)
-    true = abs(larger_orbit.faces["opening"] / few.assessment.nearest_orbit.faces["opening"] - 1.0)
-    assert true / study.structure.share < report.stated("opening")[0] < 1.0
+    true_change = abs(
+        larger_orbit.faces["opening"] / few_modes_solution.assessment.nearest_orbit.faces["opening"]
+        - 1.0
+    )
+    assert true_change / study.structure.share < report.stated("opening")[0] < 1.0
     assert 0.1 < solved(study, 40).report.reduction < 0.25

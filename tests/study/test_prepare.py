@@ -74,8 +74,8 @@ def test_default_reduction_of_few_dofs(paper_scene: fc.Scene) -> None:
     method_by_dofs = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
     for modes, method in method_by_dofs.items():
         table = "[reduction]" if modes is None else f"[reduction]\nmodes = {modes}"
-        given = fc.Scene.from_text(f"{paper_scene.as_toml()}\n{table}\n")
-        reduction = fc.prepare(given, MPI.COMM_SELF).scene.reduction
+        table_scene = fc.Scene.from_text(f"{paper_scene.as_toml()}\n{table}\n")
+        reduction = fc.prepare(table_scene, MPI.COMM_SELF).scene.reduction
         assert (
             reduction is not None
             and reduction.method == method
@@ -112,8 +112,10 @@ def test_rayleigh_damping(
     scene: fc.Scene, table: dict[str, Any], expected: fc.RayleighDamping
 ) -> None:
     """Of the plate and of its reduced structure, which keeps 50 modes: all are damped."""
-    none = {"damping.ratio": None, "damping.modes": "all"}
-    damped_scene = scene.replace(none | {f"damping.{key}": value for key, value in table.items()})
+    no_damping = {"damping.ratio": None, "damping.modes": "all"}
+    damped_scene = scene.replace(
+        no_damping | {f"damping.{key}": value for key, value in table.items()}
+    )
     study = fc.prepare(damped_scene, MPI.COMM_SELF)
     assert study.structure.damping == study.structure.whole.damping == expected
     assert study.scene.reduction is not None and study.scene.reduction.modes == 50

@@ -65,10 +65,10 @@ def test_static_load_is_held(method: str) -> None:
 def solid(**changes: Any) -> fc.Scene:
     """The box that ``new`` writes, coarser, with some keys of its excitation and base."""
     keys = {key.replace("__", "."): value for key, value in changes.items()}
-    coarse = {"mesh.size": 0.015, "mesh.lip_elements": 2, "reduction.modes": 6}
+    coarse_settings = {"mesh.size": 0.015, "mesh.lip_elements": 2, "reduction.modes": 6}
     scene = fc.Scene.load(ROOT / "fenics_crack" / "cli" / "new_solid.toml")
-    few = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 3}
-    return scene.replace(coarse | few | keys)
+    few_harmonics = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 3}
+    return scene.replace(coarse_settings | few_harmonics | keys)
 
 
 def test_static_load_of_a_solid() -> None:
@@ -138,19 +138,19 @@ def test_newtons_law_of_the_whole_body(changes: dict[str, Any]) -> None:
     contact = {"contact": None, "contact__stiffness": 1e9, "harmonic_balance__harmonics": 9}
     scene = plate(**contact, **changes)
     run = solved(scene)
-    reaction, found = fc.reaction(run), run.result
-    structure, step = run.structure.whole, 1e-4 * found.period
+    reaction, solution = fc.reaction(run), run.result
+    structure, step = run.structure.whole, 1e-4 * solution.period
     time = reaction.time[::64]
 
     def velocity(instants: np.ndarray) -> np.ndarray:
-        ends = (found.displacement_field(instants + sign * step) for sign in (1.0, -1.0))
+        ends = (solution.displacement_field(instants + sign * step) for sign in (1.0, -1.0))
         return np.asarray(np.subtract(*ends) / (2.0 * step))
 
     ends = (
         momentum(structure, velocity(time + sign * step), reaction.center) for sign in (1.0, -1.0)
     )
     rate = np.subtract(*ends) / (2.0 * step)
-    sine = np.sin(found.omega * time)[:, None]
+    sine = np.sin(solution.omega * time)[:, None]
     x, y = np.array(scene.excitation.point) - reaction.center
     fx, fy = scene.excitation.force_sin
     outer_load = sine * np.array([fx, fy, x * fy - y * fx])

@@ -50,13 +50,19 @@ def test_what_is_not_known() -> None:
     resonance = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
     assert resonance.in_words == SEE_CURVE and resonance.value > 0.0
     plate = fc.Scene.load(DEMOS / "blade.toml")
-    smooth = {"contact.law": "smoothed", "contact.sharpness": 1e9, "contact.stiffness": 1e10}
-    assert "law" in at_load(plate.replace(smooth)).unknown
+    smooth_settings = {
+        "contact.law": "smoothed",
+        "contact.sharpness": 1e9,
+        "contact.stiffness": 1e10,
+    }
+    assert "law" in at_load(plate.replace(smooth_settings)).unknown
     assert "no damped mode" in at_load(plate.replace({"damping.ratio": 0.0})).unknown
     assert at_load(plate.replace({"crack": None, "contact": None})).unknown
-    rubbing = fc.Scene.load(DEMOS / "friction.toml")
-    sliding = rubbing.replace({"contact.friction": 0.0})
-    assert at_load(rubbing).value == pytest.approx(at_load(sliding).value, rel=1e-9)
+    friction_scene = fc.Scene.load(DEMOS / "friction.toml")
+    frictionless_scene = friction_scene.replace({"contact.friction": 0.0})
+    assert at_load(friction_scene).value == pytest.approx(
+        at_load(frictionless_scene).value, rel=1e-9
+    )
 
 
 def test_speed_that_meets_an_order() -> None:
@@ -113,5 +119,5 @@ def test_proposed_curve_meets_its_peak() -> None:
         <= stop
     )
     keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}
-    known = study.scene.replace(keys)
-    assert proposed_curve(known, replace(figures, at_load=resonance)) is None
+    curve_scene = study.scene.replace(keys)
+    assert proposed_curve(curve_scene, replace(figures, at_load=resonance)) is None

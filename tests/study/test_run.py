@@ -32,20 +32,22 @@ def scene(paper_scene: fc.Scene) -> fc.Scene:
 def test_solution_and_motion_agree(scene: fc.Scene, law: dict[str, Any], tmp_path: Path) -> None:
     """Balanced with its stability, marched by exponential steps, and read again."""
     scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
-    solved = fc.solve(scene, MPI.COMM_SELF)
-    solution, plate = solved.result, solved.structure
+    solved_run = fc.solve(scene, MPI.COMM_SELF)
+    solution, plate = solved_run.result, solved_run.structure
     assert isinstance(plate, fc.MasslessStructure) and solution.stability is not None
-    assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
-    history, dof = fc.integrate(scene, MPI.COMM_SELF).result, [solved.watched_dof]
+    assert (
+        solved_run.scene.reduction is not None and solved_run.scene.reduction.method == "massless"
+    )
+    history, dof = fc.integrate(scene, MPI.COMM_SELF).result, [solved_run.watched_dof]
     assert history.steps_per_period == 512 and history.settled < 1e-5
     time, motion = history.time[-512:], solution.displacement(history.time[-512:], dof)
     assert relative(history.gap[-512:], solution.gap(time)) < 5e-3
     assert relative(history.displacement(dof)[-512:], motion) < 2e-3
-    fc.save(solution, tmp_path / "solution.h5", solved.scene)
+    fc.save(solution, tmp_path / "solution.h5", solved_run.scene)
     stored_run = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
     stored_solution = stored_run.result
     assert stored_solution.static_above == solution.static_above
-    assert stored_solution.contact == solution.contact == stored_run.contact == solved.contact
+    assert stored_solution.contact == solution.contact == stored_run.contact == solved_run.contact
     np.testing.assert_allclose(
         stored_solution.gap(time), solution.gap(time), atol=1e-9 * np.ptp(motion)
     )

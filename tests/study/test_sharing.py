@@ -69,17 +69,22 @@ def test_as_alone(
     """Whatever was solved before: the same to rounding; a mesh and a coarser one are made where
     the matrices change, else none."""
     changed_scene = scene.replace(changes)
-    expected = numbers(changed_scene)
+    expected_numbers = numbers(changed_scene)
     LAST.clear()
-    first = numbers(scene)
+    first_numbers = numbers(scene)
     meshes.clear()
-    found = numbers(changed_scene)
+    shared_numbers = numbers(changed_scene)
     assert len(meshes) == made
-    assert found.keys() == expected.keys()
-    for name, value in expected.items():
-        assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9 * np.abs(value).max()), name
-    again = numbers(scene)
-    assert all(again[name] == pytest.approx(first[name], rel=1e-6) for name in ("waves", "modes"))
+    assert shared_numbers.keys() == expected_numbers.keys()
+    for name, value in expected_numbers.items():
+        assert shared_numbers[name] == pytest.approx(
+            value, rel=1e-6, abs=1e-9 * np.abs(value).max()
+        ), name
+    repeated_numbers = numbers(scene)
+    assert all(
+        repeated_numbers[name] == pytest.approx(first_numbers[name], rel=1e-6)
+        for name in ("waves", "modes")
+    )
 
 
 def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
@@ -95,9 +100,9 @@ def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
 
 def test_a_changed_mesh_is_noticed(scene: fc.Scene, tmp_path: Path, meshes: list[fc.Scene]) -> None:
     """A file of the same name, size and time counts by its content."""
-    path, other = tmp_path / "plate.msh", tmp_path / "other.msh"
+    path, other_path = tmp_path / "plate.msh", tmp_path / "other.msh"
     fc.write_msh(scene, path)
-    fc.write_msh(scene.replace({"crack.length": 0.05}), other)
+    fc.write_msh(scene.replace({"crack.length": 0.05}), other_path)
     keys = {"mesh.layout": "file", "mesh.file": str(path), "mesh.size": None}
     file = scene.replace(
         keys
@@ -108,12 +113,12 @@ def test_a_changed_mesh_is_noticed(scene: fc.Scene, tmp_path: Path, meshes: list
             "geometry.height": None,
         }
     )
-    first = fc.solve(file).amplitude(None)
-    assert fc.solve(file).amplitude(None) == first and len(meshes) == 1
+    first_amplitude = fc.solve(file).amplitude(None)
+    assert fc.solve(file).amplitude(None) == first_amplitude and len(meshes) == 1
     when = path.stat()
-    path.write_bytes(other.read_bytes())
+    path.write_bytes(other_path.read_bytes())
     os.utime(path, ns=(when.st_atime_ns, when.st_mtime_ns))
-    assert abs(fc.solve(file).amplitude(None) / first - 1.0) > 0.01 and len(meshes) == 2
+    assert abs(fc.solve(file).amplitude(None) / first_amplitude - 1.0) > 0.01 and len(meshes) == 2
 
 
 def test_a_changed_table_of_a_load_is_noticed(
@@ -148,6 +153,8 @@ def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> Non
     assert count == 1
     for rank_numbers, changes in zip(shared_numbers, ({}, OTHER), strict=True):
         LAST.clear()
-        expected = numbers(scene.replace(changes))
-        assert rank_numbers["amplitude"] == pytest.approx(expected["amplitude"], rel=1e-6)
-        assert rank_numbers["mesh amplitude"] == pytest.approx(expected["mesh amplitude"], rel=1e-3)
+        expected_numbers = numbers(scene.replace(changes))
+        assert rank_numbers["amplitude"] == pytest.approx(expected_numbers["amplitude"], rel=1e-6)
+        assert rank_numbers["mesh amplitude"] == pytest.approx(
+            expected_numbers["mesh amplitude"], rel=1e-3
+        )

@@ -309,12 +309,12 @@ def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     for is_read in (False, True):
         LAST.clear()
         SHELVES[:] = [Shelf(path, message_lines.append, is_read=is_read)]
-        found = fc.solve(scene, comm)
-        assert found.errors is not None
+        run = fc.solve(scene, comm)
+        assert run.errors is not None
         SHELVES[0].keep(comm)
         SHELVES.clear()
     assert comm.rank or len(message_lines) == 1, message_lines
-    return float(found.amplitude(None))
+    return float(run.amplitude(None))
 
 
 @pytest.mark.mpi

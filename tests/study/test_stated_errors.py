@@ -115,8 +115,8 @@ def test_true_errors_over_stated_ones(scene: fc.Scene, frequency: float) -> None
 
 def test_the_largest_force_is_that_of_the_exact_orbit(scene: fc.Scene) -> None:
     """Harmonics leave out some of its peak; twice as many do so, too, and say that all is well."""
-    more = {"mesh.error": False, "reduction.modes": 20, "mesh.lip_elements": 10}
-    run = fc.solve(scene.replace(more), MPI.COMM_SELF)
+    orbit_settings = {"mesh.error": False, "reduction.modes": 20, "mesh.lip_elements": 10}
+    run = fc.solve(scene.replace(orbit_settings), MPI.COMM_SELF)
     orbit = fc.shoot(run.structure, run.result)
     time = np.linspace(0.0, orbit.period, 20_000, endpoint=False)
     exact = orbit.force_at(time).sum(axis=1).max()
@@ -135,10 +135,10 @@ def test_elements_longer_than_a_solid_is_thick() -> None:
     true_omega = fc.modes(finer_scene, comm=MPI.COMM_SELF).result.omega
     for lips in (2, 3):
         changes = {"mesh.lip_elements": lips, "mesh.error": True}
-        found = fc.modes(scene.replace(changes), comm=MPI.COMM_SELF)
+        modes_run = fc.modes(scene.replace(changes), comm=MPI.COMM_SELF)
         for mode in (1, 2, 3):
-            stated_error = found.errors.stated(f"frequency_open_{mode}")[0]
-            mesh_error = found.result.omega[mode - 1] / true_omega[mode - 1] - 1.0
+            stated_error = modes_run.errors.stated(f"frequency_open_{mode}")[0]
+            mesh_error = modes_run.result.omega[mode - 1] / true_omega[mode - 1] - 1.0
             assert 0.1 < mesh_error / stated_error < 1.0, (lips, mode)
 
 
@@ -157,23 +157,23 @@ def test_a_solid_at_half_of_a_resonance_and_below_it(
     scene = fc.Scene.from_text(THROUGH).replace({"excitation.frequency": frequency})
     run = fc.solve(scene, MPI.COMM_SELF)
     for name, right_value in {"amplitude": amplitude, "opening": opening}.items():
-        true, (stated, cause) = (
+        true_error, (stated_error, cause) = (
             abs(right_value / run.errors.values[name] - 1.0),
             run.errors.stated(name),
         )
-        assert cause == "mesh" and 0.2 < true / stated < 1.5, name
+        assert cause == "mesh" and 0.2 < true_error / stated_error < 1.5, name
 
 
 def test_a_plate_next_to_its_force(scene: fc.Scene) -> None:
     """Where the force is, two meshes show less than the next ones add, like log(1/h): at most 1.6
     times the mesh's part of the amplitude is true, and at least a fifth (4.3 times it was). What is
     right is that of a mesh three times finer, with as many modes and harmonics."""
-    coarse = {"mesh.size": 0.02, "mesh.lip_elements": 6, "reduction.modes": 20}
+    coarse_settings = {"mesh.size": 0.02, "mesh.lip_elements": 6, "reduction.modes": 20}
     crack = {"crack.length": 0.045, "crack.height": 0.243, "damping.ratio": 0.006}
     load = {"excitation.frequency": 428.8, "contact.friction_error": False}
-    run = fc.solve(scene.replace(coarse | crack | load), MPI.COMM_SELF)
-    true = abs(4.945e-6 - run.errors.values["amplitude"])
-    assert 0.2 < true / run.errors.contributions("amplitude")["mesh"] < 1.6
+    run = fc.solve(scene.replace(coarse_settings | crack | load), MPI.COMM_SELF)
+    true_error = abs(4.945e-6 - run.errors.values["amplitude"])
+    assert 0.2 < true_error / run.errors.contributions("amplitude")["mesh"] < 1.6
 
 
 def test_a_mesh_too_coarse_to_know_its_error(
@@ -206,10 +206,19 @@ def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
     assert run.errors is not None and abs(share_error) > 5e-5
     part = run.errors.contributions("closed_share")["harmonics"]
     assert part == pytest.approx(abs(share_error), abs=2e-5)
-    smooth = {"contact.law": "smoothed", "contact.stiffness": 1e9, "contact.sharpness": 1e9}
-    alone = {"mesh.error": False, "contact.friction_error": False}
-    other = fc.solve(run.scene.replace(smooth | alone), MPI.COMM_SELF).errors
-    assert other is not None and other.contributions("closed_share")["harmonics"] >= 1.0 / 1024
+    smooth_settings = {
+        "contact.law": "smoothed",
+        "contact.stiffness": 1e9,
+        "contact.sharpness": 1e9,
+    }
+    error_settings = {"mesh.error": False, "contact.friction_error": False}
+    smooth_errors = fc.solve(
+        run.scene.replace(smooth_settings | error_settings), MPI.COMM_SELF
+    ).errors
+    assert (
+        smooth_errors is not None
+        and smooth_errors.contributions("closed_share")["harmonics"] >= 1.0 / 1024
+    )
 
 
 @pytest.mark.nightly
@@ -217,10 +226,10 @@ def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
     """With a preload some of eight pairs never part, and a coarse mesh of few pairs says next to
     nothing by chance: the opening is known to within 1.6 times what is stated, 2/1 to within three
     times (3.2 times the opening was, with half of the harmonics)."""
-    pressed = {"crack.clearance": -2e-7, "crack.height": 0.2, "damping.ratio": 0.02}
-    pressed |= {"mesh.size": 0.02, "mesh.lip_elements": 4, "excitation.frequency": 1024.0}
-    pressed |= {"contact.friction_error": False}
-    run = fc.solve(scene.replace(pressed), MPI.COMM_SELF)
+    pressed_settings = {"crack.clearance": -2e-7, "crack.height": 0.2, "damping.ratio": 0.02}
+    pressed_settings |= {"mesh.size": 0.02, "mesh.lip_elements": 4, "excitation.frequency": 1024.0}
+    pressed_settings |= {"contact.friction_error": False}
+    run = fc.solve(scene.replace(pressed_settings), MPI.COMM_SELF)
     finer_scene = refined(run.scene, 4.0).replace({"mesh.error": False})
     is_touching = run.result.contact_force(run.result.instants()) > 0.0
     assert 0 < is_touching.all(axis=0).sum() < 4
@@ -232,17 +241,17 @@ def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
 
 def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
     """Each is that of a run made by hand."""
-    found = run.errors
-    assert found is not None and not found.unknown
+    errors = run.errors
+    assert errors is not None and not errors.unknown
     natural_omega = [fc.bilinear_frequencies(run.structure).omega_bilinear[0]]
     twin_scene = run.scene.replace({"mesh.size": 0.045, "mesh.lip_elements": 2})
     twin = fc.prepare(twin_scene, MPI.COMM_SELF)
     natural_omega.append(fc.bilinear_frequencies(twin.structure).omega_bilinear[0])
-    many_elements, few_elements = found.counts["mesh"]
+    many_elements, few_elements = errors.counts["mesh"]
     meshes = [plate.structure.whole.nodes.cells for plate in (run, twin)]
     assert [many_elements, few_elements] == [*map(len, meshes)] and many_elements > few_elements
-    resonance = found.values[found.resonance]
-    frequency = found.contributions("frequency_bilinear_1")["mesh"] / resonance
+    resonance = errors.values[errors.resonance]
+    frequency = errors.contributions("frequency_bilinear_1")["mesh"] / resonance
     assert frequency == pytest.approx(
         abs(natural_omega[1] / natural_omega[0] - 1.0)
         / ((many_elements / few_elements) ** 0.5 - 1.0),
@@ -255,22 +264,25 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
         solution = fc.solve_harmonic_balance(structure, omega, law, **harmonics)
         return float(solution.indicators(0).opening)
 
-    omega, parts = run.result.omega, found.contributions("opening")
+    omega, parts = run.result.omega, errors.contributions("opening")
     own_opening, twin_opening = (
         opening(run.structure, omega),
         opening(twin.structure, omega * natural_omega[1] / natural_omega[0]),
     )
     both = []
-    first, last = (
+    fourth_order_share, first_order_share = (
         1.0 / ((many_elements / few_elements) ** (order / 2.0) - 1.0) for order in (4.0, 1.0)
     )
-    for share in np.linspace(first, last, 8):
+    for share in np.linspace(fourth_order_share, first_order_share, 8):
         extrapolated_omega = natural_omega[0] + share * (natural_omega[0] - natural_omega[1])
         shifted_opening = opening(
             run.structure, float(omega * natural_omega[0] / extrapolated_omega)
         )
         both.append((share * (own_opening - twin_opening), shifted_opening - own_opening))
-    largest_sum, least = max(abs(sum(one)) for one in both), max(min(map(abs, one)) for one in both)
+    largest_sum, smallest_part = (
+        max(abs(sum(one)) for one in both),
+        max(min(map(abs, one)) for one in both),
+    )
     law = fc.contact_law(run.scene.contact, run.structure)
     kept_solution = fc.solve_harmonic_balance(
         run.structure, omega, law, harmonics=run.result.harmonics
@@ -282,16 +294,16 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
     step = 0.5 * opening_range / kept_solution.structure.n_pairs
     opening_change = opening(run.structure.varied(clearance=step), omega) - own_opening
     assert parts["mesh"] == pytest.approx(
-        math.hypot(largest_sum, 0.1 * least, opening_change), rel=1e-6
+        math.hypot(largest_sum, 0.1 * smallest_part, opening_change), rel=1e-6
     )
     limit = opening(run.structure, omega, harmonics=16 * run.result.harmonics)
-    exact = abs(limit - found.values["opening"])
+    exact = abs(limit - errors.values["opening"])
     assert parts["harmonics"] == pytest.approx(exact, rel=0.1)  # maxima at other instants
     modes = opening(run.structure.reference, omega, harmonics=16 * run.result.harmonics)
     assert parts["modes"] == pytest.approx(2.0 * abs(modes - limit), rel=0.1)
-    stated_error, cause = found.stated("opening")
-    assert stated_error == pytest.approx(math.hypot(*parts.values()) / found.values["opening"])
-    rows = found.to_dict()
+    stated_error, cause = errors.stated("opening")
+    assert stated_error == pytest.approx(math.hypot(*parts.values()) / errors.values["opening"])
+    rows = errors.to_dict()
     row = list(zip(rows["quantity"], rows["cause"], strict=True)).index(("opening", "mesh"))
     assert (rows["value_1"][row], rows["value_2"][row]) == pytest.approx(
         (own_opening, twin_opening), rel=1e-6
@@ -302,20 +314,24 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
 def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> None:
     """Those with the modes kept and with the reference's, over the share that these have. The
     amplitude changes by less than the motion does."""
-    found, errors, dof = run.result, run.errors, run.watched_dof
-    more_modes = found.assessment.more_modes
-    share, few_orbit, many_orbit = found.structure.share, more_modes.nearest_orbit, more_modes.orbit
+    solution, errors, dof = run.result, run.errors, run.watched_dof
+    more_modes = solution.assessment.more_modes
+    share, few_orbit, many_orbit = (
+        solution.structure.share,
+        more_modes.nearest_orbit,
+        more_modes.orbit,
+    )
     time = few_orbit.period * np.arange(2000) / 2000
     own_motion, other = (
         orbit.structure.values_at(orbit.displacement_at(time), [dof])[:, 0]
         for orbit in (few_orbit, many_orbit)
     )
-    least = np.std(other - own_motion) / share
-    assert abs(many_orbit.amplitude(dof) - few_orbit.amplitude(dof)) / share < 0.7 * least
-    assert errors.contributions("amplitude")["modes"] == pytest.approx(least, rel=1e-2)
+    modes_deviation = np.std(other - own_motion) / share
+    assert abs(many_orbit.amplitude(dof) - few_orbit.amplitude(dof)) / share < 0.7 * modes_deviation
+    assert errors.contributions("amplitude")["modes"] == pytest.approx(modes_deviation, rel=1e-2)
     gaps, other = few_orbit.sampled.gaps, many_orbit.sampled.gaps
-    size = size_of_motion(gaps + found.structure.clearance)
-    assert found.report.reduction == pytest.approx(np.linalg.norm(other - gaps) / size / share)
+    size = size_of_motion(gaps + solution.structure.clearance)
+    assert solution.report.reduction == pytest.approx(np.linalg.norm(other - gaps) / size / share)
 
 
 @pytest.mark.drawn(1)
@@ -372,10 +388,13 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
         "frequency_open_1"
     )  # modes and harmonics do not change it
     assert np.isnan(open_lips) and not cause
-    soft = {"contact.stiffness": 1e9, "damping.ratio": 0.05}  # whose orbit is found at once
-    for demo, changes in (("chain", {}), ("inclined_crack", {}), ("paper_plate", soft)):
-        few = {"harmonic_balance.harmonics": 3, "curve": None} | changes
-        run = fc.solve(fc.Scene.load(DEMOS / f"{demo}.toml").replace(few), MPI.COMM_SELF)
+    soft_settings = {
+        "contact.stiffness": 1e9,
+        "damping.ratio": 0.05,
+    }  # whose orbit is found at once
+    for demo, changes in (("chain", {}), ("inclined_crack", {}), ("paper_plate", soft_settings)):
+        few_harmonics = {"harmonic_balance.harmonics": 3, "curve": None} | changes
+        run = fc.solve(fc.Scene.load(DEMOS / f"{demo}.toml").replace(few_harmonics), MPI.COMM_SELF)
         assert run.errors.unknown.keys() - {"friction"} == {"mesh"}
     uncracked_errors = fc.solve(
         scene.replace({"crack": None, "contact": None}), MPI.COMM_SELF
@@ -419,12 +438,12 @@ def test_far_too_few_harmonics(frequency: float, tmp_path: Path) -> None:
     )
     exact, value = (run.errors.values["amplitude"] for run in (fine_run, own_run))
     error, cause = own_run.errors.stated("amplitude")
-    true = abs(exact / value - 1.0)
-    assert true > 0.08
+    true_error = abs(exact / value - 1.0)
+    assert true_error > 0.08
     if np.isnan(error):
         assert own_run.errors.unknown.keys() & {"modes", "harmonics"}
     else:
-        assert cause == "harmonics" and 0.5 < error / true < 2.0
+        assert cause == "harmonics" and 0.5 < error / true_error < 2.0
 
 
 def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> None:
@@ -439,22 +458,25 @@ def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> 
             "mesh.coarser": str(tmp_path / "coarse.msh"), "mesh.lip_elements": None, "crack": None,
         }
     )  # fmt: skip
-    found = fc.solve(files, MPI.COMM_SELF).errors
-    assert found is not None and not found.without
-    for name, value in found.values.items():
+    errors = fc.solve(files, MPI.COMM_SELF).errors
+    assert errors is not None and not errors.without
+    for name, value in errors.values.items():
         assert value == pytest.approx(run.errors.values[name], rel=1e-6)
-        assert found.stated(name)[0] == pytest.approx(run.errors.stated(name)[0], rel=1e-3)
+        assert errors.stated(name)[0] == pytest.approx(run.errors.stated(name)[0], rel=1e-3)
     with pytest.raises(InputError, match=r"mesh\.coarser = '.*none\.msh': must be an existing"):
         fc.solve(files.replace({"mesh.coarser": str(tmp_path / "none.msh")}), MPI.COMM_SELF)
 
     def why_unknown(name: str) -> str:
         """Return why the error by the mesh is unknown with a coarser file."""
-        coarser = files.replace({"mesh.coarser": str(tmp_path / name)})
-        return str(fc.modes(coarser, 1, MPI.COMM_SELF).errors.unknown["mesh"])
+        coarser_scene = files.replace({"mesh.coarser": str(tmp_path / name)})
+        return str(fc.modes(coarser_scene, 1, MPI.COMM_SELF).errors.unknown["mesh"])
 
     assert why_unknown("own.msh") == "a coarser one has as many elements"
-    larger = {"geometry.height": 2.0 * scene.geometry.height, "mesh.size": 2.0 * scene.mesh.size}
-    fc.write_msh(twin.replace(larger), tmp_path / "other.msh")
+    larger_settings = {
+        "geometry.height": 2.0 * scene.geometry.height,
+        "mesh.size": 2.0 * scene.mesh.size,
+    }
+    fc.write_msh(twin.replace(larger_settings), tmp_path / "other.msh")
     assert "another part" in why_unknown("other.msh")
     crack, few_scene = scene.given("crack"), refined(scene, 0.25)
     second = {"edge": "right", "height": 0.5 * crack.height, "length": crack.length}
@@ -478,11 +500,11 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
     largest_amplitude = curve.result.amplitude(curve.watched_dof).max()
     assert curve.errors.values["amplitude"] == pytest.approx(largest_amplitude, rel=1e-4)
     assert curve.errors.stated("amplitude")[0] < run.errors.stated("amplitude")[0]
-    peak, alone = curve.peak(), curve.result.peak()
+    peak, single_peak = curve.peak(), curve.result.peak()
     stated_shares = [curve.errors.stated(name)[0] for name in ("amplitude", "frequency_bilinear_1")]
     assert [peak.error, peak.omega_error] == stated_shares and not peak.without
-    assert peak.amplitude == alone.amplitude and peak.error != alone.error
-    assert alone.without == NO_MESH and alone.without in str(alone)
+    assert peak.amplitude == single_peak.amplitude and peak.error != single_peak.error
+    assert single_peak.without == NO_MESH and single_peak.without in str(single_peak)
     assert "of the frequency 0.00" in str(peak) and "not included" not in str(peak)
     with pytest.raises(AttributeError, match="'Run' object has no attribute 'peak'"):
         run.peak()

@@ -107,8 +107,8 @@ def test_edge_crack_in_bending() -> None:
 
 def test_crack_in_the_middle() -> None:
     """Both tips."""
-    inside = strip(crack__edge=None, crack__center=0.05, crack__length=0.04)
-    intensity = of(inside)
+    inner_scene = strip(crack__edge=None, crack__center=0.05, crack__length=0.04)
+    intensity = of(inner_scene)
     assert intensity.tips == ("the right crack tip", "the left crack tip")
     assert intensity.points == pytest.approx(np.array([[0.07, 0.2], [0.03, 0.2]]))
     exact = STRESS * math.sqrt(math.pi * 0.02) * centre_in_tension(0.4)
@@ -197,8 +197,8 @@ def test_load_that_hardly_vibrates(swing: float) -> None:
     swinging_load = {"edge": "top", "traction_mean": [0.0, STRESS], "traction_sin": [0.0, swing]}
     keys = {"harmonic_balance__harmonics": None, "harmonic_balance__error": True}
     scene = strip({"loads": [swinging_load]}, **keys)
-    found = fc.solve(scene, MPI.COMM_SELF).result
-    assert found.stability.verdict == "stable" and found.report.total < 1e-4
+    solution = fc.solve(scene, MPI.COMM_SELF).result
+    assert solution.stability.verdict == "stable" and solution.report.total < 1e-4
 
 
 @pytest.mark.parametrize(
@@ -217,21 +217,27 @@ def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
         {"excitation.force_mean": [3e3, 0.0], "mesh.lip_elements": 4, "contact.law": "unilateral"}
     )
     run = fc.solve(scene.replace({"harmonic_balance.harmonics": 40}), MPI.COMM_SELF)
-    found = fc.stress_intensity(run)
+    stress_intensity = fc.stress_intensity(run)
     study = fc.prepare(scene, MPI.COMM_SELF)
-    instants = np.arange(0, len(found.time), 101)
+    instants = np.arange(0, len(stress_intensity.time), 101)
     exact = []
-    for phase in SLOW * found.time[instants]:
+    for phase in SLOW * stress_intensity.time[instants]:
         weights = np.zeros((3, 3))
         weights[0] = 1.0, np.cos(phase), np.sin(phase)
         held_structure = study.structure.varied(load=weights)
         still_solution = fc.solve_harmonic_balance(held_structure, SLOW, study.contact, harmonics=1)
-        static = fc.stress_intensity(replace(run, structure=held_structure, result=still_solution))
-        exact.append((static.one[0, 0], static.two[0, 0]))
-    error = np.abs(np.column_stack([found.one, found.two])[instants] - exact).max(axis=0)
+        static_intensity = fc.stress_intensity(
+            replace(run, structure=held_structure, result=still_solution)
+        )
+        exact.append((static_intensity.one[0, 0], static_intensity.two[0, 0]))
+    error = np.abs(
+        np.column_stack([stress_intensity.one, stress_intensity.two])[instants] - exact
+    ).max(axis=0)
     max_intensity = np.abs(exact).max(axis=0)
     assert np.all(error < 0.005 * max_intensity)
-    assert found.smallest[0] < 0.01 * max_intensity[0] < 0.5 * found.largest[0]
+    assert (
+        stress_intensity.smallest[0] < 0.01 * max_intensity[0] < 0.5 * stress_intensity.largest[0]
+    )
 
 
 @pytest.mark.parametrize("patches", [None, 3])
@@ -384,9 +390,9 @@ def test_refused_by_name() -> None:
 @pytest.mark.parametrize("command", ["check", "solve", "curve", "integrate"])
 def test_refused_and_nothing_is_left(command: str, tmp_path: Path) -> None:
     """A tip whose elements are too long for what is asked of it."""
-    asked = ["--set", 'output.quantities=["K_max"]', "--quiet"]
-    asked += ["--output", str(tmp_path)] * (command != "check")
-    assert main([command, str(DEMOS / "paper_plate.toml"), *asked]) == 2
+    options = ["--set", 'output.quantities=["K_max"]', "--quiet"]
+    options += ["--output", str(tmp_path)] * (command != "check")
+    assert main([command, str(DEMOS / "paper_plate.toml"), *options]) == 2
     assert not [*tmp_path.iterdir()]
 
 

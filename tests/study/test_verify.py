@@ -130,14 +130,14 @@ def test_orders_of_natural_frequencies(order: int) -> None:
 def test_force_at_a_point_is_told() -> None:
     """Under it the displacement grows like log(1/h): its order is near 0, and that is said."""
     changes = {"mesh.size": 0.01, "mesh.order": 2, "crack": None, "contact": None}
-    found = fc.verify(plate(changes))
-    assert abs(found.parts["mesh"]["amplitude"].order) < 0.2
-    assert found.dents and "log(1/h), by about 8.2 %" in found.dents[0]
-    assert set(found.dents) <= set(found.warnings)
+    verification = fc.verify(plate(changes))
+    assert abs(verification.parts["mesh"]["amplitude"].order) < 0.2
+    assert verification.dents and "log(1/h), by about 8.2 %" in verification.dents[0]
+    assert set(verification.dents) <= set(verification.warnings)
     edge = {"excitation.point": None, "excitation.force_sin": (0.0, 0.0), "loads.1.edge": "top"}
-    found = fc.verify(plate(changes | edge | {"loads.1.traction_sin": (1e3, 0.0)}))
-    assert found.parts["mesh"]["amplitude"].order > 1.0
-    assert not found.warnings
+    verification = fc.verify(plate(changes | edge | {"loads.1.traction_sin": (1e3, 0.0)}))
+    assert verification.parts["mesh"]["amplitude"].order > 1.0
+    assert not verification.warnings
 
 
 @pytest.mark.parametrize(
@@ -165,49 +165,56 @@ def test_dent(place: tuple[float, float], share: float) -> None:
 @pytest.mark.nightly
 def test_samples_of_a_smoothed_law() -> None:
     """Those of the scene, or of the solver; a tolerance chooses harmonics first."""
-    smoothed = plate({"contact.law": "smoothed", "contact.sharpness": 1e8})
-    smoothed = smoothed.replace({"harmonic_balance.harmonics": 2})
-    found = fc.verify(smoothed)
-    assert found.counts["samples"] == (1024, 2048, 4096)
-    found = fc.verify(plate({"harmonic_balance.samples": 32}))
-    assert found.counts["samples"] == (32, 64, 128) and found.counts["harmonics"] == (5, 10, 20)
-    assert found.total("opening") > found.contributions("opening")["samples"] > 0.0
-    found = fc.verify(plate({"harmonic_balance.tolerance": 0.05}))
-    assert found.scene.harmonic_balance.tolerance is None
-    assert found.counts["harmonics"][0] == found.scene.harmonic_balance.harmonics
-    assert found.absent == {"samples": "contact is integrated exactly"}
+    smoothed_scene = plate({"contact.law": "smoothed", "contact.sharpness": 1e8})
+    smoothed_scene = smoothed_scene.replace({"harmonic_balance.harmonics": 2})
+    verification = fc.verify(smoothed_scene)
+    assert verification.counts["samples"] == (1024, 2048, 4096)
+    verification = fc.verify(plate({"harmonic_balance.samples": 32}))
+    assert verification.counts["samples"] == (32, 64, 128) and verification.counts["harmonics"] == (
+        5,
+        10,
+        20,
+    )
+    assert verification.total("opening") > verification.contributions("opening")["samples"] > 0.0
+    verification = fc.verify(plate({"harmonic_balance.tolerance": 0.05}))
+    assert verification.scene.harmonic_balance.tolerance is None
+    assert verification.counts["harmonics"][0] == verification.scene.harmonic_balance.harmonics
+    assert verification.absent == {"samples": "contact is integrated exactly"}
 
 
 def test_what_cannot_be_varied() -> None:
     """Matrices and mesh files keep their mesh, which no total has; that is said."""
     for demo, key in (("chain", "[structure]"), ("inclined_crack", "mesh.file")):
-        few = {"harmonic_balance.harmonics": 2}
-        found = fc.verify(Scene.load(DEMOS / f"{demo}.toml").replace(few))
+        few_harmonics = {"harmonic_balance.harmonics": 2}
+        verification = fc.verify(Scene.load(DEMOS / f"{demo}.toml").replace(few_harmonics))
         left_out_parts = ["mesh", "friction"] if demo == "chain" else ["mesh"]  # it has no tangents
-        assert list(found.unknown) == left_out_parts and key in found.unknown["mesh"]
-        assert "mesh" not in found.parts and found.parts["harmonics"]
-        assert any(text.startswith("mesh not varied") for text in found.statement)
+        assert list(verification.unknown) == left_out_parts and key in verification.unknown["mesh"]
+        assert "mesh" not in verification.parts and verification.parts["harmonics"]
+        assert any(text.startswith("mesh not varied") for text in verification.statement)
     assert "reduced" in fc.verify(plate({"reduction.method": "off"})).absent["modes"]
     large_settings = {"crack": None, "contact": None, "mesh.lip_elements": None, "mesh.size": 1.0}
-    found = fc.verify(plate(large_settings | {"reduction": None}))
-    assert "mesh" not in found.parts and "as many elements" in found.unknown["mesh"]
+    verification = fc.verify(plate(large_settings | {"reduction": None}))
+    assert "mesh" not in verification.parts and "as many elements" in verification.unknown["mesh"]
 
 
 def test_grids_and_odd_lips_take_whole_factors() -> None:
     """1.5 times as many would leave a grid's lines, or be rounded; all modes stay all."""
     grid = {"mesh.layout": "grid", "mesh.size": None, "mesh.lip_elements": None}
     grid |= {"mesh.columns": 2, "mesh.rows": 2, "mesh.grading": 4.0, "reduction": None}
-    found = fc.verify(plate(grid))
-    assert found.counts["mesh"] == (4, 16, 36)
-    assert found.scene.reduction is not None and found.scene.reduction.method == "off"
-    found = fc.verify(plate({"mesh.lip_elements": 3}))
-    assert found.parts["mesh"]["opening"].sizes[2] > 2.0 * found.parts["mesh"]["opening"].sizes[0]
+    verification = fc.verify(plate(grid))
+    assert verification.counts["mesh"] == (4, 16, 36)
+    assert verification.scene.reduction is not None and verification.scene.reduction.method == "off"
+    verification = fc.verify(plate({"mesh.lip_elements": 3}))
+    assert (
+        verification.parts["mesh"]["opening"].sizes[2]
+        > 2.0 * verification.parts["mesh"]["opening"].sizes[0]
+    )
 
 
 def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
     """The paper's plate on soft contact; and that its stiffness is one of a pair, if it has any."""
-    few = {"reduction.method": "free_interface", "reduction.modes": 10}
-    scene = paper_scene.replace({"contact.stiffness": 1e9, "excitation.omega": 1700.0} | few)
+    few_modes = {"reduction.method": "free_interface", "reduction.modes": 10}
+    scene = paper_scene.replace({"contact.stiffness": 1e9, "excitation.omega": 1700.0} | few_modes)
     verification = fc.verify(scene)
     assert verification.verdicts["the scene's own choice"] == "unstable"
     assert any("unstable" in text for text in verification.warnings)
@@ -231,12 +238,12 @@ def test_command(run_command: RunCommand, tmp_path: Path, verified: fc.Verificat
     records = json.loads((tmp_path / "verify.json").read_text())
     assert {row["cause"] for row in records} == {*verified.causes, "total", "sum"}
     assert (tmp_path / "verify.png").stat().st_size > 20_000
-    kept = tmp_path / "verify.h5"
-    run_command("report", kept, "--output", tmp_path / "page.html", "--quiet")
+    kept_path = tmp_path / "verify.h5"
+    run_command("report", kept_path, "--output", tmp_path / "page.html", "--quiet")
     page = (tmp_path / "page.html").read_text()
     assert "Convergence study" in page and "mostly due to" in page and page.count("<img") == 2
     (tmp_path / "verify.png").unlink()
-    run_command("plot", kept, "--quiet")
+    run_command("plot", kept_path, "--quiet")
     assert (tmp_path / "verify.png").exists()
 
 

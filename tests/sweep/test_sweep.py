@@ -218,11 +218,11 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
 @pytest.mark.parametrize("changes", [pytest.param(SOFT, marks=pytest.mark.nightly), MASSLESS])
 def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, changes: Over) -> None:
     """From case to case and from tolerance to tolerance; the table has each case's H and waves."""
-    over = {
+    sweep_axes = {
         "excitation.omega": {"start": 1700.0, "stop": 2300.0, "count": 5},
         "harmonic_balance.tolerance": [0.3, 0.03],
     }
-    result = run_sweep(swept(paper_scene, over, changes), tmp_path / "sweep.h5")
+    result = run_sweep(swept(paper_scene, sweep_axes, changes), tmp_path / "sweep.h5")
     assert result.converged.all()
     assert np.all(result["truncation_error"] <= np.array([0.3, 0.03]))
     counts = result["harmonics"]
@@ -233,7 +233,7 @@ def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, cha
     stored_solution = result.solution((4, 1))
     plate, time = stored_solution.structure, stored_solution.instants()
     assert stored_solution.harmonics == counts[4, 1]
-    alone = fc.solve_harmonic_balance(
+    single_solution = fc.solve_harmonic_balance(
         plate,
         stored_solution.omega,
         stored_solution.contact,
@@ -241,13 +241,13 @@ def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, cha
         initial=stored_solution,
         throw=False,
     )
-    assert relative(stored_solution.gap(time), alone.gap(time)) < 0.06
+    assert relative(stored_solution.gap(time), single_solution.gap(time)) < 0.06
 
 
 def test_a_tolerance_out_of_reach(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """Such a case says what its error stays above; the next one is solved without it."""
-    over = {"excitation.omega": [1700.0, 1800.0], "harmonic_balance.tolerance": [1e-12, 0.03]}
-    result = run_sweep(swept(paper_scene, over, SOFT), tmp_path / "sweep.h5")
+    sweep_axes = {"excitation.omega": [1700.0, 1800.0], "harmonic_balance.tolerance": [1e-12, 0.03]}
+    result = run_sweep(swept(paper_scene, sweep_axes, SOFT), tmp_path / "sweep.h5")
     assert result.converged.tolist() == [[False, True], [False, True]]
     for reason in dict(result.failed).values():
         assert re.search(r"truncation error, .* with H = \d+, stays above 1e-12", reason)
@@ -286,9 +286,9 @@ def test_crack_length_found_and_pairs_of_several_geometries(
     paper_scene: fc.Scene, tmp_path: Path
 ) -> None:
     """The waves of every geometry have its own pairs; a length follows from a frequency."""
-    over = {"mesh.lip_elements": [2, 4], "contact.pairs": ["mouth", "all"]}
+    sweep_axes = {"mesh.lip_elements": [2, 4], "contact.pairs": ["mouth", "all"]}
     changes = GRADED | {"crack.length": None, "crack.first_omega": 2400.0}
-    result = run_sweep(swept(paper_scene, over, changes), tmp_path / "sweep.h5")
+    result = run_sweep(swept(paper_scene, sweep_axes, changes), tmp_path / "sweep.h5")
     assert result.converged.all()
     pairs = [result.gap(number).shape[1] for number in range(4)]
     assert pairs == [1, 2, 1, 4]
@@ -302,9 +302,9 @@ def test_crack_length_found_and_pairs_of_several_geometries(
 
 def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """A crack longer than the plate, one off the grid, a load on the clamp."""
-    over = {"crack.length": [0.05, 0.2, 0.03], "excitation.point": [(0.1, 0.1), (0.1, 0.0)],
+    sweep_axes = {"crack.length": [0.05, 0.2, 0.03], "excitation.point": [(0.1, 0.1), (0.1, 0.0)],
             "excitation.omega": [2000.0, 2100.0]}  # fmt: skip
-    result = run_sweep(swept(paper_scene, over), tmp_path / "sweep.h5")
+    result = run_sweep(swept(paper_scene, sweep_axes), tmp_path / "sweep.h5")
     assert result.complete
     assert result.converged[0, 0].all() and np.count_nonzero(result.converged) == 2
     reasons = dict(result.failed)
@@ -357,17 +357,17 @@ def test_files_that_cannot_be_used(fast: SweepResult, tmp_path: Path) -> None:
         file["checksum"][...] = 0  # of no case that is complete
     with h5py.File(partial, "r+"), pytest.raises(fc.InputError, match="path"):
         run_sweep(scene, partial)
-    other = tmp_path / "other.h5"
-    other.write_text("no HDF5")
-    for wrong_path in (other, tmp_path, other / "sweep.h5"):
+    other_path = tmp_path / "other.h5"
+    other_path.write_text("no HDF5")
+    for wrong_path in (other_path, tmp_path, other_path / "sweep.h5"):
         with pytest.raises(fc.InputError, match="path"):
             run_sweep(scene, wrong_path)
     with pytest.raises(fc.InputError, match="path"):
         SweepResult.load(tmp_path / "missing.h5")
-    with h5py.File(other, "w") as file:
+    with h5py.File(other_path, "w") as file:
         file.attrs["kind"] = "response curve"
     with pytest.raises(fc.InputError, match="result file"):
-        SweepResult.load(other)
+        SweepResult.load(other_path)
     with changed(path) as file:
         file.attrs["version"] = "0.0.1"
     with pytest.raises(fc.InputError, match=r"begun by version 0\.0\.1"):
@@ -478,11 +478,11 @@ def test_removed_while_it_runs(
 ) -> None:
     """Told at the next write; what has taken its place is left alone."""
     path, write = tmp_path / "sweep.h5", SweepFile.write
-    written = []
+    writes = []
 
     def removing(self: SweepFile, *given: Any) -> None:
         write(self, *given)
-        written.append(given)
+        writes.append(given)
         path.unlink()
         if replaced:
             path.write_text("another")
@@ -490,7 +490,7 @@ def test_removed_while_it_runs(
     monkeypatch.setattr(SweepFile, "write", removing)
     with pytest.raises(WriteError, match=r"sweep\.h5.*removed or replaced"):
         run_sweep(swept(paper_scene, FAST), path)
-    assert len(written) == 1
+    assert len(writes) == 1
     assert [file.read_text() for file in tmp_path.iterdir()] == replaced * ["another"]
 
 
@@ -569,8 +569,8 @@ def test_ranks_give_the_same_table(
     paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any], kind: Over
 ) -> None:
     """1 and 2 to the bit, also where one has more to do."""
-    over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
-    scene = swept(paper_scene, over, kind)
+    sweep_axes = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
+    scene = swept(paper_scene, sweep_axes, kind)
     alone_sweep = run_sweep(scene, tmp_path / "alone.h5")
     assert alone_sweep.converged.all()
     on_ranks(sweep_on, scene, tmp_path / "shared.h5")
@@ -584,16 +584,18 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     with pytest.raises(fc.InputError) as error:
         run_sweep(refused, folder / "sweep.h5", comm)
     told.append(error.value.key)
-    solve_case, calls, met = sweep_case.CaseSolver.solve, [], folder / "met"
+    solve_case, calls, meeting_path = sweep_case.CaseSolver.solve, [], folder / "met"
 
     def broken(*given: Any) -> Any:
         calls.append(given)
         if comm.rank == 1 and len(calls) > 10:  # after its first chunk
-            met.touch()
+            meeting_path.touch()
             raise KeyError("unforeseen")
-        until = time.monotonic() + LIMIT
-        while comm.rank == 0 and not met.exists():  # until the other one has done something
-            assert time.monotonic() < until
+        deadline = time.monotonic() + LIMIT
+        while (
+            comm.rank == 0 and not meeting_path.exists()
+        ):  # until the other one has done something
+            assert time.monotonic() < deadline
             time.sleep(0.01)
         return solve_case(*given)
 
@@ -703,13 +705,13 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         meshed.append(scene)
         return assemble_structure(scene, comm)
 
-    coarse = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
-    coarse["harmonic_balance.harmonics"] = 5
-    coarse |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
-    scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
-    over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
+    coarse_settings = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
+    coarse_settings["harmonic_balance.harmonics"] = 5
+    coarse_settings |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
+    scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse_settings})
+    sweep_axes = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
     monkeypatch.setattr(fenics_crack.fem.build, "assemble_structure", counted)
-    speed_sweep = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
+    speed_sweep = fc.run_sweep(scene.replace({"sweep.over": sweep_axes}), tmp_path / "sweep.h5")
     assert len(meshed) == 2
     case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
     study = fc.prepare(case, MPI.COMM_SELF)
@@ -728,13 +730,15 @@ def test_sweeps_leave_no_memory(tmp_path: Path) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
-    coarse = {"mesh.size": 0.003, "mesh.lip_elements": 4, "reduction.modes": 8}
-    scene = cracked(600.0, -250.0).replace(coarse | {"curve": None})
+    coarse_settings = {"mesh.size": 0.003, "mesh.lip_elements": 4, "reduction.modes": 8}
+    scene = cracked(600.0, -250.0).replace(coarse_settings | {"curve": None})
     sizes = []
     for round_index in range(5):
-        over = {"excitation.frequency": [900.0 + round_index, 950.0]}
+        sweep_axes = {"excitation.frequency": [900.0 + round_index, 950.0]}
         fc.run_sweep(
-            scene.replace({"sweep.over": over}), tmp_path / f"{round_index}.h5", verdicts=False
+            scene.replace({"sweep.over": sweep_axes}),
+            tmp_path / f"{round_index}.h5",
+            verdicts=False,
         )
         sizes.append(resident())
     assert sizes[-1] - sizes[1] < 12.0

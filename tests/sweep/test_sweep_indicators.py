@@ -25,9 +25,9 @@ REDUCED = {
 @pytest.fixture(scope="module")
 def scene(paper_scene: fc.Scene) -> fc.Scene:
     """Two frequencies, two clearances."""
-    over = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
+    sweep_axes = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
     base = paper_scene.replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
-    return base.replace({"sweep.over": over})
+    return base.replace({"sweep.over": sweep_axes})
 
 
 @pytest.fixture(scope="module")
@@ -59,14 +59,14 @@ def test_cases_have_the_indicators_of_their_solutions(
     names &= {field.name for field in dataclasses.fields(fc.Indicators)}
     assert {"amplitude", "mean_shift", "ratio_2_1", "harmonic_3"} < names
     study, solution = alone(scene.replace({"excitation.omega": 2000.0, "crack.clearance": 1e-7}))
-    assert [watched.name for watched in study.watched][::2] == ["corner.ux", "side.ux"]
-    for watched in study.watched:
-        indicators = solution.indicators(watched.dof)
+    assert [watched_point.name for watched_point in study.watched][::2] == ["corner.ux", "side.ux"]
+    for watched_point in study.watched:
+        indicators = solution.indicators(watched_point.dof)
         for name in names:
             exact = pytest.approx(
                 getattr(indicators, name), rel=1e-4, abs=1e-6 * indicators.harmonic_1
             )
-            assert result[f"{watched.name}.{name}"][1, 1] == exact, name
+            assert result[f"{watched_point.name}.{name}"][1, 1] == exact, name
     for name in names:
         load = result["response" if name == "amplitude" else name]
         np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
@@ -87,15 +87,15 @@ def test_cases_have_the_indicators_of_their_solutions(
 
 def test_without_verdicts(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -> None:
     """All else is the same, to the bit; a file keeps the verdicts that it has."""
-    plain = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
-    assert np.all(whole["verdict"] != "") and np.all(plain["verdict"] == "")
-    assert np.all(np.isnan(plain["multiplier"])) and not plain.not_stable.any()
-    status_pairs = zip(whole["status"].flat, plain["status"].flat, strict=True)
+    plain_sweep = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
+    assert np.all(whole["verdict"] != "") and np.all(plain_sweep["verdict"] == "")
+    assert np.all(np.isnan(plain_sweep["multiplier"])) and not plain_sweep.not_stable.any()
+    status_pairs = zip(whole["status"].flat, plain_sweep["status"].flat, strict=True)
     assert all(own_status.startswith(plain_status) for own_status, plain_status in status_pairs)
     for name in set(whole.columns) - {"verdict", "multiplier", "seconds", "status"}:
-        np.testing.assert_array_equal(plain[name], whole[name], err_msg=name)
-    again = run_sweep(scene, whole.path, MPI.COMM_SELF, verdicts=False)
-    np.testing.assert_array_equal(again["multiplier"], whole["multiplier"])
+        np.testing.assert_array_equal(plain_sweep[name], whole[name], err_msg=name)
+    resumed_sweep = run_sweep(scene, whole.path, MPI.COMM_SELF, verdicts=False)
+    np.testing.assert_array_equal(resumed_sweep["multiplier"], whole["multiplier"])
 
 
 def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None:
@@ -198,25 +198,29 @@ def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
 def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCommand) -> None:
     """What 8 modes call stable the 18 of their reference do not, by a sweep with these; it is told,
     and of the case beside it nothing. Without verdicts, or what judges the modes, there is none."""
-    coarse = {
+    coarse_settings = {
         "mesh.size": 0.02, "mesh.lip_elements": 4, "crack.length": 0.05, "reduction.modes": 8,
         "curve": None, "sweep.over": {"excitation.omega": [9050.0, 9150.0]},
         "mesh.error": False, "contact.friction_error": False,
     }  # fmt: skip
-    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse)
-    told = run_command("sweep", scene, "--output", tmp_path).err
-    few = fc.SweepResult.load(tmp_path / "sweep.h5")
-    many = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
-    assert few["verdict"].tolist() == ["stable", "stable"] == [*many["verdict"][1:], "stable"]
-    assert many["verdict"][0] == "unstable"
-    [(place, contradiction)] = few.contradicted
-    multiplier_text = f"largest multiplier {many['multiplier'][0]:.6g}"
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse_settings)
+    messages = run_command("sweep", scene, "--output", tmp_path).err
+    few_modes_sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
+    many_modes_sweep = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
+    assert (
+        few_modes_sweep["verdict"].tolist()
+        == ["stable", "stable"]
+        == [*many_modes_sweep["verdict"][1:], "stable"]
+    )
+    assert many_modes_sweep["verdict"][0] == "unstable"
+    [(place, contradiction)] = few_modes_sweep.contradicted
+    multiplier_text = f"largest multiplier {many_modes_sweep['multiplier'][0]:.6g}"
     assert (
         place == (0,)
         and contradiction == f"with 18 modes the orbit is unstable ({multiplier_text})"
     )
     depends = "1 case or more whose verdict depends on truncated modes, the first at omega = "
-    assert f"{depends}9050.0: {contradiction}; raise reduction.modes" in told
+    assert f"{depends}9050.0: {contradiction}; raise reduction.modes" in messages
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
     alone_scene = scene.replace({"sweep": None, "excitation.omega": 9050.0})
