@@ -322,10 +322,9 @@ def test_stress_along_a_line() -> None:
     )  # the rest is at the tip
     far_stress = fc.stress_at(run, [[0.05, 0.35]])[1].mean(axis=0)[0]
     assert far_stress == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
-    with pytest.raises(fc.InputError, match=r"points = .*one or more rows"):
-        fc.stress_at(run, np.empty((0, 2)))
-    with pytest.raises(fc.InputError, match=r"points = .*on the mesh"):
-        fc.stress_at(run, [[0.2, 0.2]])
+    for points, words in ((np.empty((0, 2)), "one or more rows"), ([[0.2, 0.2]], "on the mesh")):
+        with pytest.raises(fc.InputError, match=rf"points = .*{words}"):
+            fc.stress_at(run, points)
     with pytest.raises(fc.InputError, match=r"run = .*fc\.solve"):
         fc.stress_at(run.result, [[0.05, 0.35]])  # type: ignore[arg-type]
 
