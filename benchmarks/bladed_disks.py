@@ -80,9 +80,9 @@ def _save(
 
 def wheel_of(scene: fc.Scene) -> fc.Wheel:
     """The whole wheel."""
-    found = fc.build_structure(scene)
-    assert isinstance(found, fc.Wheel)
-    return found
+    structure = fc.build_structure(scene)
+    assert isinstance(structure, fc.Wheel)
+    return structure
 
 
 def timed(function: Callable[[], Any]) -> tuple[Any, float]:
@@ -93,27 +93,30 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 
 def with_errors(reduced: fc.Structure, hertz: float) -> fc.PeriodicSolution:
     """A solution with its errors and its verdict."""
-    found = fc.solve_harmonic_balance(reduced, 2.0 * np.pi * hertz, LAW, harmonics=HARMONICS)
-    fc.floquet(reduced, found)
-    assert found.report.total < 1.0
-    return found
+    solution = fc.solve_harmonic_balance(reduced, 2.0 * np.pi * hertz, LAW, harmonics=HARMONICS)
+    fc.floquet(reduced, solution)
+    assert solution.report.total < 1.0
+    return solution
 
 
 def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
     """Sizes and times of a wheel, and of a curve through its first family."""
-    wheel, assembled = timed(lambda: wheel_of(scene))
-    reduced, first = timed(lambda: fc.reduce_wheel(wheel))
-    other = wheel.mistuned(np.random.default_rng(1).normal(0.0, 0.01, wheel.sector.n_sectors))
-    _, again = timed(lambda: fc.reduce_wheel(other))
-    with_errors(reduced, hertz[0])
-    _, solution = timed(lambda: with_errors(reduced, 1.01 * hertz[0]))
+    wheel, assembly_time = timed(lambda: wheel_of(scene))
+    reduced_wheel, reduction_time = timed(lambda: fc.reduce_wheel(wheel))
+    other_wheel = wheel.mistuned(np.random.default_rng(1).normal(0.0, 0.01, wheel.sector.n_sectors))
+    _, repeat_time = timed(lambda: fc.reduce_wheel(other_wheel))
+    with_errors(reduced_wheel, hertz[0])
+    _, solution = timed(lambda: with_errors(reduced_wheel, 1.01 * hertz[0]))
     ends = (2.0 * np.pi * hertz[0], 2.0 * np.pi * hertz[1])
-    curve, followed = timed(lambda: fc.continue_frequency(reduced, *ends, LAW, harmonics=10))
-    _, judged = timed(lambda: fc.judge_curve(curve))
-    orbits, exact = timed(lambda: fc.continue_frequency(reduced, *ends, LAW, tolerance=0.01))
+    curve, curve_time = timed(
+        lambda: fc.continue_frequency(reduced_wheel, *ends, LAW, harmonics=10)
+    )
+    _, verdict_time = timed(lambda: fc.judge_curve(curve))
+    orbits, exact = timed(lambda: fc.continue_frequency(reduced_wheel, *ends, LAW, tolerance=0.01))
     return [
-        wheel.sector.n_sectors, wheel.sector.structure.n_dofs, reduced.n_modes, assembled, first,
-        again, solution, len(curve.omega), followed, judged, len(orbits.omega), exact,
+        wheel.sector.n_sectors, wheel.sector.structure.n_dofs, reduced_wheel.n_modes,
+        assembly_time, reduction_time,
+        again, solution, len(curve.omega), curve_time, verdict_time, len(orbits.omega), exact,
     ]  # fmt: skip
 
 
@@ -126,12 +129,12 @@ COSTS = (
 def sizes(arguments: common.Arguments) -> None:
     """Plane wheels."""
     counts = (12,) if arguments.quick else (12, 24, 40)
-    made = []
+    rows = []
     for count in counts:
-        outer = max(0.1, 0.0035 * count)  # room for all blades
-        changes = {"disk.sectors": count, "disk.outer_radius": outer, "excitation.order": 3}
-        made.append(costs(RING.replace(changes), (1240.0, 1420.0)))
-    _save(arguments, "bladed_disk_sizes", COSTS, made)
+        outer_radius = max(0.1, 0.0035 * count)  # room for all blades
+        changes = {"disk.sectors": count, "disk.outer_radius": outer_radius, "excitation.order": 3}
+        rows.append(costs(RING.replace(changes), (1240.0, 1420.0)))
+    _save(arguments, "bladed_disk_sizes", COSTS, rows)
 
 
 def difference(
@@ -139,45 +142,58 @@ def difference(
 ) -> tuple[float, float, float, float]:
     """Relative differences of the gap, of the worst whole blade and of the cracked one, and the
     stated error of the gap by the reduction."""
-    own, exact = (with_errors(one, hertz) for one in (reduced, whole))
-    moved, known = (
-        one.structure.values_at(one.displacement_coefficients, tips)[1:] for one in (own, exact)
+    own_solution, exact = (with_errors(one, hertz) for one in (reduced, whole))
+    motion, exact_motion = (
+        one.structure.values_at(one.displacement_coefficients, tips)[1:]
+        for one in (own_solution, exact)
     )
-    off = np.linalg.norm(moved - known, axis=0) / np.linalg.norm(known, axis=0)
-    gap = np.linalg.norm(own.gap_coefficients - exact.gap_coefficients)
+    off = np.linalg.norm(motion - exact_motion, axis=0) / np.linalg.norm(exact_motion, axis=0)
+    gap = np.linalg.norm(own_solution.gap_coefficients - exact.gap_coefficients)
     size = np.linalg.norm(exact.gap_coefficients)
-    return float(gap / size), float(off[1:].max()), float(off[0]), own.report.reduction
+    return float(gap / size), float(off[1:].max()), float(off[0]), own_solution.report.reduction
 
 
 def families(arguments: common.Arguments) -> None:
     """Families against the whole wheel."""
     wheel = wheel_of(RING.replace({"excitation.order": 3, "mesh.size": 0.012}))
     tips, count = wheel.dofs_of_blades(wheel.watched_dof), wheel.sector.n_sectors
-    made: list[list[object]] = []
-    many = reduce_structure(wheel, modes=MANY * count, method="massless", reference=False)
-    for kept in (3,) if arguments.quick else (1, 2, 3, 4):
-        reduced = fc.reduce_wheel(wheel, kept)
-        same = reduce_structure(wheel, modes=kept * count, method="massless", reference=False)
+    rows: list[list[object]] = []
+    reference_structure = reduce_structure(
+        wheel, modes=MANY * count, method="massless", reference=False
+    )
+    for n_families in (3,) if arguments.quick else (1, 2, 3, 4):
+        reduced_wheel = fc.reduce_wheel(wheel, n_families)
+        same_size_structure = reduce_structure(
+            wheel, modes=n_families * count, method="massless", reference=False
+        )
         for hertz in (1260.0, 1290.0, 1340.0, 1376.0):
-            alike, exact = (difference(reduced, one, hertz, tips) for one in (same, many))
-            made.append([kept, hertz, *alike[:3], *exact])
+            alike, exact = (
+                difference(reduced_wheel, structure, hertz, tips)
+                for structure in (same_size_structure, reference_structure)
+            )
+            rows.append([n_families, hertz, *alike[:3], *exact])
     names = (
         "families", "Hz", "gap", "whole blades", "cracked blade", "gap, 12 modes", "whole, 12",
         "cracked, 12", "stated of the gap",
     )  # fmt: skip
-    _save(arguments, "bladed_disk_families", names, made)
+    _save(arguments, "bladed_disk_families", names, rows)
 
 
 def patterns(arguments: common.Arguments) -> None:
     """Mistuning without a crack."""
     count = 100 if arguments.quick else 1000
     scene = RING.replace({"excitation.frequency": 1386.0})
-    found, spent = timed(lambda: fc.amplification(scene, count, 0.01))
+    amplification, spent = timed(lambda: fc.amplification(scene, count, 0.01))
     shares = (5.0, 50.0, 95.0, 99.0, 100.0)
-    row = [count, spent, found.bound, *(found.percentile(share) for share in shares)]
+    row = [
+        count,
+        spent,
+        amplification.bound,
+        *(amplification.percentile(share) for share in shares),
+    ]
     names = ("patterns", "s", "bound", "5 %", "50 %", "95 %", "99 %", "largest")
     _save(arguments, "bladed_disk_patterns", names, [row])
-    fc.draw_amplification(found, path=arguments.folder / "bladed_disk_amplification.png")
+    fc.draw_amplification(amplification, path=arguments.folder / "bladed_disk_amplification.png")
 
 
 def breathing(arguments: common.Arguments) -> None:
@@ -187,34 +203,41 @@ def breathing(arguments: common.Arguments) -> None:
     over = {"sweep.over": {"disk.seed": seeds}, "sweep.at_resonance": True}
     balance = {"harmonic_balance.tolerance": 0.01}
     scene = RING.replace(over | balance)
-    found, spent = timed(lambda: fc.run_sweep(scene, arguments.folder / "bladed_disk_sweep.h5"))
-    response, stated = found["response"], found.errors
+    sweep, spent = timed(lambda: fc.run_sweep(scene, arguments.folder / "bladed_disk_sweep.h5"))
+    response, stated_errors = sweep["response"], sweep.errors
     row = [
-        count, spent, response.min(), np.median(response), response.max(), np.nanmax(stated),
-        int(np.sum(found.converged)), int(np.sum(found["verdict"] == "stable")),
+        count, spent, response.min(), np.median(response), response.max(), np.nanmax(stated_errors),
+        int(np.sum(sweep.converged)), int(np.sum(sweep["verdict"] == "stable")),
     ]  # fmt: skip
     names = ("patterns", "s", "least m", "median m", "largest m", "largest error", "converged",
              "stable")  # fmt: skip
     _save(arguments, "bladed_disk_breathing", names, [row])
-    wheel, made = wheel_of(RING), []
+    wheel, rows = wheel_of(RING), []
     for place in np.linspace(0, count - 1, held).astype(int):
         own = RING.replace({"disk.seed": seeds[place]})
         pattern = wheel.mistuned(own.given("disk").deviations)
-        many = reduce_structure(
+        many_structure = reduce_structure(
             pattern, modes=MANY * pattern.sector.n_sectors, method="massless", reference=False
         )
-        solution = found.solution(int(place))
-        exact = fc.solve_harmonic_balance(many, solution.omega, LAW, harmonics=60)
+        solution = sweep.solution(int(place))
+        exact = fc.solve_harmonic_balance(many_structure, solution.omega, LAW, harmonics=60)
         time_of = solution.period / 1000.0 * np.arange(1000)
-        gap, known = (one.gap(time_of) for one in (solution, exact))
-        error = np.linalg.norm(gap - known) / np.linalg.norm(known)
+        gap, exact_gap = (motion.gap(time_of) for motion in (solution, exact))
+        error = np.linalg.norm(gap - exact_gap) / np.linalg.norm(exact_gap)
         size = solution.amplitude(wheel.watched_dof) / exact.amplitude(wheel.watched_dof)
-        said = solution.report.total
-        made.append(
-            [seeds[place], solution.omega / (2.0 * np.pi), error, said, error / said, size - 1.0]
+        stated_total = solution.report.total
+        rows.append(
+            [
+                seeds[place],
+                solution.omega / (2.0 * np.pi),
+                error,
+                stated_total,
+                error / stated_total,
+                size - 1.0,
+            ]
         )
     names = ("seed", "Hz", "gap", "stated", "over stated", "amplitude")
-    _save(arguments, "bladed_disk_whole", names, made)
+    _save(arguments, "bladed_disk_whole", names, rows)
 
 
 def solid(arguments: common.Arguments) -> None:

@@ -156,15 +156,15 @@ def _starts(
     motion is after some periods, and the states of solutions with two and four times its
     harmonics."""
     state = flow.states_of(found, np.zeros(1))[0]
-    if (own := found.orbit) is not None:
-        yield lambda: state_of(own, flow)
+    if (own_orbit := found.orbit) is not None:
+        yield lambda: state_of(own_orbit, flow)
     yield lambda: state
     if (
-        own is None
+        own_orbit is None
         and found.assessment.flow is not None
-        and (known := found.assessment.nearest_orbit) is not None
+        and (nearest_orbit := found.assessment.nearest_orbit) is not None
     ):
-        yield lambda: state_of(known, flow)
+        yield lambda: state_of(nearest_orbit, flow)
     for periods in (3, 10):
         yield lambda periods=periods: flow.settled(  # type: ignore[misc]
             state, found.omega, found.period, periods
@@ -213,13 +213,15 @@ def leaves(case: Case, found: fc.PeriodicSolution, orbit: Orbit) -> bool:
     if found.orbit is not None:
         state = state_of(found.orbit, flow)
     size = float(np.linalg.norm(orbit.state))
-    first = linear = (state - orbit.state) / size
+    first_change = linear = (state - orbit.state) / size
     for _ in range(next(n for most, n in PERIODS.items() if found.structure.n_pairs <= most)):
         state = flow.advance(state, found.omega, 0.0, found.period).state
         linear = orbit.monodromy @ linear
-    last = float(np.linalg.norm(state - orbit.state)) / size
-    allowed = max(float(np.linalg.norm(first)), float(np.linalg.norm(linear)), estimate(found))
-    return last > max(3.0 * allowed, 1e-4)
+    last_change = float(np.linalg.norm(state - orbit.state)) / size
+    allowed = max(
+        float(np.linalg.norm(first_change)), float(np.linalg.norm(linear)), estimate(found)
+    )
+    return last_change > max(3.0 * allowed, 1e-4)
 
 
 def wanders(case: Case, found: fc.PeriodicSolution) -> bool:
@@ -228,26 +230,28 @@ def wanders(case: Case, found: fc.PeriodicSolution) -> bool:
     state = flow.settled(
         np.zeros(2 * len(flow.system.squares)), found.omega, found.period, WANDERED
     )
-    passed = [state]
+    visited_states = [state]
     for _ in range(WANDERED):
-        passed.append(flow.advance(passed[-1], found.omega, 0.0, found.period).state)
-    states = np.array(passed)
+        visited_states.append(
+            flow.advance(visited_states[-1], found.omega, 0.0, found.period).state
+        )
+    states = np.array(visited_states)
     size = float(np.linalg.norm(states, axis=1).max())
-    apart = [
+    distances = [
         np.median(np.linalg.norm(states[later:] - states[:-later], axis=1))
         for later in range(1, LATER + 1)
     ]
-    return bool(min(apart) > APART * size)
+    return bool(min(distances) > APART * size)
 
 
 def outside(orbit: Orbit) -> tuple[int, int, int]:
     """Exact multipliers outside the unit circle: real above 1, real below -1, pairs."""
     values = orbit.multipliers
-    real = np.abs(values.imag) < 1e-9
+    is_real = np.abs(values.imag) < 1e-9
     return (
-        int(np.sum(real & (values.real > 1.0))),
-        int(np.sum(real & (values.real < -1.0))),
-        int(np.sum(~real & (np.abs(values) > 1.0) & (values.imag > 0.0))),
+        int(np.sum(is_real & (values.real > 1.0))),
+        int(np.sum(is_real & (values.real < -1.0))),
+        int(np.sum(~is_real & (np.abs(values) > 1.0) & (values.imag > 0.0))),
     )
 
 
@@ -292,11 +296,11 @@ def as_known(case: Case, row: Finding) -> Finding | None:
     """What was found of the same answer before; None where it is not known, or was another one."""
     for one in case.known:
         known = Finding(**one)
-        named = ("what", "harmonics", "verdict")
+        field_names = ("what", "harmonics", "verdict")
         pairs = [(row.omega, known.omega), (row.estimate, known.estimate), (row.asked, known.asked)]
         if row.what in KINDS_OF_BIFURCATION:
             pairs.append((row.true, known.true))
-        if all(getattr(row, name) == getattr(known, name) for name in named) and all(
+        if all(getattr(row, name) == getattr(known, name) for name in field_names) and all(
             np.isclose(mine, its, rtol=ALIKE, atol=ROUNDING, equal_nan=True) for mine, its in pairs
         ):
             return replace(known, seconds=row.seconds)
@@ -318,16 +322,18 @@ def _judgement(
         if row.estimate > LARGE:
             return TOO_LARGE, "no exact orbit"
         return (OPEN if row.verdict != "stable" else WRONG), "no exact orbit"
-    near = max(TIMES * row.estimate, ROUNDING)
+    distance_bound = max(TIMES * row.estimate, ROUNDING)
     if case.family == "rigid":  # whose penalty gives way by 1 / product in statics
-        near = max(near, GIVING / case.product)
+        distance_bound = max(distance_bound, GIVING / case.product)
     if row.estimate > LARGE:  # decided all the same
-        other = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
-        contradicted = other and abs(row.exact - 1.0) > SURE and row.true <= near
-        return (WRONG, "verdict in spite of its estimate") if contradicted else (TOO_LARGE, "")
-    if row.true > near:
-        another = row.pred <= near and row.true > TIMES * row.pred
-        return (OPEN, "another orbit") if another else (WRONG, "error")
+        is_other_verdict = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
+        is_contradicted = (
+            is_other_verdict and abs(row.exact - 1.0) > SURE and row.true <= distance_bound
+        )
+        return (WRONG, "verdict in spite of its estimate") if is_contradicted else (TOO_LARGE, "")
+    if row.true > distance_bound:
+        is_another_orbit = row.pred <= distance_bound and row.true > TIMES * row.pred
+        return (OPEN, "another orbit") if is_another_orbit else (WRONG, "error")
     if row.true > row.asked:
         return missed(found)
     if row.verdict == "undecided":
@@ -362,60 +368,60 @@ def _verdict(found: fc.PeriodicSolution) -> str:
 
 def solutions(case: Case) -> Iterator[Finding]:
     """H given."""
-    begun = time.process_time()
-    found = fc.solve_harmonic_balance(
+    start_time = time.process_time()
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics, throw=False
     )
-    verdict = _verdict(found)
-    yield judge(case, found, "solution", verdict, seconds=time.process_time() - begun)
+    verdict = _verdict(solution)
+    yield judge(case, solution, "solution", verdict, seconds=time.process_time() - start_time)
 
 
 def tolerances(case: Case) -> Iterator[Finding]:
     """A tolerance given."""
-    begun = time.process_time()
-    found = fc.solve_harmonic_balance(
+    start_time = time.process_time()
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, tolerance=case.tolerance, throw=False
     )
-    spent = time.process_time() - begun
-    yield judge(case, found, "tolerance", "-", case.tolerance, spent)
+    spent = time.process_time() - start_time
+    yield judge(case, solution, "tolerance", "-", case.tolerance, spent)
 
 
 def wholes(case: Case) -> Iterator[Finding]:
     """A tolerance given, and the modes to be chosen: against the orbit with twice as many."""
-    begun = time.process_time()
-    found = fc.solve_harmonic_balance(
+    start_time = time.process_time()
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, tolerance=case.tolerance, throw=False
     )
-    spent = time.process_time() - begun
-    row = judge(case, found, "tolerance, modes", "-", seconds=spent)
+    spent = time.process_time() - start_time
+    row = judge(case, solution, "tolerance, modes", "-", seconds=spent)
     row.asked = case.tolerance
     if row.judgement == RIGHT:
-        off = _with_more_modes(case, found, case.structure)
+        off = _with_more_modes(case, solution, case.structure)
         row.true = float("nan") if off is None else off[1]
-        row.estimate = found.report.total
+        row.estimate = solution.report.total
         if off is None:
             row.judgement, row.remark = OPEN, "no orbit with twice the modes"
         elif row.true > max(TIMES * row.estimate, ROUNDING):
             row.judgement, row.remark = WRONG, "error"
         elif row.true > case.tolerance:
-            row.judgement, row.remark = missed(found)
+            row.judgement, row.remark = missed(solution)
     yield row
 
 
 def reductions(case: Case) -> Iterator[Finding]:
     """The error of the reduction: between the orbits of the structure given and of one with twice
     the modes."""
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics, throw=False
     )
-    row = Finding("reduction", found.harmonics, found.omega, found.report.reduction)
-    if found.converged:
-        off = _with_more_modes(case, found, case.structure.whole)
+    row = Finding("reduction", solution.harmonics, solution.omega, solution.report.reduction)
+    if solution.converged:
+        off = _with_more_modes(case, solution, case.structure.whole)
         row.judgement = OPEN
         if off is not None:
             row.true = off[0]
-            good = row.true <= max(TIMES * row.estimate, ROUNDING)
-            row.judgement = RIGHT if good else TOO_LARGE if row.estimate > LARGE else WRONG
+            is_good = row.true <= max(TIMES * row.estimate, ROUNDING)
+            row.judgement = RIGHT if is_good else TOO_LARGE if row.estimate > LARGE else WRONG
     yield row
 
 
@@ -424,16 +430,18 @@ def _with_more_modes(
 ) -> tuple[float, float] | None:
     """How far the orbit with twice the modes is from the orbit of a solution's own structure, and
     from the solution."""
-    more = fc.reduce_structure(whole, modes=2 * found.structure.n_modes, method="massless")
+    reduced_structure = fc.reduce_structure(
+        whole, modes=2 * found.structure.n_modes, method="massless"
+    )
     orbit, off = exact_orbit(case, found)
     count = min(found.harmonics, FINEST)
-    near = fc.solve_harmonic_balance(
-        more, found.omega, case.law, harmonics=count, initial=found, throw=False
+    solution = fc.solve_harmonic_balance(
+        reduced_structure, found.omega, case.law, harmonics=count, initial=found, throw=False
     )
-    if orbit is None or not near.converged:
+    if orbit is None or not solution.converged:
         return None
-    better, apart = exact_orbit(case, near)
-    if better is None or max(off, apart) > max(LARGE, TIMES * estimate(found)):
+    better, better_distance = exact_orbit(case, solution)
+    if better is None or max(off, better_distance) > max(LARGE, TIMES * estimate(found)):
         return None
     size = size_of_motion(better.gap + whole.clearance)
     return float(np.linalg.norm(better.gap - orbit.gap)) / size, distance(found, better)
@@ -451,10 +459,10 @@ def peaks(case: Case) -> Iterator[Finding]:
     """The point of a curve where lips move most."""
     curve = followed(case, PEAK, harmonics=case.harmonics)
     sizes = np.linalg.norm(curve.gap_coefficients[:, 1:], axis=(1, 2))
-    begun = time.process_time()
-    found = curve.solution(int(np.argmax(sizes)))
-    verdict = _verdict(found)
-    yield judge(case, found, "peak", verdict, seconds=time.process_time() - begun)
+    start_time = time.process_time()
+    peak_solution = curve.solution(int(np.argmax(sizes)))
+    verdict = _verdict(peak_solution)
+    yield judge(case, peak_solution, "peak", verdict, seconds=time.process_time() - start_time)
 
 
 def curves(case: Case) -> Iterator[Finding]:
@@ -468,12 +476,12 @@ def parameters(case: Case) -> Iterator[Finding]:
     rng = np.random.default_rng(case.number)
     rigid = isinstance(case.law, fc.UnilateralConstraint)
     name = str(rng.choice(["load", "damping", "clearance"] + ["stiffness"] * (not rigid)))
-    low, high = 10.0 ** -rng.random(), 10.0 ** rng.random()
+    lower_end, upper_end = 10.0 ** -rng.random(), 10.0 ** rng.random()
     if name == "clearance":
         linear = fc.solve_linear(case.structure, case.omega).gap_coefficients
         size = float(np.sqrt(np.sum(linear[1:] ** 2, axis=0)).max()) or 1.0
-        low, high = -low * size, 0.1 * high * size
-    start, end = (low, high) if rng.random() < 0.5 else (high, low)
+        lower_end, upper_end = -lower_end * size, 0.1 * upper_end * size
+    start, end = (lower_end, upper_end) if rng.random() < 0.5 else (upper_end, lower_end)
     curve = fc.continue_parameter(
         case.structure, case.omega, case.law, name, start, end,
         tolerance=TOLERANCE, throw=False, most_points=600,
@@ -483,15 +491,15 @@ def parameters(case: Case) -> Iterator[Finding]:
 
 def along(case: Case, curve: fc.ResponseCurve) -> Iterator[Finding]:
     """Points and bifurcations of a curve."""
-    few = case.family == "few"
+    has_few_modes = case.family == "few"
     if not curve.complete:
         status = f"curve: {curve.status}"
         yield Finding("curve", case.harmonics, case.omega, remark=status)
     verdicts = curve.verdicts
-    for place in np.unique(np.linspace(0, len(curve) - 1, 8 if few else 5).astype(int)):
+    for place in np.unique(np.linspace(0, len(curve) - 1, 8 if has_few_modes else 5).astype(int)):
         yield judge(case, curve.solution(int(place)), "point", str(verdicts[place]))
-    for one in curve.bifurcations[:: 1 + len(curve.bifurcations) // (6 if few else 3)]:
-        yield bifurcation(case, curve, one)
+    for event in curve.bifurcations[:: 1 + len(curve.bifurcations) // (6 if has_few_modes else 3)]:
+        yield bifurcation(case, curve, event)
 
 
 def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Finding:
@@ -499,37 +507,37 @@ def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Fin
     frequency = curve.parameter == "omega"
     size = abs(one.value) if frequency else max(abs(one.value), float(np.ptp(curve.values)))
     row = Finding(one.kind, one.problem.harmonics, one.value, true=0.0)
-    if (known := as_known(case, row)) is not None:
-        return known
+    if (known_row := as_known(case, row)) is not None:
+        return known_row
     if not one.point.exact:
         row.judgement = UNCONFIRMED
         return row
-    near = np.abs(curve.values - one.value) / size
-    seen = set()
+    distances = np.abs(curve.values - one.value) / size
+    seen_places = set()
     # At a branch point, as at a fold, a multiplier passes 1.
     kind = KINDS_OF_BIFURCATION.index("fold" if one.kind == "branch_point" else one.kind)
-    for count, place in enumerate(np.argsort(near, kind="stable")[:24]):
-        if len(seen) > 1 or (near[place] > NEXT_TO and count >= 4):
+    for count, place in enumerate(np.argsort(distances, kind="stable")[:24]):
+        if len(seen_places) > 1 or (distances[place] > NEXT_TO and count >= 4):
             break
-        orbit, off = exact_orbit(case, curve.solution(int(place)))
-        if orbit is not None and off < 0.25:
-            seen.add(outside(orbit)[kind])
-    row.judgement = RIGHT if len(seen) > 1 else OPEN
+        orbit, distance = exact_orbit(case, curve.solution(int(place)))
+        if orbit is not None and distance < 0.25:
+            seen_places.add(outside(orbit)[kind])
+    row.judgement = RIGHT if len(seen_places) > 1 else OPEN
     return row
 
 
 def _branch(case: Case) -> Iterator[fc.ResponseCurve | Finding]:
     """The branch from the first period doubling within a curve, or why there is none."""
     curve = followed(case)
-    low, high = curve.values.min(), curve.values.max()
-    for one in curve.bifurcations:
-        if one.kind != "period_doubling" or not low < one.value < high:
+    min_value, max_value = curve.values.min(), curve.values.max()
+    for event in curve.bifurcations:
+        if event.kind != "period_doubling" or not min_value < event.value < max_value:
             continue
         try:
-            yield fc.follow_branch(curve, one, throw=False, most_points=200)
+            yield fc.follow_branch(curve, event, throw=False, most_points=200)
             return
         except fc.ConvergenceError as error:
-            yield Finding("branch", case.harmonics, one.value, remark=str(error))
+            yield Finding("branch", case.harmonics, event.value, remark=str(error))
 
 
 def branches(case: Case) -> Iterator[Finding]:
@@ -551,11 +559,11 @@ def ends(case: Case) -> Iterator[Finding]:
             continue
         count = len(branch)
         for place in sorted({1, 2, 3, count - 4, count - 3, count - 2} & set(range(count))):
-            found, verdict = branch.solution(place), str(branch.verdicts[place])
-            row = judge(case, found, "end of a branch", verdict)
-            other = _verdict(found)
-            if {verdict, other} == {"stable", "unstable"}:
-                row.judgement, row.remark = WRONG, f"floquet says {other}"
+            solution, verdict = branch.solution(place), str(branch.verdicts[place])
+            row = judge(case, solution, "end of a branch", verdict)
+            end_verdict = _verdict(solution)
+            if {verdict, end_verdict} == {"stable", "unstable"}:
+                row.judgement, row.remark = WRONG, f"floquet says {end_verdict}"
             yield row
 
 
@@ -588,20 +596,20 @@ def main() -> None:
 def campaign(arguments: common.Arguments) -> None:
     """All cases that are not in the file yet."""
     if arguments.table:
-        summarise([one for path in arguments.table for one in read(Path(path))])
+        summarise([entry for path in arguments.table for entry in read(Path(path))])
         return
     if arguments.known:
         again(arguments.folder / "campaign_again.jsonl", [Path(path) for path in arguments.known])
         return
-    of = "_".join(filter(None, (arguments.family, arguments.kind))) or "all"
-    path = arguments.folder / f"campaign_{of}_{arguments.seed}.jsonl"
+    label = "_".join(filter(None, (arguments.family, arguments.kind))) or "all"
+    path = arguments.folder / f"campaign_{label}_{arguments.seed}.jsonl"
     cases = read(path)
-    done = {one["case"] for one in cases}
+    done_cases = {entry["case"] for entry in cases}
     count = 20 if arguments.quick else arguments.cases
     begun = time.monotonic()
     with open(path, "a") as file:
         for number in range(arguments.first, arguments.first + count):
-            if number in done:
+            if number in done_cases:
                 continue
             if time.monotonic() - begun > 60.0 * arguments.minutes:
                 break
@@ -615,27 +623,29 @@ def campaign(arguments: common.Arguments) -> None:
 def again(path: Path, files: list[Path]) -> None:
     """All cases of some files that are not in this one yet."""
     cases = read(path)
-    done = {key(one) for one in cases}
+    done_keys = {key(entry) for entry in cases}
     with open(path, "a") as file:
-        for one in (one for known in files for one in read(known)):
-            if key(one) in done:
+        for entry in (entry for known in files for entry in read(known)):
+            if key(entry) in done_keys:
                 continue
-            found = asked(one["seed"], one["case"], one["only"], one["family"], one["rows"])
-            cases.append(found)
-            file.write(json.dumps(found) + "\n")
+            asked_rows = asked(
+                entry["seed"], entry["case"], entry["only"], entry["family"], entry["rows"]
+            )
+            cases.append(asked_rows)
+            file.write(json.dumps(asked_rows) + "\n")
             file.flush()
     summarise(cases)
 
 
 def read(path: Path) -> list[dict]:
     """What an earlier run has found; a line that was not finished is left out."""
-    found = []
+    entries = []
     for line in path.read_text().splitlines() if path.exists() else ():
         try:
-            found.append(json.loads(line))
+            entries.append(json.loads(line))
         except json.JSONDecodeError:
             continue
-    return found
+    return entries
 
 
 def asked(
@@ -648,32 +658,32 @@ def asked(
     """A case and what was found, as it is kept; ``known``: what was found before."""
     case = draw(seed, number, kind, family)
     case.known.extend(known or [])
-    begun = time.process_time()
+    start_time = time.process_time()
     rows = findings(seed, case)
     return {
         "seed": seed, "case": number, "only": kind, "family": case.family, "kind": case.kind,
         "dofs": case.structure.n_dofs, "pairs": case.structure.n_pairs, "k R": case.product,
-        "s": time.process_time() - begun, "rows": rows,
+        "s": time.process_time() - start_time, "rows": rows,
     }  # fmt: skip
 
 
 def findings(seed: int, case: Case) -> list[dict]:
     """The rows of a case; an answer that is refused is one too."""
-    found: list[Finding] = []
+    case_rows: list[Finding] = []
     try:
         with limited(SECONDS):
-            for one in ASKED[case.kind](case):
-                found.append(one)
+            for case_row in ASKED[case.kind](case):
+                case_rows.append(case_row)
     except TimeoutError:
-        found.append(Finding("too long", case.harmonics, case.omega, judgement=TOO_LONG))
+        case_rows.append(Finding("too long", case.harmonics, case.omega, judgement=TOO_LONG))
     except (fc.ConvergenceError, fc.InputError) as error:
-        found.append(Finding("refused", case.harmonics, case.omega, remark=str(error)))
+        case_rows.append(Finding("refused", case.harmonics, case.omega, remark=str(error)))
     except Exception as error:  # a campaign has to say what broke, and go on
         name = f"{type(error).__name__}: {error}"
-        found.append(Finding("broke", case.harmonics, case.omega, judgement=WRONG, remark=name))
-    for one in found:
-        one.remark = one.remark.replace("\n", " ")[:200]
-    return [asdict(one) for one in found]
+        case_rows.append(Finding("broke", case.harmonics, case.omega, judgement=WRONG, remark=name))
+    for case_row in case_rows:
+        case_row.remark = case_row.remark.replace("\n", " ")[:200]
+    return [asdict(case_row) for case_row in case_rows]
 
 
 @contextmanager
@@ -703,25 +713,27 @@ COLUMNS = (
 
 def summarise(cases: list[dict]) -> None:
     """A line for every family, for the reduction, the peaks and for all; every wrong answer."""
-    once = {key(one): one for one in cases}  # a case may be in several files
-    rows = [row | {"of": one} for one in once.values() for row in one["rows"]]
+    entry_by_key = {key(entry): entry for entry in cases}  # a case may be in several files
+    rows = [row | {"of": entry} for entry in entry_by_key.values() for row in entry["rows"]]
     groups = {name: lambda row, name=name: row["of"]["family"] == name for name in FAMILIES}
-    plain = [row for row in rows if row["what"] != "reduction"]
-    table = [line(name, list(filter(chosen, plain))) for name, chosen in groups.items()]
+    other_rows = [row for row in rows if row["what"] != "reduction"]
+    table = [
+        line(name, list(filter(group_rows, other_rows))) for name, group_rows in groups.items()
+    ]
     table.append(line("peaks", [row for row in rows if row["what"] == "peak"]))
-    table.append(line("all", plain))
+    table.append(line("all", other_rows))
     table.append(line("reduction", [row for row in rows if row["what"] == "reduction"]))
-    common.print_table("Campaign", COLUMNS, [one for one in table if one[2]])
-    wrong = [row for row in rows if row["judgement"] == WRONG]
+    common.print_table("Campaign", COLUMNS, [entry for entry in table if entry[2]])
+    wrong_rows = [row for row in rows if row["judgement"] == WRONG]
     names = ("what", "harmonics", "estimate", "true", "pred", "verdict", "exact", "asked", "remark")
-    if wrong:
+    if wrong_rows:
         common.print_table(
             "Wrong",
             ("seed", "case", "family", "pairs", "k R", *names),
             [
                 [row["of"][name] for name in ("seed", "case", "family", "pairs", "k R")]
                 + [row[name] for name in names]
-                for row in wrong
+                for row in wrong_rows
             ],
         )
 
@@ -742,34 +754,39 @@ def line(name: str, rows: list[dict]) -> list[object]:
     def share(part: int, of: list[dict]) -> str:
         return f"{100.0 * part / len(of):.1f}" if of else "-"
 
-    given = [row for row in rows if np.isnan(row["asked"]) and not np.isnan(row["estimate"])]
-    judged = [row for row in given if row["verdict"] not in ("-", NO_VERDICT)]
-    undecided = [
-        row for row in judged if row["verdict"] == "undecided" and row["judgement"] != WANDERS
+    estimated_rows = [
+        row for row in rows if np.isnan(row["asked"]) and not np.isnan(row["estimate"])
     ]
-    wanted = [
+    judged_rows = [row for row in estimated_rows if row["verdict"] not in ("-", NO_VERDICT)]
+    undecided_rows = [
+        row for row in judged_rows if row["verdict"] == "undecided" and row["judgement"] != WANDERS
+    ]
+    tolerance_rows = [
         row
         for row in rows
         if not np.isnan(row["asked"]) and row["judgement"] not in (LIMITED, WANDERS)
     ]
-    met = sum(row["true"] <= row["asked"] for row in wanted if row["judgement"] == RIGHT)
+    n_met = sum(row["true"] <= row["asked"] for row in tolerance_rows if row["judgement"] == RIGHT)
     stable = [row for row in rows if row["verdict"] == "stable" and row["true"] > ROUNDING]
     ratios = [
         row["true"] / row["estimate"]
         for row in rows
         if row["estimate"] <= LARGE and row["true"] > ROUNDING
     ]
-    low, middle, high = np.quantile(ratios, (0.05, 0.5, 0.95)) if ratios else (np.nan,) * 3
+    lower_quantile, middle, upper_quantile = (
+        np.quantile(ratios, (0.05, 0.5, 0.95)) if ratios else (np.nan,) * 3
+    )
     times = [row["seconds"] for row in rows if not np.isnan(row["seconds"])]
     return [
         name, len({key(row["of"]) for row in rows}),
-        len(rows), count(WRONG, rows), f"{low:.2f}", f"{middle:.2f}", f"{high:.2f}",
-        share(sum(row["estimate"] >= UNKNOWN for row in given), given),
-        share(sum(LARGE < row["estimate"] < UNKNOWN for row in given), given),
-        share(len(undecided), judged),
-        share(sum(row["estimate"] <= LARGE for row in undecided), judged),
+        len(rows), count(WRONG, rows),
+        f"{lower_quantile:.2f}", f"{middle:.2f}", f"{upper_quantile:.2f}",
+        share(sum(row["estimate"] >= UNKNOWN for row in estimated_rows), estimated_rows),
+        share(sum(LARGE < row["estimate"] < UNKNOWN for row in estimated_rows), estimated_rows),
+        share(len(undecided_rows), judged_rows),
+        share(sum(row["estimate"] <= LARGE for row in undecided_rows), judged_rows),
         sum(row["true"] > TIMES * row["pred"] for row in stable),
-        f"{met} of {len(wanted)}", count(LIMITED, rows), count(WANDERS, rows),
+        f"{n_met} of {len(tolerance_rows)}", count(LIMITED, rows), count(WANDERS, rows),
         count(UNCONVERGED, rows), count(TOO_LONG, rows), count(OPEN, rows),
         count(UNCONFIRMED, rows),
         f"{1e3 * np.median(times):.0f}" if times else "-",

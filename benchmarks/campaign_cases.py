@@ -124,18 +124,18 @@ def draw(seed: int, number: int, only: str | None = None, family: str = "few") -
 
 def _of_masses(rng: np.random.Generator, number: int, kind: str, family: str) -> Case:
     """Pairs with mass, one by one to the ground or to other masses."""
-    most = {"mass": (5, 10), "crowd": (11, 16)}.get(family)
+    pair_range = {"mass": (5, 10), "crowd": (11, 16)}.get(family)
     plates = {"few": 0.05, "ends": 0.05, "rigid": 0.5}.get(family, 0.0)
     if plates and rng.random() < plates:
         structure = _plate(rng)
     else:
-        structure = _masses(rng, most, family == "turning")
+        structure = _masses(rng, pair_range, family == "turning")
         while family == "smooth" and structure.n_dofs > 8:  # few enough for an integrator
             structure = _masses(rng)
     squares, static = _modes(structure)
-    natural = np.sqrt(np.maximum(squares[:3], 0.0))
+    natural_omega = np.sqrt(np.maximum(squares[:3], 0.0))
     share = rng.choice([1 / 3, 1 / 2, 1.0, 2.0, 3.0, 10.0 ** rng.uniform(-0.5, 0.5)])
-    omega = float(rng.choice(natural) * share * (1.0 + 0.03 * rng.normal()))
+    omega = float(rng.choice(natural_omega) * share * (1.0 + 0.03 * rng.normal()))
     product = 10.0 ** rng.uniform(-1.0, 3.0 if family == "smooth" else 4.0)
     law: Any = fc.UnilateralPenalty(product / static)
     linear = fc.solve_linear(structure, omega).gap_coefficients
@@ -153,10 +153,10 @@ def _of_masses(rng: np.random.Generator, number: int, kind: str, family: str) ->
     elif family == "rigid":
         law, product = fc.UnilateralConstraint(), RIGID
     counts = [20, 40, 80, 160] if family == "rigid" else [5, 10, 20, 40]
-    asked = [1e-2, 1e-3] if most is None else [1e-2, 1e-3, 1e-4]
+    tolerances = [1e-2, 1e-3] if pair_range is None else [1e-2, 1e-3, 1e-4]
     return Case(
         number, kind, structure.varied(clearance=clearance), law, omega,
-        int(rng.choice(counts)), float(rng.choice(asked)), product, family,
+        int(rng.choice(counts)), float(rng.choice(tolerances)), product, family,
     )  # fmt: skip
 
 
@@ -164,8 +164,8 @@ def _modes(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     """Squares of the natural frequencies, and the static compliance that each pair sees [m/N]."""
     stiffness, mass = (np.asarray(m[:, :]) for m in (structure.stiffness, structure.mass))
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
-    seen = shapes.T @ structure.gap.toarray()
-    return squares, np.einsum("mp,m,mp->p", seen, 1.0 / squares, seen)
+    modal_gap = shapes.T @ structure.gap.toarray()
+    return squares, np.einsum("mp,m,mp->p", modal_gap, 1.0 / squares, modal_gap)
 
 
 def _extremum(wave: np.ndarray, rng: np.random.Generator) -> float:
@@ -185,13 +185,13 @@ def _masses(
     if rng.random() < 0.5:
         mass = np.diag(10.0 ** rng.uniform(-0.5, 0.5, count))
         springs = 10.0 ** rng.uniform(-1.0, 1.0, count + 1)
-        off = np.diag(springs[1:-1], 1)
-        stiffness = np.diag(springs[:-1] + springs[1:]) - off - off.T
+        off_diagonal = np.diag(springs[1:-1], 1)
+        stiffness = np.diag(springs[:-1] + springs[1:]) - off_diagonal - off_diagonal.T
     else:
         mass = np.eye(count)
-        turned = np.linalg.qr(rng.normal(size=(count, count)))[0]
+        rotation = np.linalg.qr(rng.normal(size=(count, count)))[0]
         squares = np.append(1.0, 30.0 ** (2.0 * rng.random(count - 1)))
-        stiffness = (turned * squares) @ turned.T
+        stiffness = (rotation * squares) @ rotation.T
         stiffness = 0.5 * (stiffness + stiffness.T)
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
     rates = 2.0 * 10.0 ** rng.uniform(-3.0, np.log10(0.05), count) * np.sqrt(squares)
@@ -200,8 +200,8 @@ def _masses(
     if turning:
         spins = 10.0 ** rng.uniform(-2.0, 0.3) * np.sqrt(squares[0]) * rng.normal(size=mass.shape)
         damping += mass @ (spins - spins.T) @ mass
-    low, high = pairs_from or (1, 4)
-    pairs = int(rng.integers(low, min(high, count) + 1))
+    min_pairs, max_pairs = pairs_from or (1, 4)
+    pairs = int(rng.integers(min_pairs, min(max_pairs, count) + 1))
     gap = np.zeros((count, pairs))
     for pair, place in enumerate(rng.choice(count, pairs, replace=False)):
         gap[place, pair] = rng.choice([-1.0, 1.0])
@@ -234,11 +234,11 @@ def _of_plates(rng: np.random.Generator, number: int, kind: str, family: str) ->
     """Lips without mass; of the whole structure where the modes are to be chosen."""
     table = _scene(rng, family)
     structure = _reduced(table)
-    natural = fc.bilinear_frequencies(structure).omega_bilinear
-    mode = min(int(rng.choice(4, p=[0.5, 0.25, 0.15, 0.1])), len(natural) - 1)
+    natural_omega = fc.bilinear_frequencies(structure).omega_bilinear
+    mode = min(int(rng.choice(4, p=[0.5, 0.25, 0.15, 0.1])), len(natural_omega) - 1)
     share = 1.0 if kind == "peak" else float(rng.choice([1.0, 1 / 2, 1 / 3], p=[0.55, 0.25, 0.2]))
-    spread = 2.0 * table["damping"]["ratio"] if rng.random() < 0.5 else 0.05
-    omega = float(natural[mode] * share * (1.0 + spread * rng.normal()))
+    relative_width = 2.0 * table["damping"]["ratio"] if rng.random() < 0.5 else 0.05
+    omega = float(natural_omega[mode] * share * (1.0 + relative_width * rng.normal()))
     linear = fc.solve_linear(structure, omega).gap_coefficients
     size = float(np.sqrt(np.sum(linear[1:] ** 2, axis=0)).max())
     if family == "rotation":
@@ -302,11 +302,11 @@ def _scene(rng: np.random.Generator, family: str) -> dict[str, Any]:
         table["crack"] = {"center": middle, "height": place, "length": min(length, 0.5 * width)}
     if family == "cracks":
         pairs *= 0.5
-        other = {
+        other_crack = {
             "edge": str(rng.choice(["left", "right"])),
             "length": width * rng.uniform(0.1, 0.4),
         }
-        table["cracks"] = [other | {"height": place + height * rng.uniform(0.15, 0.4)}]
+        table["cracks"] = [other_crack | {"height": place + height * rng.uniform(0.15, 0.4)}]
     if family == "rotation":
         table["rotation"] = {"rpm": rng.uniform(300.0, 3000.0), "hub_radius": 0.2}
     table["damping"]["ratio"] = 10.0 ** rng.uniform(np.log10(5e-4), -2.0)
@@ -322,8 +322,8 @@ def _reduced(table: dict[str, Any]) -> fc.Structure:
 def _static(structure: fc.Structure) -> np.ndarray:
     """The static compliance that each pair sees [m/N]."""
     assert isinstance(structure, fc.MasslessStructure)
-    seen = structure.gap[: structure.n_modes].toarray()
-    found: np.ndarray = np.diag(structure.residual) + np.sum(
-        seen**2 / structure.omega[:, None] ** 2, axis=0
+    modal_gap = structure.gap[: structure.n_modes].toarray()
+    compliance: np.ndarray = np.diag(structure.residual) + np.sum(
+        modal_gap**2 / structure.omega[:, None] ** 2, axis=0
     )
-    return found
+    return compliance

@@ -82,9 +82,9 @@ def start(arguments: Arguments) -> None:
 
 def seconds(function: Callable[[], Any]) -> float:
     """Processor time of one call [s]."""
-    started = time.process_time()
+    start_time = time.process_time()
     function()
-    return time.process_time() - started
+    return time.process_time() - start_time
 
 
 def alternate(
@@ -183,12 +183,12 @@ def save_table(path: Path, title: str, columns: Sequence[str], rows: Sequence[Ro
 def figure(columns: int = 1, rows: int = 1) -> tuple[Figure, list[Axes]]:
     """A figure with axes side by side, row after row."""
     size = (1.0 + 5.6 * columns, 4.2 * rows)
-    drawing = Figure(figsize=size, dpi=150, layout="constrained")
-    FigureCanvasAgg(drawing)
-    axes = drawing.subplots(rows, columns, squeeze=False).ravel()
+    new_figure = Figure(figsize=size, dpi=150, layout="constrained")
+    FigureCanvasAgg(new_figure)
+    axes = new_figure.subplots(rows, columns, squeeze=False).ravel()
     for ax in axes:
         ax.grid(alpha=0.3)
-    return drawing, list(axes)
+    return new_figure, list(axes)
 
 
 # --- what is solved -------------------------------------------------------------------------------
@@ -228,5 +228,8 @@ def plate(name: str, changes: Mapping[str, Any] | None = None) -> fc.Structure:
 def relative_difference(values: np.ndarray, reference: np.ndarray) -> float:
     """Relative L2 difference over the period of coefficients (rows a0, a1, b1, ...), any H."""
     harmonics = max(len(values), len(reference)) // 2
-    one, other = resize_harmonics(values, harmonics), resize_harmonics(reference, harmonics)
-    return float(np.sqrt(mean_square(one - other) / mean_square(other)))
+    rows, reference_rows = (
+        resize_harmonics(values, harmonics),
+        resize_harmonics(reference, harmonics),
+    )
+    return float(np.sqrt(mean_square(rows - reference_rows) / mean_square(reference_rows)))

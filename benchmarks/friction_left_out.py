@@ -65,12 +65,12 @@ def random_scene(kind: str, seed: int) -> fc.Scene:
     omega = factor * fc.bilinear_frequencies(study.structure).omega_bilinear[mode]
     at = {"excitation.frequency": float(omega / (2.0 * np.pi))}
     if kind == "blade":  # the mean load takes back what the rotor opens
-        opened, pressed = (
+        open_gap, pressed_gap = (
             fc.solve_linear(fc.prepare(scene.replace(force)).structure, 1.0).gap_coefficients[0]
             for force in ({}, {"excitation.force_mean": [-1.0, 0.0]})
         )
-        widest = int(np.argmin(opened))
-        force = -opened[widest] / (pressed[widest] - opened[widest])
+        widest = int(np.argmin(open_gap))
+        force = -open_gap[widest] / (pressed_gap[widest] - open_gap[widest])
         at |= {"excitation.force_mean": [-float(force * rng.uniform(0.9, 1.1)), 0.0]}
     return scene.replace(at)
 
@@ -82,16 +82,16 @@ def with_and_without(scene: fc.Scene, modes: int = 60) -> dict[str, float]:
     if contact.stiffness_per_area is not None:
         keys["contact.tangential_stiffness_per_area"] = contact.stiffness_per_area
         keys["reduction.method"] = "massless"  # others have no statics of the tangents
-    seen = []
+    numbers = []
     stiffness = "contact.tangential_stiffness_per_area"
     for changes in (keys, keys | {"contact.friction": None, stiffness: None}):
         study = fc.prepare(scene.replace(changes), judged=False)
         assert study.contact is not None
-        found = fc.solve_harmonic_balance(
+        solution = fc.solve_harmonic_balance(
             study.structure, scene.excitation.omega, study.contact, tolerance=1e-3, throw=False
         )
-        seen.append(found.indicators(study.watched[0].dof))
-    return {n: float(getattr(seen[0], n) / getattr(seen[1], n)) - 1.0 for n in NAMES}
+        numbers.append(solution.indicators(study.watched[0].dof))
+    return {n: float(getattr(numbers[0], n) / getattr(numbers[1], n)) - 1.0 for n in NAMES}
 
 
 def effects(scene: fc.Scene) -> dict[str, tuple[float, float]] | str:
@@ -100,28 +100,35 @@ def effects(scene: fc.Scene) -> dict[str, tuple[float, float]] | str:
     assert run.errors is not None
     if (part := run.errors.parts.get("friction")) is None:
         return run.errors.unknown.get("friction", "the error is unknown")
-    stated = {n: part[n].values[1] / part[n].values[0] - 1.0 for n in NAMES if n in part}
-    true = with_and_without(run.scene)
-    return {name: (value, true[name]) for name, value in stated.items()}
+    stated_changes = {n: part[n].values[1] / part[n].values[0] - 1.0 for n in NAMES if n in part}
+    true_changes = with_and_without(run.scene)
+    return {name: (value, true_changes[name]) for name, value in stated_changes.items()}
 
 
 def is_right(stated: float, true: float) -> bool:
     """True if an effect is stated within a factor, or is too small to matter."""
-    least = 0.1 * DEFAULT_ERROR_TOLERANCE
-    small = abs(true) < least and abs(stated) < 2.0 * least
-    return bool(small or (true and HOLDS[0] <= stated / true <= HOLDS[1]))
+    smallest_change = 0.1 * DEFAULT_ERROR_TOLERANCE
+    is_small = abs(true) < smallest_change and abs(stated) < 2.0 * smallest_change
+    return bool(is_small or (true and HOLDS[0] <= stated / true <= HOLDS[1]))
 
 
 def rows_of_random(quick: bool) -> Iterator[common.Row]:
     """A row for each number of each scene."""
     for kind in KINDS:
         for seed in list(SEEDS)[:: 4 if quick else 1]:
-            found = effects(random_scene(kind, seed))
-            if isinstance(found, str):
-                yield kind, seed, found, np.nan, np.nan, "no"
+            effect_by_name = effects(random_scene(kind, seed))
+            if isinstance(effect_by_name, str):
+                yield kind, seed, effect_by_name, np.nan, np.nan, "no"
                 continue
-            for name, (stated, true) in found.items():
-                yield kind, seed, name, stated, true, "yes" if is_right(stated, true) else "no"
+            for name, (stated_change, true_change) in effect_by_name.items():
+                yield (
+                    kind,
+                    seed,
+                    name,
+                    stated_change,
+                    true_change,
+                    "yes" if is_right(stated_change, true_change) else "no",
+                )
 
 
 def random(arguments: common.Arguments) -> None:
@@ -131,8 +138,8 @@ def random(arguments: common.Arguments) -> None:
     path = arguments.folder / "friction_left_out.csv"
     common.save_table(path, "effects of friction", columns, rows)
     scenes = {row[:2] for row in rows}
-    wrong = {row[:2] for row in rows if row[-1] == "no"}
-    print(f"{len(scenes - wrong)} of {len(scenes)} scenes right in all of their numbers")
+    wrong_scenes = {row[:2] for row in rows if row[-1] == "no"}
+    print(f"{len(scenes - wrong_scenes)} of {len(scenes)} scenes right in all of their numbers")
 
 
 def modes(arguments: common.Arguments) -> None:

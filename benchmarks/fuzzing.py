@@ -125,16 +125,16 @@ NUMBERS = [0.0, -1.0, 1.0, 2.0, 1e300, -1e300, 1e-300, 1e30, 1e9, np.nan, np.inf
 def changed_text(text: str, rng: random.Random) -> str:
     """Text with a few mutations of its letters, lines, keys and values."""
     for _ in range(rng.choice([1, 1, 1, 2, 3, 8])):
-        lines, at = text.split("\n"), rng.randrange(len(text) + 1)
+        lines, position = text.split("\n"), rng.randrange(len(text) + 1)
         given_keys = [i for i, line in enumerate(lines) if "=" in line and line[0] != "#"]
         remarks = [i for i, line in enumerate(lines) if line[:2] == "# " and "=" in line]
         kind = rng.randrange(8)
         if kind == 0:
-            text = text[:at] + text[at + rng.randint(1, 3) :]
+            text = text[:position] + text[position + rng.randint(1, 3) :]
         elif kind == 1:
-            text = text[:at] + rng.choice(LETTERS) + text[at:]
+            text = text[:position] + rng.choice(LETTERS) + text[position:]
         elif kind == 2:
-            text = text[:at] + text[at : at + 2][::-1] + text[at + 2 :]
+            text = text[:position] + text[position : position + 2][::-1] + text[position + 2 :]
         elif kind == 3:
             lines.pop(rng.randrange(len(lines)))
             text = "\n".join(lines)
@@ -157,14 +157,18 @@ def changed_text(text: str, rng: random.Random) -> str:
 def changed_file(content: bytes, rng: random.Random, words: Sequence[bytes] = WORDS) -> bytes:
     """A file with a few mutations of its bytes, lines and words."""
     for _ in range(rng.choice([1, 1, 1, 2, 4])):
-        lines, at = content.split(b"\n"), rng.randrange(len(content) + 1)
+        lines, position = content.split(b"\n"), rng.randrange(len(content) + 1)
         line, kind = rng.randrange(len(lines)), rng.randrange(7)
         if kind == 0:
-            content = content[:at] + content[at + rng.randint(1, 4) :]
+            content = content[:position] + content[position + rng.randint(1, 4) :]
         elif kind == 1:
-            content = content[:at] + bytes([rng.randrange(256)]) + content[at + rng.randrange(2) :]
+            content = (
+                content[:position]
+                + bytes([rng.randrange(256)])
+                + content[position + rng.randrange(2) :]
+            )
         elif kind == 2 and rng.random() < 0.2:
-            content = content[:at]
+            content = content[:position]
         else:
             cells = lines[line].split()
             if kind == 3:
@@ -204,18 +208,22 @@ def changed_bytes(content: bytes, rng: random.Random) -> bytes:
     """Bytes changed, put in, left out, or all from somewhere on."""
     data = bytearray(content)
     for _ in range(rng.choice([1, 1, 2, 8, 64])):
-        at = rng.randrange(len(data)) if rng.random() < 0.5 else rng.randrange(min(2048, len(data)))
+        position = (
+            rng.randrange(len(data)) if rng.random() < 0.5 else rng.randrange(min(2048, len(data)))
+        )
         kind = rng.randrange(8)
         if kind == 0 and rng.random() < 0.3:
-            del data[at + 1 :]
+            del data[position + 1 :]
         elif kind == 1:
-            del data[at : at + rng.randint(1, 16)]
+            del data[position : position + rng.randint(1, 16)]
         elif kind == 2:
-            data[at:at] = rng.randbytes(rng.randint(1, 16))
+            data[position:position] = rng.randbytes(rng.randint(1, 16))
         elif kind == 3:
-            data[at : at + 8] = rng.choice([b"\xff", b"\0", b"\x7f"]) * len(data[at : at + 8])
+            data[position : position + 8] = rng.choice([b"\xff", b"\0", b"\x7f"]) * len(
+                data[position : position + 8]
+            )
         else:
-            data[at] ^= 1 << rng.randrange(8)
+            data[position] ^= 1 << rng.randrange(8)
         data = data or bytearray(b"\0")
     return bytes(data)
 
@@ -267,8 +275,8 @@ def _change_attribute(file: h5py.File, rng: random.Random, but: str) -> None:
 
 def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
     """Its numbers, its shape, its kind, or whether it is there."""
-    old, kind = file[name], rng.randrange(8)
-    value = old.asstr()[()] if h5py.check_string_dtype(old.dtype) else old[()]
+    dataset, kind = file[name], rng.randrange(8)
+    value = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else dataset[()]
     del file[name]
     array = np.array(value)
     numeric = array.dtype.kind in "iufcb"
@@ -286,11 +294,13 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
     elif kind == 5 and numeric and array.ndim > 1:
         file[name] = np.ascontiguousarray(array.T)
     elif numeric and array.size and array.dtype.kind != "b":
-        flat = array.astype(complex if array.dtype.kind == "c" else float).reshape(-1)
-        places = [rng.randrange(flat.size) for _ in range(rng.choice([1, 1, flat.size]))]
-        flat[places] = rng.choice(NUMBERS)
+        flat_values = array.astype(complex if array.dtype.kind == "c" else float).reshape(-1)
+        places = [
+            rng.randrange(flat_values.size) for _ in range(rng.choice([1, 1, flat_values.size]))
+        ]
+        flat_values[places] = rng.choice(NUMBERS)
         with np.errstate(all="ignore"):
-            file[name] = flat.reshape(array.shape).astype(array.dtype)
+            file[name] = flat_values.reshape(array.shape).astype(array.dtype)
     else:
         file[f"{name}_"] = value if numeric else _as_words(array)
 
@@ -636,12 +646,12 @@ def damaged_input(
     """Damage one file in a folder with copies of all; what has been done, and the words of a
     command that reads it."""
     kind = kind or rng.choices(*zip(*KINDS.items(), strict=True))[0]
-    what, words = kind(rng, folder)
+    description, words = kind(rng, folder)
     if words[0] not in ("check", "new", "report"):
         words = [*words, "--output", str(folder / "out")]
     if rng.random() < 0.1:
         words.append(rng.choice(["--quiet", "--verbose", "--format=json", "--format=csv"]))
-    return what, words
+    return description, words
 
 
 def _run_scene(name: str, rng: random.Random, folder: Path) -> list[str]:
@@ -649,13 +659,13 @@ def _run_scene(name: str, rng: random.Random, folder: Path) -> list[str]:
     path = str(folder / name)
     commands = [*OF_SCENES, "identify", "timing", "campbell", "plot"]
     command = rng.choice(["check", "modes", "solve", *commands])
-    more = {
+    options_by_command = {
         "modes": ["--count", "3"],
         "campbell": ["--count", "2", "--speeds", "0", "100", "3"],
         "identify": [str(folder / "measured.csv")],
         "timing": rng.choice([[], [str(folder / "plate" / "solution.h5")]]),
     }
-    return [command, path, *more.get(command, [])]
+    return [command, path, *options_by_command.get(command, [])]
 
 
 def _scene(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
@@ -672,8 +682,8 @@ def _scene(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
 def _mesh(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
     name = rng.choice(MESHES)
     content = (folder / name).read_bytes()
-    changed = changed_bytes if "binary" in name and rng.random() < 0.8 else changed_file
-    (folder / "plate.msh").write_bytes(changed(content, rng))
+    change_content = changed_bytes if "binary" in name and rng.random() < 0.8 else changed_file
+    (folder / "plate.msh").write_bytes(change_content(content, rng))
     command = rng.choice(["check", "check", "modes", "solve", "plot"])
     return name, [command, str(folder / "file.toml")]
 
@@ -684,16 +694,18 @@ def _matrix(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
     text = scene.read_text()
     if name == "damping":
         text = text.replace("# damping", "damping").replace("[damping]\nratio = 0.02\n", "")
-    packing = rng.choice(["", ".gz", ".bz2"])
-    for ending in ("", ".gz", ".bz2"):
-        text = text.replace(f'"{name}.mtx{ending}"', f'"{name}.mtx{packing}"')
+    packing_suffix = rng.choice(["", ".gz", ".bz2"])
+    for suffix in ("", ".gz", ".bz2"):
+        text = text.replace(f'"{name}.mtx{suffix}"', f'"{name}.mtx{packing_suffix}"')
     scene.write_text(text)
-    path = folder / f"{name}.mtx{packing}"
-    if packing and rng.random() < 0.5:
+    path = folder / f"{name}.mtx{packing_suffix}"
+    if packing_suffix and rng.random() < 0.5:
         path.write_bytes(changed_bytes(path.read_bytes(), rng))
     else:
         content = changed_file((folder / f"{name}.mtx").read_bytes(), rng, MARKET_WORDS)
-        path.write_bytes({".gz": gzip.compress, ".bz2": bz2.compress}.get(packing, bytes)(content))
+        path.write_bytes(
+            {".gz": gzip.compress, ".bz2": bz2.compress}.get(packing_suffix, bytes)(content)
+        )
     return path.name, [rng.choice(["check", *OF_SCENES]), str(scene)]
 
 
@@ -744,8 +756,8 @@ def _arrivals(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
 
 def _result(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
     path = rng.choice(sorted(folder.glob("*/*.h5")))
-    forging = rng.random() < 0.6
-    if forging:
+    is_forged = rng.random() < 0.6
+    if is_forged:
         change_result(path, rng)
     else:
         path.write_bytes(changed_bytes(path.read_bytes(), rng))
@@ -764,7 +776,7 @@ def _result(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
         (folder / "out").mkdir()
         shutil.copy(path, folder / "out")
         words = ["sweep", scene]
-    return f"{path.name} {'forged' if forging else 'damaged'}", words
+    return f"{path.name} {'forged' if is_forged else 'damaged'}", words
 
 
 def _words(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
@@ -774,9 +786,17 @@ def _words(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
     words = _run_scene(rng.choice(SCENES), rng, folder)
     for _ in range(rng.choice([1, 1, 2, 3])):
         words += ["--set", rng.choice(SETTINGS)]
-    others = ["--count=0", "--count=1e3", "--count=1000", "--format=xml", "--wrong", "", "--help"]
+    odd_options = [
+        "--count=0",
+        "--count=1e3",
+        "--count=1000",
+        "--format=xml",
+        "--wrong",
+        "",
+        "--help",
+    ]
     if rng.random() < 0.1:
-        words.insert(rng.randrange(len(words)), rng.choice(others))
+        words.insert(rng.randrange(len(words)), rng.choice(odd_options))
     return "words", words
 
 
@@ -818,10 +838,10 @@ random.Random(0).shuffle(FORMS)
 
 def small_structure(form: tuple[Any, ...], folder: Path) -> tuple[str, list[str]]:
     """Write a structure's files; what it is, and the words of the command."""
-    dofs, pairs, damping, law, free, command = form
+    dofs, pairs, damping, law, is_free, command = form
     rng = np.random.default_rng(dofs)
     springs = rng.uniform(1.0, 3.0, dofs + 1)
-    if free:
+    if is_free:
         springs[[0, -1]] = 0.0
     stiffness = np.diag(springs[:-1] + springs[1:])
     stiffness -= np.diag(springs[1:-1], 1) + np.diag(springs[1:-1], -1)
@@ -850,8 +870,8 @@ def small_structure(form: tuple[Any, ...], folder: Path) -> tuple[str, list[str]
     words = [command, str(folder / "small.toml")]
     if command != "check":
         words += ["--output", str(folder / "out")]
-    fixed = "free" if free else "fixed"
-    return f"{dofs} dofs, {pairs} pairs, {damping}, {law}, {fixed}, {command}", words
+    end_condition = "free" if is_free else "fixed"
+    return f"{dofs} dofs, {pairs} pairs, {damping}, {law}, {end_condition}, {command}", words
 
 
 def expected(form: tuple[Any, ...]) -> str:
@@ -901,7 +921,7 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
     name = rng.choice(sorted(CALLS))
     scene = fc.Scene.load(folder / rng.choice(WHEELS))
     of_wheel = fc.Scene.load(folder / "wheel.toml")
-    right: dict[str, Callable[[], Any]] = {
+    right_values: dict[str, Callable[[], Any]] = {
         "scene": lambda: scene, "wheel_scene": lambda: of_wheel, "tables": dict,
         "path": lambda: folder / "wheel.toml", "changes": dict, "families": lambda: 1,
         "patterns": lambda: 3, "deviation": lambda: 0.01, "seed": lambda: 1,
@@ -916,19 +936,25 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
         "omega": lambda: 2000.0, "omega_end": lambda: 2001.0,
     }  # fmt: skip
     names = CALLS[name]
-    odd = {
-        one: rng.choice(ODD) for one in rng.sample(names, min(len(names), rng.choice([0, 1, 1, 2])))
+    odd_arguments = {
+        argument_name: rng.choice(ODD)
+        for argument_name in rng.sample(names, min(len(names), rng.choice([0, 1, 1, 2])))
     }
-    more = {f"{rng.choice(['harmonic', 'modes', 'comm', 'x'])}": 1} if rng.random() < 0.1 else {}
+    more_arguments = (
+        {f"{rng.choice(['harmonic', 'modes', 'comm', 'x'])}": 1} if rng.random() < 0.1 else {}
+    )
 
     def attempt() -> object:
         owner, _, method = name.rpartition(".")
-        place = {"Scene": lambda: fc.Scene, "": lambda: fc}.get(owner) or right[owner]
-        arguments = {one: odd[one] if one in odd else right[one]() for one in names}
-        return getattr(place(), method)(*arguments.values(), **more)
+        place = {"Scene": lambda: fc.Scene, "": lambda: fc}.get(owner) or right_values[owner]
+        arguments = {
+            one: odd_arguments[one] if one in odd_arguments else right_values[one]()
+            for one in names
+        }
+        return getattr(place(), method)(*arguments.values(), **more_arguments)
 
     return (
-        f"{name}({', '.join(f'{key}={type(value).__name__}' for key, value in odd.items())})",
+        f"{name}({', '.join(f'{key}={type(x).__name__}' for key, x in odd_arguments.items())})",
         attempt,
     )
 
@@ -1021,10 +1047,10 @@ def called(attempt: Callable[[], object]) -> tuple[int, str]:
     except fc.ConvergenceError as error:
         return 3, str(error)
     except Exception as error:
-        *_, last = traceback.extract_tb(error.__traceback__)
-        if isinstance(error, TypeError) and last.name in ("attempt", "call"):  # as of any function
+        *_, frame = traceback.extract_tb(error.__traceback__)
+        if isinstance(error, TypeError) and frame.name in ("attempt", "call"):  # as of any function
             return 2, f"fenics-crack: {error}"
-        return 1, f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+        return (1, f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno})")
     return 0, ""
 
 
@@ -1051,7 +1077,7 @@ class Outcome:
 
 def call(words: list[str]) -> tuple[int, str]:
     """Exit code and standard error of the program."""
-    errors, before = io.StringIO(), sys.__stderr__
+    errors, earlier_stderr = io.StringIO(), sys.__stderr__
     sys.__stderr__ = errors  # type: ignore[misc]
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
@@ -1060,26 +1086,32 @@ def call(words: list[str]) -> tuple[int, str]:
             except SystemExit as ending:  # argparse
                 code = int(ending.code or 0)
     finally:
-        sys.__stderr__ = before  # type: ignore[misc]
+        sys.__stderr__ = earlier_stderr  # type: ignore[misc]
     return code, errors.getvalue()
 
 
 def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
     """The outcome of a call, and what was said."""
     lines = errors.strip().splitlines()
-    last = lines[-1] if lines else ""
+    last_line = lines[-1] if lines else ""
     if code not in CODES or ("Traceback" in errors and code != 2):
-        return "RAW", f"exit code {code}: {last}"
+        return "RAW", f"exit code {code}: {last_line}"
     if noise.strip():
         return "RAW", f"a library says: {noise.strip().splitlines()[0]}"
     if code == 2 and "for example:" in lines:  # lines to paste
         lines = lines[: lines.index("for example:")]
-        last = lines[-1]
-    told = [line for line in lines if line.startswith("fenics-crack: ")]
-    of_keys = len(told) > 1 and all(re.search(": must be |: not allowed", line) for line in told)
-    if code == 2 and "usage: " not in errors and told != (lines if of_keys else [last]):
+        last_line = lines[-1]
+    message_lines = [line for line in lines if line.startswith("fenics-crack: ")]
+    of_keys = len(message_lines) > 1 and all(
+        re.search(": must be |: not allowed", line) for line in message_lines
+    )
+    if (
+        code == 2
+        and "usage: " not in errors
+        and message_lines != (lines if of_keys else [last_line])
+    ):
         return "RAW", f"{len(lines)} lines: {' | '.join(lines)}"
-    return CODES[code], last if code else ""
+    return CODES[code], last_line if code else ""
 
 
 def solve_prepared(path: Path) -> object:
@@ -1140,20 +1172,20 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     np.seterr(all="ignore")
     at_rest = _memory("VmRSS:")
-    used = int(_memory("VmSize:") + 2 * BYTES)
-    resource.setrlimit(resource.RLIMIT_AS, (used, used))
-    while (given := connection.recv()) is not None:
-        part, case, seed = given
+    memory_limit = int(_memory("VmSize:") + 2 * BYTES)
+    resource.setrlimit(resource.RLIMIT_AS, (memory_limit, memory_limit))
+    while (request := connection.recv()) is not None:
+        part, case, seed = request
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(base, folder)
-        what, words = draw(part, case, seed, folder)
-        connection.send(what if callable(words) else f"{what}: {' '.join(words)}")
+        description, words = draw(part, case, seed, folder)
+        connection.send(description if callable(words) else f"{description}: {' '.join(words)}")
         os.ftruncate(log, 0)
         os.lseek(log, 0, os.SEEK_SET)
         Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-        begun = _processor_time()
+        start_time = _processor_time()
         code, errors = called(words) if callable(words) else call(words)
-        seconds, peak = _processor_time() - begun, _memory("VmHWM:") - at_rest
+        seconds, peak = _processor_time() - start_time, _memory("VmHWM:") - at_rest
         noise = os.pread(log, 10_000, 0).decode(errors="replace")
         outcome, message = outcome_of(code, errors, noise)
         if outcome == "refused" and part == "structures":
@@ -1164,7 +1196,9 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
             outcome = "TOO LARGE"
         if outcome not in WRONG and seconds > QUICK.get(part, SECONDS):
             outcome = "TOO LONG"
-        connection.send(Outcome(part, case, what, outcome, seconds, peak / 2**20, message[:SHOWN]))
+        connection.send(
+            Outcome(part, case, description, outcome, seconds, peak / 2**20, message[:SHOWN])
+        )
 
 
 def _memory(name: str) -> float:
@@ -1175,8 +1209,13 @@ def _memory(name: str) -> float:
 
 def _processor_time() -> float:
     """Of this process and of those that it has started and that have ended [s]."""
-    found = os.times()
-    return found.user + found.system + found.children_user + found.children_system
+    process_times = os.times()
+    return (
+        process_times.user
+        + process_times.system
+        + process_times.children_user
+        + process_times.children_system
+    )
 
 
 class Trial:
@@ -1197,10 +1236,12 @@ class Trial:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._connection, other = context.Pipe()
-        self._process = context.Process(target=work, args=(other, self._base, self.folder))
+        self._connection, child_connection = context.Pipe()
+        self._process = context.Process(
+            target=work, args=(child_connection, self._base, self.folder)
+        )
         self._process.start()
-        other.close()
+        child_connection.close()
 
     def _end(self) -> None:
         """End the process and those it has started."""
@@ -1216,24 +1257,28 @@ class Trial:
         self._before = 0.0
         self._before = self._used()
         self._connection.send((part, case, seed))
-        what, begun = "", time.monotonic()
+        description, begun = "", time.monotonic()
         try:
-            what = self._connection.recv()
+            description = self._connection.recv()
             # Where other work slows the machine down, the clock says little.
             while not self._connection.poll(SECONDS):
                 if time.monotonic() - begun > 5 * SECONDS or self._used() > 1.5 * SECONDS:
                     self._end()
                     seconds = time.monotonic() - begun
-                    return Outcome(part, case, what, "TOO LONG", seconds, np.nan, what)
-            found = self._connection.recv()
+                    return Outcome(
+                        part, case, description, "TOO LONG", seconds, np.nan, description
+                    )
+            answer = self._connection.recv()
         except (EOFError, ConnectionResetError):
             self._process.join()
             code, self._process = self._process.exitcode, None
             log = self.folder.with_suffix(".log").read_text(errors="replace")[-SHOWN:]
-            message = f"exit code {code}: {what} {' '.join(log.split())}"
-            return Outcome(part, case, what, "DEATH", time.monotonic() - begun, np.nan, message)
-        assert isinstance(found, Outcome)
-        return found
+            message = f"exit code {code}: {description} {' '.join(log.split())}"
+            return Outcome(
+                part, case, description, "DEATH", time.monotonic() - begun, np.nan, message
+            )
+        assert isinstance(answer, Outcome)
+        return answer
 
     def _used(self) -> float:
         """Processor time of the process since it began [s]."""
@@ -1247,12 +1292,12 @@ def attempts(
     """Try cases; the files of those that go wrong are kept in a folder."""
     with tempfile.TemporaryDirectory() as place, Trial(base, Path(place) / "case") as trial:
         for case in cases:
-            found = trial.attempt(part, case, seed)
-            if found.wrong and keep is not None:
+            outcome = trial.attempt(part, case, seed)
+            if outcome.wrong and keep is not None:
                 kept = keep / f"{part}_{seed}_{case}"
                 shutil.rmtree(kept, ignore_errors=True)
                 shutil.copytree(trial.folder, kept, dirs_exist_ok=True)
-            yield found
+            yield outcome
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -1265,31 +1310,33 @@ def try_part(part: str, arguments: common.Arguments) -> None:
     if not (base / COMPLETE).exists():
         shutil.rmtree(base, ignore_errors=True)
         make_base(base)
-    most = {"structures": len(FORMS)}.get(part, 10_000)
-    count = arguments.cases or (300 if arguments.quick else most)
+    max_cases = {"structures": len(FORMS)}.get(part, 10_000)
+    count = arguments.cases or (300 if arguments.quick else max_cases)
     cases = range(arguments.first, arguments.first + count)
     rows = _rows(path, part, cases)
-    done = {int(row[1]) for row in rows}
-    new = not path.exists()
+    done_cases = {int(row[1]) for row in rows}
+    is_new_file = not path.exists()
     with open(path, "a", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.writer(file)
-        if new:
+        if is_new_file:
             writer.writerow(COLUMNS)
-        left = [case for case in cases if case not in done]
-        for found in attempts(part, left, arguments.seed, base, folder):
-            rows.append([str(cell) for cell in vars(found).values()])
+        open_cases = [case for case in cases if case not in done_cases]
+        for outcome in attempts(part, open_cases, arguments.seed, base, folder):
+            rows.append([str(cell) for cell in vars(outcome).values()])
             writer.writerow(rows[-1])
             file.flush()
-            if found.wrong:
+            if outcome.wrong:
                 print(
-                    f"{part} {found.case}: {found.outcome}: {found.what}: {found.message}",
+                    f"{part} {outcome.case}: {outcome.outcome}: {outcome.what}: {outcome.message}",
                     flush=True,
                 )
     counts = Counter(row[3] for row in rows)
-    told = ", ".join(f"{number} {name}" for name, number in counts.most_common())
-    slowest, largest = (max((float(row[at]) for row in rows), default=0.0) for at in (4, 5))
-    print(f"{part}, seed {arguments.seed}: {len(rows)} cases: {told}")
-    print(f"the slowest {slowest:.1f} s of processor time, the largest {largest:.0f} MiB")
+    summary = ", ".join(f"{number} {name}" for name, number in counts.most_common())
+    slowest, largest_memory = (
+        max((float(row[column]) for row in rows), default=0.0) for column in (4, 5)
+    )
+    print(f"{part}, seed {arguments.seed}: {len(rows)} cases: {summary}")
+    print(f"the slowest {slowest:.1f} s of processor time, the largest {largest_memory:.0f} MiB")
 
 
 def _rows(path: Path, part: str, cases: range) -> list[list[str]]:

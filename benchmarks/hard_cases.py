@@ -72,14 +72,17 @@ def cases(arguments: common.Arguments) -> None:
     """All of them."""
     rows = [judge(case) for case in collect(arguments.quick)]
     common.write_csv(arguments.folder / "hard_cases.csv", COLUMNS, rows)
-    shortened = [(*row[:3], row[3][:20], *row[4:]) for row in rows]
-    common.print_table("Hard cases", COLUMNS, shortened)
+    short_rows = [(*row[:3], row[3][:20], *row[4:]) for row in rows]
+    common.print_table("Hard cases", COLUMNS, short_rows)
     keys = (RIGHT, SAYS_SO, OPEN, WRONG)
     by_group = {group: [row[-1] for row in rows if row[0] == group] for group, *_ in rows}
     common.print_table(
         "By group",
         ("group", "cases", *keys),
-        [(group, len(found), *map(found.count, keys)) for group, found in by_group.items()],
+        [
+            (group, len(group_rows), *map(group_rows.count, keys))
+            for group, group_rows in by_group.items()
+        ],
     )
     counts = {key: sum(row[-1] == key for row in rows) for key in keys}
     print(f"\n{len(rows)} cases: " + ", ".join(f"{n} {key}" for key, n in counts.items()))
@@ -91,11 +94,13 @@ def cases(arguments: common.Arguments) -> None:
 
 def what_failed(row: tuple[Any, ...]) -> str:
     """In words, what kept a case from being right."""
-    *_, converged, way, _, _, _, estimate, _, against, difference, judgement = row
-    if not converged:
+    *_, is_converged, way, _, _, _, estimate, _, reference_name, difference, judgement = row
+    if not is_converged:
         return str(way)
-    found = f"{100 * difference:.3g} % off" if np.isfinite(difference) else "nothing found"
-    return f"{judgement}: estimates an error of {100 * estimate:.3g} %; {against}: {found}"
+    error_text = f"{100 * difference:.3g} % off" if np.isfinite(difference) else "nothing found"
+    return (
+        f"{judgement}: estimates an error of {100 * estimate:.3g} %; {reference_name}: {error_text}"
+    )
 
 
 def collect(quick: bool) -> Iterator[Case]:
@@ -105,13 +110,13 @@ def collect(quick: bool) -> Iterator[Case]:
         many_harmonics, smoothing, sizes, next_to_resonance, two_orbits,
     )  # fmt: skip
     for group in groups:
-        found = list(group(quick))
-        yield from found[:: max(1, len(found) // 3)] if quick else found
+        rows = list(group(quick))
+        yield from rows[:: max(1, len(rows) // 3)] if quick else rows
 
 
 def judge(case: Case) -> tuple[Any, ...]:
     """Solve, compare, and judge."""
-    started = time.process_time()
+    start_time = time.process_time()
     head = (case.group, case.name)
     try:
         solution = fc.solve_harmonic_balance(
@@ -119,10 +124,10 @@ def judge(case: Case) -> tuple[Any, ...]:
             throw=False,
         )  # fmt: skip
     except (fc.InputError, fc.ConvergenceError) as error:
-        ms = 1e3 * (time.process_time() - started)
-        none = float("nan")
-        return (*head, False, str(error), 0, ms, none, none, "-", "-", none, SAYS_SO)
-    ms = 1e3 * (time.process_time() - started)
+        ms = 1e3 * (time.process_time() - start_time)
+        nan = float("nan")
+        return (*head, False, str(error), 0, ms, nan, nan, "-", "-", nan, SAYS_SO)
+    ms = 1e3 * (time.process_time() - start_time)
     way = "plain" if solution.iterations <= 20 else "path"  # Newton's steps alone end there
     if not solution.converged:
         way = solution.status
@@ -158,16 +163,19 @@ def compare(case: Case, solution: fc.PeriodicSolution) -> float:
         return float(np.linalg.norm(solution.gap(time_) - orbit.gap) / np.linalg.norm(closing))
     if case.against == "more H":
         try:
-            finer = fc.solve_harmonic_balance(
+            finer_solution = fc.solve_harmonic_balance(
                 case.structure, case.omega, case.law, harmonics=3 * case.harmonics,
                 initial=solution,
             )  # fmt: skip
         except (fc.ConvergenceError, fc.InputError):
             return float("nan")
-        if finer.iterations > 20:  # found from elsewhere: maybe another orbit
+        if finer_solution.iterations > 20:  # found from elsewhere: maybe another orbit
             return float("nan")
         time_ = np.arange(4096) * solution.period / 4096
-        gap, closing = finer.gap(time_), finer.gap(time_) + case.structure.clearance
+        gap, closing = (
+            finer_solution.gap(time_),
+            finer_solution.gap(time_) + case.structure.clearance,
+        )
         return float(np.linalg.norm(solution.gap(time_) - gap) / np.linalg.norm(closing))
     expected = case.expected(solution) if callable(case.expected) else case.expected
     assert expected is not None
@@ -213,11 +221,11 @@ def on_resonance(quick: bool) -> Iterator[Case]:
     """The load on a natural frequency of the open plate, and on its fractions."""
     for ratio in (0.01, 0.0):
         plate = paper(ratio)
-        first = float(fc.solve_modes(plate, 1).omega[0])
+        first_omega = float(fc.solve_modes(plate, 1).omega[0])
         for part in (1, 2, 3, 4):
             law = fc.UnilateralPenalty(1e9)
             name = f"omega_1 / {part}, xi = {ratio:g}"
-            yield Case("on resonance", name, plate, first / part, law, 20)
+            yield Case("on resonance", name, plate, first_omega / part, law, 20)
 
 
 def grazing(quick: bool) -> Iterator[Case]:
@@ -257,10 +265,10 @@ def crack_length(quick: bool) -> Iterator[Case]:
         modes = 30 if quick else 60
         plate = fc.reduce_structure(fc.build_structure(scene), modes=modes, method="massless")
         law = fc.UnilateralPenalty(1e9)
-        first = float(fc.solve_modes(plate, 1).omega[0])
+        first_omega = float(fc.solve_modes(plate, 1).omega[0])
         name = f"{100 * share:g} % of the width, {plate.n_pairs} pairs"
         harmonics = 60 if share == 0.8 else 20
-        yield Case("crack length", name, plate, 0.6 * first, law, harmonics, "more H")
+        yield Case("crack length", name, plate, 0.6 * first_omega, law, harmonics, "more H")
 
 
 def many_pairs(quick: bool) -> Iterator[Case]:
@@ -287,9 +295,13 @@ def many_harmonics(quick: bool) -> Iterator[Case]:
     law = fc.UnilateralPenalty(1e9)
     for harmonics in (1, 2, 5, 20, 60, 200):
         yield Case("harmonics", f"H = {harmonics}", plate, 2000.0, law, harmonics)
-    wide = fc.reduce_structure(common.plate("breathing_plate"), modes=10, method="massless")
-    most = 200 if quick else 2000
-    yield Case("harmonics", f"H = {most}, 18 pairs", wide, 2000.0, law, most)
+    wide_structure = fc.reduce_structure(
+        common.plate("breathing_plate"), modes=10, method="massless"
+    )
+    max_harmonics = 200 if quick else 2000
+    yield Case(
+        "harmonics", f"H = {max_harmonics}, 18 pairs", wide_structure, 2000.0, law, max_harmonics
+    )
 
 
 def smoothing(quick: bool) -> Iterator[Case]:

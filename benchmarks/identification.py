@@ -126,10 +126,10 @@ def another(scene: fc.Scene, plate: str, crack: Any = None) -> fc.Scene:
 def natural(scene: fc.Scene, plate: fc.Study | None = None) -> Rows:
     """The natural frequencies of a plate without noise."""
     plate = plate or fc.prepare(scene, MPI.COMM_SELF)
-    found = fc.bilinear_frequencies(plate.structure)
+    bilinear_frequencies = fc.bilinear_frequencies(plate.structure)
     rows = []
     for kind in ("open", "bilinear"):
-        omega = getattr(found, f"omega_{kind}" if plate.contact else "omega_open")
+        omega = getattr(bilinear_frequencies, f"omega_{kind}" if plate.contact else "omega_open")
         for mode in range(5):
             value = omega[mode] / (2.0 * np.pi)
             rows.append(fc.Measurement(f"frequency_{kind}", value, NATURAL * value, mode + 1))
@@ -150,11 +150,11 @@ def exact(scene: fc.Scene) -> Rows:
                 plate.structure, omega, plate.contact, harmonics=harmonics
             )
         for watched in plate.watched:
-            found = solution.indicators(watched.dof).to_dict()
+            indicators = solution.indicators(watched.dof).to_dict()
             for name in ("ratio_2_1", "ratio_3_1"):
-                deviation = np.hypot(HARMONIC * found[name], FLOOR)
+                deviation = np.hypot(HARMONIC * indicators[name], FLOOR)
                 point = watched.name
-                rows.append(fc.Measurement(name, found[name], deviation, 0, load, point))
+                rows.append(fc.Measurement(name, indicators[name], deviation, 0, load, point))
         tip = plate.watched[0]
         noise = PROBE * solution.indicators(tip.dof).harmonic_1 / (RADIUS * omega / ORDER)
         arrivals = fc.tip_timing(
@@ -166,7 +166,7 @@ def exact(scene: fc.Scene) -> Rows:
 
 def noisy(rows: Rows, kinds: tuple[str, ...], rng: np.random.Generator) -> fc.Measurements:
     """Some of the quantities with noise."""
-    found = []
+    noisy_rows = []
     for row in rows:
         if not row.quantity.startswith(kinds):
             continue
@@ -174,8 +174,8 @@ def noisy(rows: Rows, kinds: tuple[str, ...], rng: np.random.Generator) -> fc.Me
         if row.quantity.startswith("ratio"):
             value = max(0.0, value)
             deviation = float(np.hypot(HARMONIC * value, FLOOR))
-        found.append(replace(row, value=value, deviation=deviation))
-    return fc.Measurements(tuple(found))
+        noisy_rows.append(replace(row, value=value, deviation=deviation))
+    return fc.Measurements(tuple(noisy_rows))
 
 
 def before(rows: Rows) -> Rows:
@@ -202,29 +202,31 @@ class Score:
         self.wide.append([(ends[key][1] - ends[key][0]) / sizes[key] for key in keys])
 
     def __str__(self) -> str:
-        off, wide = np.median(self.off, axis=0), np.median(self.wide, axis=0)
+        median_errors, median_widths = np.median(self.off, axis=0), np.median(self.wide, axis=0)
         return (
-            f"{self.held} of {len(self.off)} held, median error {off[0]:.1%} and {off[1]:.1%}, "
-            f"median interval {wide[0]:.1%} and {wide[1]:.1%}, claimed {self.seen}"
+            f"{self.held} of {len(self.off)} held, median error "
+            f"{median_errors[0]:.1%} and {median_errors[1]:.1%}, "
+            f"median interval {median_widths[0]:.1%} and {median_widths[1]:.1%}, "
+            f"claimed {self.seen}"
         )
 
 
 def cracked(forward: SolvedForwardModels, scene: fc.Scene, seed: int, kinds: list[str]) -> None:
     """Print how cracks are found in plates that differ from the scene's."""
-    cracks, others = places(seed), list(PLATES)[1:]
-    plates = [others[k % len(others)] for k in range(len(cracks))]
-    measured = [
+    cracks, other_plates = places(seed), list(PLATES)[1:]
+    plates = [other_plates[k % len(other_plates)] for k in range(len(cracks))]
+    measured_rows = [
         exact(another(scene, name, crack)) for name, crack in zip(plates, cracks, strict=True)
     ]
-    bare = {name: before(exact(another(scene, name))) for name in others}
+    bare = {name: before(exact(another(scene, name))) for name in other_plates}
     for kind in kinds:
-        for known in (True, False):
+        for is_known in (True, False):
             rng, score = np.random.default_rng(1000 + seed), Score(SIZES)
-            for rows, name, crack in zip(measured, plates, cracks, strict=True):
-                more = bare[name] if known else []
-                some = noisy([*rows, *more], (*KINDS[kind], BEFORE), rng)
-                score.add(infer_unknowns(forward, some), crack)
-            print(f"cracks, {kind}{', and before' if known else ''}: {score}", flush=True)
+            for rows, name, crack in zip(measured_rows, plates, cracks, strict=True):
+                uncracked_rows = bare[name] if is_known else []
+                noisy_rows = noisy([*rows, *uncracked_rows], (*KINDS[kind], BEFORE), rng)
+                score.add(infer_unknowns(forward, noisy_rows), crack)
+            print(f"cracks, {kind}{', and before' if is_known else ''}: {score}", flush=True)
 
 
 def inclined_mesh(crack: np.ndarray, degrees: float, path: Path) -> None:
@@ -233,21 +235,35 @@ def inclined_mesh(crack: np.ndarray, degrees: float, path: Path) -> None:
     gmsh.option.setNumber("General.Terminal", 0)
     geo, (length, height), angle = gmsh.model.geo, crack, np.radians(degrees)
     tip = length * np.cos(angle), height + length * np.sin(angle)
-    near, far = length / 30.0, 0.012
-    low, up = (geo.addPoint(0.0, height, 0.0, length / 8.0) for _ in range(2))
-    end, side = geo.addPoint(*tip, 0.0, near), geo.addPoint(WIDTH, tip[1], 0.0, far)
-    west, east = (geo.addPoint(x, 0.0, 0.0, far / 4.0) for x in (0.0, WIDTH))
-    north, corner = (geo.addPoint(x, HEIGHT, 0.0, far) for x in (WIDTH, 0.0))
-    lower, upper = geo.addLine(low, end), geo.addLine(up, end)
-    for lip in (lower, upper):
+    near_size, far_size = length / 30.0, 0.012
+    lower_point, upper_point = (geo.addPoint(0.0, height, 0.0, length / 8.0) for _ in range(2))
+    end, side = geo.addPoint(*tip, 0.0, near_size), geo.addPoint(WIDTH, tip[1], 0.0, far_size)
+    west, east = (geo.addPoint(x, 0.0, 0.0, far_size / 4.0) for x in (0.0, WIDTH))
+    north, corner = (geo.addPoint(x, HEIGHT, 0.0, far_size) for x in (WIDTH, 0.0))
+    lower_line, upper_line = geo.addLine(lower_point, end), geo.addLine(upper_point, end)
+    for lip in (lower_line, upper_line):
         geo.mesh.setTransfiniteCurve(lip, 9, "Progression", 0.75)
-    bottom, ahead = geo.addLine(west, east), geo.addLine(end, side)
-    below = [bottom, geo.addLine(east, side), -ahead, -lower, geo.addLine(low, west)]
-    above = [ahead, geo.addLine(side, north), geo.addLine(north, corner), geo.addLine(corner, up)]
-    surfaces = [geo.addPlaneSurface([geo.addCurveLoop(loop)]) for loop in (below, [*above, upper])]
+    bottom, line_ahead = geo.addLine(west, east), geo.addLine(end, side)
+    lower_lines = [
+        bottom,
+        geo.addLine(east, side),
+        -line_ahead,
+        -lower_line,
+        geo.addLine(lower_point, west),
+    ]
+    upper_lines = [
+        line_ahead,
+        geo.addLine(side, north),
+        geo.addLine(north, corner),
+        geo.addLine(corner, upper_point),
+    ]
+    surfaces = [
+        geo.addPlaneSurface([geo.addCurveLoop(loop)])
+        for loop in (lower_lines, [*upper_lines, upper_line])
+    ]
     geo.synchronize()
     gmsh.model.addPhysicalGroup(2, surfaces)
-    for name, curve in (("clamp", bottom), ("lower_lip", lower), ("upper_lip", upper)):
+    for name, curve in (("clamp", bottom), ("lower_lip", lower_line), ("upper_lip", upper_line)):
         gmsh.model.setPhysicalName(1, gmsh.model.addPhysicalGroup(1, [curve]), name)
     gmsh.model.mesh.generate(2)
     gmsh.write(str(path))
@@ -256,22 +272,26 @@ def inclined_mesh(crack: np.ndarray, degrees: float, path: Path) -> None:
 
 def inclined(forward: SolvedForwardModels, scene: fc.Scene, seed: int, folder: Path) -> None:
     """Print how cracks are found that are inclined."""
-    gone = ("edge", "height", "length")
-    changes = {f"crack.{key}": None for key in gone} | {"identify": None, "output": None}
+    removed_keys = ("edge", "height", "length")
+    changes = {f"crack.{key}": None for key in removed_keys} | {"identify": None, "output": None}
     changes |= {"geometry.width": None, "geometry.height": None, "mesh.layout": "file"}
     changes |= {"mesh.size": None, "mesh.lip_elements": None}
     bare = before(natural(scene.replace(FINER | NO_CRACK)))
-    scores = {known: Score(SIZES) for known in (True, False)}
+    scores = {is_known: Score(SIZES) for is_known in (True, False)}
     rng = np.random.default_rng(3000 + seed)
     for number, crack in enumerate(places(seed)[:INCLINED]):
         path = folder / "inclined.msh"
         inclined_mesh(crack, ANGLE * (-1) ** number, path)
         rows = natural(scene.replace(changes | {"mesh.file": str(path)}))
-        for known, score in scores.items():
-            some = noisy([*rows, *(bare if known else [])], (*KINDS["frequencies"], BEFORE), rng)
-            score.add(infer_unknowns(forward, some), crack)
-    for known, score in scores.items():
-        print(f"inclined cracks, frequencies{', and before' if known else ''}: {score}", flush=True)
+        for is_known, score in scores.items():
+            noisy_rows = noisy(
+                [*rows, *(bare if is_known else [])], (*KINDS["frequencies"], BEFORE), rng
+            )
+            score.add(infer_unknowns(forward, noisy_rows), crack)
+    for is_known, score in scores.items():
+        print(
+            f"inclined cracks, frequencies{', and before' if is_known else ''}: {score}", flush=True
+        )
 
 
 def whole(
@@ -280,17 +300,17 @@ def whole(
     """Print how often a crack is claimed in plates without one."""
     rows = {name: exact(another(scene, name)) for name in PLATES}
     for kind in kinds:
-        for known in (True, False):
+        for is_known in (True, False):
             rng, claims = np.random.default_rng(2000 + seed), []
             for plate in rows.values():
-                claimed = 0
+                n_claimed = 0
                 for _ in range(draws):
-                    more = before(plate) if known else []
-                    some = noisy([*plate, *more], (*KINDS[kind], BEFORE), rng)
-                    claimed += infer_unknowns(forward, some).verdict == "crack"
-                claims.append(claimed)
+                    uncracked_rows = before(plate) if is_known else []
+                    noisy_rows = noisy([*plate, *uncracked_rows], (*KINDS[kind], BEFORE), rng)
+                    n_claimed += infer_unknowns(forward, noisy_rows).verdict == "crack"
+                claims.append(n_claimed)
             counts = ", ".join(map(str, claims))
-            name = f"none, {kind}{', and before' if known else ''}"
+            name = f"none, {kind}{', and before' if is_known else ''}"
             print(f"{name}: claimed {counts} of {draws}", flush=True)
 
 
@@ -301,20 +321,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", choices=[*KINDS, "inclined"], action="append")
     parser.add_argument("--draws", type=int, default=DRAWS, help="of each plate without a crack")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     scene = fc.Scene.from_text(SCENE)
-    forward = solve_forward(scene, LOADS, given.folder, progress=True)
+    forward = solve_forward(scene, LOADS, arguments.folder, progress=True)
     if MPI.COMM_WORLD.rank:
         return
-    kinds = given.only or [*KINDS, "inclined"]
+    kinds = arguments.only or [*KINDS, "inclined"]
     if "inclined" in kinds:
         kinds.remove("inclined")
-        inclined(forward, scene, given.seed, given.folder)
+        inclined(forward, scene, arguments.seed, arguments.folder)
     if not kinds:
         return
     print("plates:", "; ".join(PLATES))
-    cracked(forward, scene, given.seed, kinds)
-    whole(forward, scene, given.seed, kinds, given.draws)
+    cracked(forward, scene, arguments.seed, kinds)
+    whole(forward, scene, arguments.seed, kinds, arguments.draws)
 
 
 if __name__ == "__main__":

@@ -87,8 +87,8 @@ def incremental_system(
     displacement = np.asarray(displacement, dtype=float)
     rows = len(displacement) if displacement.ndim == 2 else 0
     if rows % 2 == 0 or rows < 2 * subharmonic + 1 or displacement.shape[1] != structure.n_dofs:
-        allowed = f"(2H+1, {structure.n_dofs}) with H >= {subharmonic}"
-        raise fc.InputError("displacement", displacement.shape, allowed)
+        allowed_shape = f"(2H+1, {structure.n_dofs}) with H >= {subharmonic}"
+        raise fc.InputError("displacement", displacement.shape, allowed_shape)
     harmonics = rows // 2
     if samples is not None:
         check_count("samples", samples, rows)
@@ -122,8 +122,10 @@ def incremental_system(
     load = value @ load_coefficients(structure, harmonics, subharmonic)
     inertia = base**2 * (bend @ displacement) @ mass
     damping = base * (rate @ displacement) @ dashpots.T
-    elastic = value @ displacement @ stiffness
-    return matrix, test.T @ (load - inertia - damping - elastic - contact.force(wave) @ pairs.T)
+    elastic_force = value @ displacement @ stiffness
+    return matrix, test.T @ (
+        load - inertia - damping - elastic_force - contact.force(wave) @ pairs.T
+    )
 
 
 def _derivative(harmonics: int) -> np.ndarray:
@@ -137,8 +139,8 @@ def _derivative(harmonics: int) -> np.ndarray:
 
 def _between_switching(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Instants and weights of Gauss-Legendre quadrature between all switching instants."""
-    inner = np.sort(switching_instants(to_complex(gap)).theta)
-    ends = np.concatenate(([0.0], inner, [2.0 * np.pi]))
+    instants = np.sort(switching_instants(to_complex(gap)).theta)
+    ends = np.concatenate(([0.0], instants, [2.0 * np.pi]))
     node, weight = np.polynomial.legendre.leggauss(2 * len(gap) + 16)
     half = 0.5 * np.diff(ends)[:, None]
     theta = ends[:-1, None] + half * (1.0 + node)
@@ -154,5 +156,5 @@ def _dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np
     modes = all_modes(structure)
     shapes = mass @ modes.shapes
     rate = modes.damping
-    coupled = shapes * rate if rate.ndim == 1 else shapes @ rate
-    return mass, coupled @ shapes.T, stiffness
+    damped_shapes = shapes * rate if rate.ndim == 1 else shapes @ rate
+    return mass, damped_shapes @ shapes.T, stiffness

@@ -62,8 +62,8 @@ def solve_form(
         if is_rigid(problem.contact):
             raise fc.InputError("balance", balance, "'galerkin' with UnilateralConstraint")
         if problem.samples is not None:
-            allowed = "left out with balance='collocation', whose 2H+1 instants follow from H"
-            raise fc.InputError("samples", problem.samples, allowed)
+            allowed_text = "left out with balance='collocation', whose 2H+1 instants follow from H"
+            raise fc.InputError("samples", problem.samples, allowed_text)
         problem = replace(problem, samples=2 * problem.harmonics + 1)
     if initial is not None:
         check_initial(problem, initial)

@@ -62,21 +62,27 @@ def with_patches(
     """Print report, verdict, time and memory of a scene solved from its mesh on; rigid contact, or
     a stiffness per area [N/m^3]."""
     clock = time.process_time()
-    whole = fc.build_structure(scene)
-    structure = fc.reduce_structure(whole, modes=modes, method="massless")
-    prepared, memory = time.process_time() - clock, _memory()
+    whole_structure = fc.build_structure(scene)
+    structure = fc.reduce_structure(whole_structure, modes=modes, method="massless")
+    preparation_time, memory = time.process_time() - clock, _memory()
     law: fc.ContactLaw = fc.UnilateralConstraint()
     if per_area is not None:
-        assert whole.pair_areas is not None
-        law = fc.UnilateralPenalty(per_area * whole.pair_areas)
-    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
-    stated, reason = found.report, found.assessment.rejection_reason
-    taken = time.process_time() - clock
-    print(f"{whole.n_dofs} dofs, {whole.n_pairs} pairs, {modes} modes: H = {found.harmonics}")
-    print(f"prepared in {prepared:.1f} s, {memory:.2f} GiB; all {taken:.1f} s, {_memory():.2f} GiB")
-    print(stated, reason, sep="\n")
-    if found.orbit is not None:
-        print(f"largest multiplier {abs(found.orbit.multipliers).max():.4f}")
+        assert whole_structure.pair_areas is not None
+        law = fc.UnilateralPenalty(per_area * whole_structure.pair_areas)
+    solution = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
+    report, reason = solution.report, solution.assessment.rejection_reason
+    total_time = time.process_time() - clock
+    print(
+        f"{whole_structure.n_dofs} dofs, {whole_structure.n_pairs} pairs, "
+        f"{modes} modes: H = {solution.harmonics}"
+    )
+    print(
+        f"prepared in {preparation_time:.1f} s, {memory:.2f} GiB; "
+        f"all {total_time:.1f} s, {_memory():.2f} GiB"
+    )
+    print(report, reason, sep="\n")
+    if solution.orbit is not None:
+        print(f"largest multiplier {abs(solution.orbit.multipliers).max():.4f}")
 
 
 def _memory() -> float:

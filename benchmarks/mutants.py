@@ -204,8 +204,8 @@ class PythonMutations:
             symbol = self._operator(node.left, node.comparators[0], node.ops[0])
             yield "comparison", symbol, COMPARISONS[SYMBOLS[type(node.ops[0])]]
         elif isinstance(node, ast.Call) and name_of_call(node) not in SYMMETRIC_CALLS:
-            for first, second in zip(node.args, node.args[1:], strict=False):
-                yield from self._swap_arguments(first, second)
+            for first_argument, second in zip(node.args, node.args[1:], strict=False):
+                yield from self._swap_arguments(first_argument, second)
         elif isinstance(node, ast.Constant):
             kind = constant_kind(node, parent)
             if kind == "off by one":

@@ -42,11 +42,11 @@ def motion(
     force = np.cos(order * angle + phase)
     root = omega * complex(-damping, np.sqrt(1.0 - damping**2))
     decay = np.exp(root * step)
-    first = (decay - 1.0) / root
-    second = (first - step) / (root * step)
-    pushed = first * force[:-1] + second * np.diff(force)
-    moved = np.append(0.0, lfilter([1.0], [1.0, -decay], pushed).imag)
-    return np.asarray(moved / np.abs(moved).max())
+    first_weight = (decay - 1.0) / root
+    second = (first_weight - step) / (root * step)
+    modal_force = first_weight * force[:-1] + second * np.diff(force)
+    displacement = np.append(0.0, lfilter([1.0], [1.0, -decay], modal_force).imag)
+    return np.asarray(displacement / np.abs(displacement).max())
 
 
 def probe_angles(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -70,38 +70,40 @@ def record(
     duration = 2 * REVOLUTIONS * 2.0 * np.pi / SPEED
     step = 2.0 * np.pi / (STEPS * HIGHEST * SPEED)
     time = np.arange(-0.05 * duration, 1.05 * duration, step)
-    along = np.clip(time / duration, 0.0, 1.0)
-    speed = SPEED * (1.0 + SWEPT * (np.minimum(along, 1.0 - along) * 2.0 - 0.5))
+    path_share = np.clip(time / duration, 0.0, 1.0)
+    speed = SPEED * (1.0 + SWEPT * (np.minimum(path_share, 1.0 - path_share) * 2.0 - 0.5))
     periods, phases = rng.uniform(0.05, 1.0, (2, 6))
-    varied = np.sin(time[:, None] / periods + 2.0 * np.pi * phases).sum(axis=1)
-    speed *= 1.0 + 0.005 * varied / np.ptp(varied)
+    variation = np.sin(time[:, None] / periods + 2.0 * np.pi * phases).sum(axis=1)
+    speed *= 1.0 + 0.005 * variation / np.ptp(variation)
     angle = np.append(0.0, np.cumsum(0.5 * step * (speed[1:] + speed[:-1])))
     angle -= np.interp(0.0, time, angle)
-    moved = np.zeros(len(time))
+    displacement = np.zeros(len(time))
     sizes = 1e-3 * rng.uniform(0.3, 1.0) * np.array([1.0, rng.uniform(0.3, 1.0)])
     for order, at, size in zip(orders, speeds, sizes, strict=True):
         damping, phase = rng.uniform(1e-3, 4e-3), rng.uniform(0.0, 2.0 * np.pi)
-        moved += size * motion(time, angle, int(order), order * at, damping, phase)
+        displacement += size * motion(time, angle, int(order), order * at, damping, phase)
     line, phase = SPEED * (rng.integers(1, 15) + rng.uniform(0.05, 0.95)), rng.uniform(0.0, 6.28)
-    moved += rng.choice([0.0, 2e-4]) * np.cos(line * time + phase)
+    displacement += rng.choice([0.0, 2e-4]) * np.cos(line * time + phase)
 
     nominal = probe_angles(probes, rng)
     turns = int(np.interp(duration, time, angle) / (2.0 * np.pi))
     places = nominal + np.radians(0.01) * rng.standard_normal(probes)
     drift = rng.uniform(-2e-4, 2e-4, probes)
     target = 2.0 * np.pi * np.arange(turns)[:, None] + places
-    passed = np.empty_like(target)
+    passage_times = np.empty_like(target)
     for probe in range(probes):
-        total = moved + drift[probe] * (speed / SPEED - 1.0) / 0.06
-        passed[:, probe] = np.interp(target[:, probe], angle + total / RADIUS, time)
+        total = displacement + drift[probe] * (speed / SPEED - 1.0) / 0.06
+        passage_times[:, probe] = np.interp(target[:, probe], angle + total / RADIUS, time)
     scatter = 10.0 ** rng.uniform(-5.3, -4.0) / (RADIUS * SPEED)
-    seen = passed + scatter * rng.standard_normal(passed.shape)
-    wrong = rng.random(seen.shape) < 0.01
-    seen += wrong * rng.choice([-1.0, 1.0], seen.shape) * 5e-3 / (RADIUS * SPEED)
-    seen[rng.random(seen.shape) < 0.2] = np.nan
+    arrival_times = passage_times + scatter * rng.standard_normal(passage_times.shape)
+    is_wrong = rng.random(arrival_times.shape) < 0.01
+    arrival_times += (
+        is_wrong * rng.choice([-1.0, 1.0], arrival_times.shape) * 5e-3 / (RADIUS * SPEED)
+    )
+    arrival_times[rng.random(arrival_times.shape) < 0.2] = np.nan
     marks = np.interp(2.0 * np.pi * np.arange(turns + 1), angle, time)
     marks += 2e-8 * rng.standard_normal(len(marks))
-    arrivals = fc.ArrivalTimes(seen, marks, nominal, RADIUS)
+    arrivals = fc.ArrivalTimes(arrival_times, marks, nominal, RADIUS)
     return arrivals, [(int(p), float(p * at)) for p, at in zip(orders, speeds, strict=True)]
 
 
@@ -118,23 +120,25 @@ def main() -> None:
 
 def judge(arguments: common.Arguments) -> None:
     """All records, by the number of probes."""
-    many, rows = 30 if arguments.quick else arguments.records, []
-    shares = [len(part) for part in np.array_split(np.arange(many), 3)]
+    n_records, rows = 30 if arguments.quick else arguments.records, []
+    shares = [len(part) for part in np.array_split(np.arange(n_records), 3)]
     for probes, records in zip((2, 3, 4), shares, strict=True):
         rng = np.random.default_rng([arguments.seed, probes])
-        found = alone = wrong = held = 0
+        n_found = n_alone = n_wrong = n_held = 0
         for _ in range(records):
             arrivals, modes = record(probes, rng)
             for fit in fc.find_passages(arrivals, range(1, 17)):
                 order, omega = min(modes, key=lambda one: abs(one[1] / one[0] - fit.speed))
-                right = fit.order == order
-                found += 1
-                alone += right and stated_alone(fit)
-                wrong += not right and stated_alone(fit)
-                off = abs(fit.omega - omega)
-                held += right and stated_alone(fit) and off < 1.96 * fit.omega_error
-        share = alone / (2 * records)
-        rows.append([probes, records, 2 * records, found, alone, share, wrong, held])
+                is_right = fit.order == order
+                n_found += 1
+                n_alone += is_right and stated_alone(fit)
+                n_wrong += not is_right and stated_alone(fit)
+                frequency_error = abs(fit.omega - omega)
+                n_held += (
+                    is_right and stated_alone(fit) and frequency_error < 1.96 * fit.omega_error
+                )
+        share = n_alone / (2 * records)
+        rows.append([probes, records, 2 * records, n_found, n_alone, share, n_wrong, n_held])
         print(*rows[-1], flush=True)
     common.save_table(arguments.folder / "neighbouring_modes.csv", "modes", COLUMNS, rows)
 

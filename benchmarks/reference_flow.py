@@ -109,12 +109,12 @@ class System:
             squares, shapes = scipy.linalg.eigh(stiffness, mass)
             rows, pairs, force = (mass @ shapes).T, shapes.T @ gap, structure.force @ shapes
             damping = _modal_damping(structure.damping, squares, shapes)
-            moving = slice(MOVING if len(squares) > WHOLE else None)
-            still = slice(len(squares[moving]), None)
-            static = pairs[still] / squares[still, None]
-            residual, lift = pairs[still].T @ static, force[:, still] @ static
-            squares, damping = squares[moving], damping[moving, moving]
-            rows, pairs, force = rows[moving], pairs[moving], force[:, moving]
+            moving_modes = slice(MOVING if len(squares) > WHOLE else None)
+            still_modes = slice(len(squares[moving_modes]), None)
+            static = pairs[still_modes] / squares[still_modes, None]
+            residual, lift = pairs[still_modes].T @ static, force[:, still_modes] @ static
+            squares, damping = squares[moving_modes], damping[moving_modes, moving_modes]
+            rows, pairs, force = rows[moving_modes], pairs[moving_modes], force[:, moving_modes]
         lift[0] -= structure.clearance
         if np.any(np.diag(residual) + springs <= 0.0):
             raise NoOrbit("rigid contact of a pair with mass")
@@ -153,8 +153,8 @@ class ClosedSet:
         count, pairs = system.pairs.shape
         self.forces = np.zeros((pairs, pairs))
         compliance = system.residual + np.diag(system.springs)
-        on = np.ix_(closed, closed)
-        self.forces[on] = np.linalg.inv(compliance[on])
+        closed_block = np.ix_(closed, closed)
+        self.forces[closed_block] = np.linalg.inv(compliance[closed_block])
         self.gaps = np.eye(pairs) - system.residual @ self.forces
         signs = -np.diag(compliance)[:, None] * self.forces
         self.signs = np.where(closed[:, None], signs, self.gaps)
@@ -199,8 +199,8 @@ class ClosedSet:
 
     def exponential(self, duration: float, columns: np.ndarray) -> np.ndarray:
         """exp(A t) times columns (2m, ...)."""
-        turned = (np.exp(self.values * duration) * (self.inverse @ columns).T).T
-        found: np.ndarray = (self.vectors @ turned).real
+        turned_columns = (np.exp(self.values * duration) * (self.inverse @ columns).T).T
+        found: np.ndarray = (self.vectors @ turned_columns).real
         return found
 
 
@@ -225,50 +225,56 @@ class Piece:
 
     def state_at(self, times: np.ndarray) -> np.ndarray:
         """z at times after the start: (len(times), 2m)."""
-        turned = np.exp(np.multiply.outer(times, self.of.values)) * self.amplitude
-        free = (turned @ self.of.vectors.T).real
-        return free + _wave(self.omega, self.start + times) @ self.of.steady(self.omega)
+        turned_amplitudes = np.exp(np.multiply.outer(times, self.of.values)) * self.amplitude
+        free_motion = (turned_amplitudes @ self.of.vectors.T).real
+        return free_motion + _wave(self.omega, self.start + times) @ self.of.steady(self.omega)
 
     def slow_gap(self, times: np.ndarray) -> np.ndarray:
         """s at times after the start: (len(times), p)."""
         system = self.of.system
-        modal = self.state_at(times)[:, : len(system.squares)] / self.of.scale
-        return modal @ system.pairs + _wave(self.omega, self.start + times) @ system.lift
+        modal_motion = self.state_at(times)[:, : len(system.squares)] / self.of.scale
+        return modal_motion @ system.pairs + _wave(self.omega, self.start + times) @ system.lift
 
     def sign(self, pair: int, time: float, derivative: bool = False) -> float:
         """v of a pair after the start, or its slope."""
         values = self.of.values
-        turned = self.moving[pair] * np.exp(values * time)
+        turned_modes = self.moving[pair] * np.exp(values * time)
         angle = self.omega * (self.start + time)
         mean, cosine, sine = self.offset[:, pair]
         if derivative:
             wave = self.omega * (sine * np.cos(angle) - cosine * np.sin(angle))
-            return float((turned @ values).real + wave)
-        return float(turned.sum().real + mean + cosine * np.cos(angle) + sine * np.sin(angle))
+            return float((turned_modes @ values).real + wave)
+        return float(turned_modes.sum().real + mean + cosine * np.cos(angle) + sine * np.sin(angle))
 
     def first_event(self, duration: float) -> tuple[float, int] | None:
         """When and of which pair v becomes positive; None: not before the end."""
         step, begin = self.of.step, MOMENT * self.of.step
         while begin < duration:
             times = begin + step * np.arange(BLOCK + 1)
-            moving = self.moving * np.exp(self.of.values * begin)
-            values = (moving @ self.of.powers.T).real + self._forced(times)
-            slopes = ((moving * self.of.values) @ self.of.powers.T).real + self._forced(times, True)
+            moving_parts = self.moving * np.exp(self.of.values * begin)
+            values = (moving_parts @ self.of.powers.T).real + self._forced(times)
+            slopes = ((moving_parts * self.of.values) @ self.of.powers.T).real + self._forced(
+                times, True
+            )
             values[:, 0] = np.minimum(values[:, 0], 0.0)  # it holds at first, but for rounding
             # A top between two samples is below the tangents of both.
-            low, high = values[:, :-1], values[:, 1:]
-            top = np.minimum(low + step * slopes[:, :-1], high - step * slopes[:, 1:])
+            left_values, right_values = values[:, :-1], values[:, 1:]
+            top = np.minimum(
+                left_values + step * slopes[:, :-1], right_values - step * slopes[:, 1:]
+            )
             humps = (slopes[:, :-1] > 0.0) & (slopes[:, 1:] < 0.0) & (top > 0.0)
-            suspect = (high > 0.0) | humps
+            suspect = (right_values > 0.0) | humps
             for k in np.flatnonzero(suspect.any(axis=0)):
-                pairs, first, end = np.flatnonzero(suspect[:, k]), None, float(times[k + 1])
-                early = low[pairs, k] / np.maximum(high[pairs, k] - low[pairs, k], 1e-300)
+                pairs, first_pair, end = np.flatnonzero(suspect[:, k]), None, float(times[k + 1])
+                early = left_values[pairs, k] / np.maximum(
+                    right_values[pairs, k] - left_values[pairs, k], 1e-300
+                )
                 for pair in pairs[np.argsort(-early)]:  # the others only before what is found
                     root = self._root(int(pair), times[k], end)
-                    if root is not None and (first is None or root < end):
-                        first, end = int(pair), root
-                if first is not None:
-                    return (end, first) if end < duration else None
+                    if root is not None and (first_pair is None or root < end):
+                        first_pair, end = int(pair), root
+                if first_pair is not None:
+                    return (end, first_pair) if end < duration else None
                 if times[k + 1] > duration:
                     return None
             begin = float(times[-1])
@@ -278,10 +284,10 @@ class Piece:
         mean, cosine, sine = self.offset[:, :, None]
         angle = self.omega * (self.start + times)
         if derivative:
-            found = self.omega * (sine * np.cos(angle) - cosine * np.sin(angle))
+            forced_motion = self.omega * (sine * np.cos(angle) - cosine * np.sin(angle))
         else:
-            found = mean + cosine * np.cos(angle) + sine * np.sin(angle)
-        return np.asarray(found)
+            forced_motion = mean + cosine * np.cos(angle) + sine * np.sin(angle)
+        return np.asarray(forced_motion)
 
     def _root(self, pair: int, low: float, high: float) -> float | None:
         """The first time at which v of a pair leaves 0 upwards; None where its top stays below."""
@@ -358,8 +364,8 @@ class Orbit:
     @cached_property
     def multipliers(self) -> np.ndarray:
         """Eigenvalues of the monodromy matrix."""
-        found = np.linalg.eigvals(self.monodromy)
-        return found[np.argsort(-np.abs(found))]
+        eigenvalues = np.linalg.eigvals(self.monodromy)
+        return eigenvalues[np.argsort(-np.abs(eigenvalues))]
 
 
 class ReferenceFlow:
@@ -370,8 +376,10 @@ class ReferenceFlow:
         self.scale = float(np.sqrt(np.abs(self.system.squares).max()))
         compliance = self.system.residual + np.diag(self.system.springs)
         self._size = np.sqrt(np.diag(compliance))
-        scaled = compliance / np.outer(self._size, self._size)
-        self._factor = np.linalg.cholesky(scaled) if len(scaled) else scaled
+        scaled_compliance = compliance / np.outer(self._size, self._size)
+        self._factor = (
+            np.linalg.cholesky(scaled_compliance) if len(scaled_compliance) else scaled_compliance
+        )
         self._sets: dict[bytes, ClosedSet] = {}
 
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -401,20 +409,22 @@ class ReferenceFlow:
         """The set of closed pairs at gaps s: a guess if it is right, else by least squares."""
         if guess is not None and np.all(self.closed_set(guess).signs @ slow <= 0.0):
             return guess
-        scaled = slow / self._size
-        size = float(np.abs(scaled).max(initial=0.0))
+        scaled_gap = slow / self._size
+        size = float(np.abs(scaled_gap).max(initial=0.0))
         if size == 0.0:
             return np.zeros(len(slow), dtype=bool)
-        right = scipy.linalg.solve_triangular(self._factor, scaled / size, lower=True)
-        most = 200 + 9 * len(slow)
-        closed: np.ndarray = scipy.optimize.nnls(self._factor.T, right, maxiter=most)[0] > 0.0
-        return closed
+        right_side = scipy.linalg.solve_triangular(self._factor, scaled_gap / size, lower=True)
+        max_iterations = 200 + 9 * len(slow)
+        is_closed: np.ndarray = (
+            scipy.optimize.nnls(self._factor.T, right_side, maxiter=max_iterations)[0] > 0.0
+        )
+        return is_closed
 
     def advance(
         self, state: np.ndarray, omega: float, start: float, duration: float, instants: int = 0
     ) -> Passage:
         """Follow a state from ``start`` for ``duration``; gaps at equally spaced instants."""
-        done, times = 0.0, duration * np.arange(instants) / max(instants, 1)
+        done_time, times = 0.0, duration * np.arange(instants) / max(instants, 1)
         passage = Passage(np.array(state, dtype=float))
         gap = np.empty((instants, len(self.system.springs)))
         count = len(self.system.squares)
@@ -423,25 +433,27 @@ class ReferenceFlow:
         rate = passage.state[count:] @ self.system.pairs
         rate = rate + omega * (_wave(omega, start + 0.5 * np.pi / omega) @ self.system.lift)
         rate = rate - omega * self.system.lift[0]
-        closed = self.contact(slow + MOMENT * FINE / self.scale * rate)
-        while done < duration:
+        closed_pairs = self.contact(slow + MOMENT * FINE / self.scale * rate)
+        while done_time < duration:
             if len(passage.pieces) > MOST_EVENTS:
                 raise NoOrbit("events without end")
-            piece = Piece(self.closed_set(closed), omega, start + done, passage.state)
-            left = duration - done
-            event = piece.first_event(left)
-            piece.length = left if event is None else event[0]
-            inside = (times >= done) & ((times < done + piece.length) | (event is None))
-            gap[inside] = piece.slow_gap(times[inside] - done) @ piece.of.gaps.T
+            piece = Piece(self.closed_set(closed_pairs), omega, start + done_time, passage.state)
+            remaining_time = duration - done_time
+            event = piece.first_event(remaining_time)
+            piece.length = remaining_time if event is None else event[0]
+            is_inside = (times >= done_time) & (
+                (times < done_time + piece.length) | (event is None)
+            )
+            gap[is_inside] = piece.slow_gap(times[is_inside] - done_time) @ piece.of.gaps.T
             passage.state = piece.state_at(np.array([piece.length]))[0]
             passage.pieces.append(piece)
-            done += piece.length
+            done_time += piece.length
             if event is None:
                 break
-            guess = closed.copy()
+            guess = closed_pairs.copy()
             guess[event[1]] ^= True
             later = np.array([piece.length + MOMENT * piece.of.step])
-            closed = self.contact(piece.slow_gap(later)[0], guess)
+            closed_pairs = self.contact(piece.slow_gap(later)[0], guess)
         passage.gap = gap
         return passage
 
@@ -461,28 +473,35 @@ class ReferenceFlow:
 
     def _newton(self, state: np.ndarray, omega: float, period: float, natural: bool) -> Orbit:
         flows, state = 0, np.array(state, dtype=float)
-        here = self.advance(state, omega, 0.0, period)
+        passage = self.advance(state, omega, 0.0, period)
         while flows < FLOWS:
-            off, monodromy = here.state - state, here.tangent()
+            state_change, monodromy = passage.state - state, passage.tangent()
             lead = scipy.linalg.lu_factor(np.eye(len(state)) - monodromy)
-            newton = scipy.linalg.lu_solve(lead, off)
-            size = max(float(np.linalg.norm(state)), float(np.linalg.norm(here.state)), 1e-300)
-            if np.linalg.norm(off) <= CLOSED * size and np.linalg.norm(newton) <= SURE * size:
+            newton = scipy.linalg.lu_solve(lead, state_change)
+            size = max(float(np.linalg.norm(state)), float(np.linalg.norm(passage.state)), 1e-300)
+            if (
+                np.linalg.norm(state_change) <= CLOSED * size
+                and np.linalg.norm(newton) <= SURE * size
+            ):
                 state = state + newton
                 gap = self.advance(state, omega, 0.0, period, INSTANTS).gap
-                return Orbit(state, monodromy, gap, len(here.pieces) - 1)
-            before, share, flows = np.linalg.norm(newton if natural else off), 1.0, flows + 1
+                return Orbit(state, monodromy, gap, len(passage.pieces) - 1)
+            earlier_norm, share, flows = (
+                np.linalg.norm(newton if natural else state_change),
+                1.0,
+                flows + 1,
+            )
             while True:
                 trial = state + share * newton
-                there = self.advance(trial, omega, 0.0, period)
-                left = there.state - trial
-                left = scipy.linalg.lu_solve(lead, left) if natural else left
-                if np.linalg.norm(left) <= (1.0 - 0.25 * share) * before:
+                trial_passage = self.advance(trial, omega, 0.0, period)
+                residual = trial_passage.state - trial
+                residual = scipy.linalg.lu_solve(lead, residual) if natural else residual
+                if np.linalg.norm(residual) <= (1.0 - 0.25 * share) * earlier_norm:
                     break
                 share, flows = 0.5 * share, flows + 1
                 if share < SHORTEST or flows >= FLOWS:
                     raise NoOrbit("Newton's method does not get to an orbit")
-            state, here = trial, there
+            state, passage = trial, trial_passage
         raise NoOrbit("no orbit within the flows allowed")
 
 
@@ -509,15 +528,15 @@ class SmoothFlow(ReferenceFlow):
     ) -> Passage:
         """Follow a state from ``start`` for ``duration``; gaps at equally spaced instants."""
         times = start + duration * np.append(np.arange(instants) / max(instants, 1), 1.0)
-        moved = self._integrated(state[:, None], omega, start, times)[:, :, 0]
-        slow = moved[:-1, : len(state) // 2] / self.scale @ self.system.pairs
+        motion = self._integrated(state[:, None], omega, start, times)[:, :, 0]
+        slow = motion[:-1, : len(state) // 2] / self.scale @ self.system.pairs
         gap = slow + _wave(omega, times[:-1]) @ self.system.lift
 
         def tangent() -> np.ndarray:
             columns = np.column_stack([state, np.eye(len(state))])
             return self._integrated(columns, omega, start, times[-1:])[-1, :, 1:]
 
-        return SmoothPassage(moved[-1], gap=gap, again=tangent)
+        return SmoothPassage(motion[-1], gap=gap, again=tangent)
 
     def _integrated(
         self, columns: np.ndarray, omega: float, start: float, times: np.ndarray
@@ -526,8 +545,8 @@ class SmoothFlow(ReferenceFlow):
         system, scale, count = self.system, self.scale, len(columns) // 2
 
         def rate(time: float, packed: np.ndarray) -> np.ndarray:
-            wave, moved = _wave(omega, time), packed.reshape(columns.shape)
-            shape, speed = moved[:count] / scale, moved[count:]
+            wave, state_columns = _wave(omega, time), packed.reshape(columns.shape)
+            shape, speed = state_columns[:count] / scale, state_columns[count:]
             answer = system.pairs.T @ shape
             gap = answer[:, 0] + wave @ system.lift
             answer *= self.law.tangent(gap)[:, None]
@@ -544,17 +563,17 @@ class SmoothFlow(ReferenceFlow):
         )  # fmt: skip
         if not run.success:
             raise NoOrbit("a motion that is not integrated")
-        found: np.ndarray = run.y.T.reshape(len(times), *columns.shape)
-        return found
+        states: np.ndarray = run.y.T.reshape(len(times), *columns.shape)
+        return states
 
 
 def size_of_motion(motion: np.ndarray) -> float:
     """Norm of a motion at equal times (n, k), to which its means contribute no more than what is
     left of it without them."""
     mean = motion.mean(axis=0)
-    moving, still = float(np.linalg.norm(motion - mean)), float(np.linalg.norm(mean))
-    still *= float(np.sqrt(len(motion)))
-    return max(float(np.hypot(moving, min(moving, still))), 1e-300)
+    moving_size, mean_size = float(np.linalg.norm(motion - mean)), float(np.linalg.norm(mean))
+    mean_size *= float(np.sqrt(len(motion)))
+    return max(float(np.hypot(moving_size, min(moving_size, mean_size))), 1e-300)
 
 
 def predicted(flow: ReferenceFlow, found: fc.PeriodicSolution, nodes: int = 32) -> float:
@@ -570,12 +589,12 @@ def predicted(flow: ReferenceFlow, found: fc.PeriodicSolution, nodes: int = 32) 
         passage = flow.advance(states[i], found.omega, i * length, length)
         defects.append(passage.state - states[(i + 1) % nodes])
         tangents.append(passage.tangent())
-    product, left = np.eye(size), np.zeros(size)
+    product, defect_sum = np.eye(size), np.zeros(size)
     for tangent, defect in zip(tangents, defects, strict=True):
-        product, left = tangent @ product, tangent @ left + defect
-    moved = [np.linalg.solve(np.eye(size) - product, left)]
+        product, defect_sum = tangent @ product, tangent @ defect_sum + defect
+    state_corrections = [np.linalg.solve(np.eye(size) - product, defect_sum)]
     for tangent, defect in zip(tangents[:-1], defects[:-1], strict=True):
-        moved.append(tangent @ moved[-1] + defect)
+        state_corrections.append(tangent @ state_corrections[-1] + defect)
     half, pairs = size // 2, flow.system.pairs
-    change, whole = np.array(moved)[:, :half] @ pairs, states[:, :half] @ pairs
+    change, whole = np.array(state_corrections)[:, :half] @ pairs, states[:, :half] @ pairs
     return float(np.linalg.norm(change)) / size_of_motion(whole)

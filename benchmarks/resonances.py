@@ -68,8 +68,8 @@ def rotor(rpm: float) -> dict[str, Any]:
 
 def force(*parts: float, mean: float = 0.0, **more: Any) -> dict[str, Any]:
     """A load at the tip, whose mean acts along its first direction that is loaded."""
-    still = [mean * float(np.sign(part)) for part in parts]
-    return {"force_sin": list(parts)} | ({"force_mean": still} if mean else {}) | more
+    steady_parts = [mean * float(np.sign(part)) for part in parts]
+    return {"force_sin": list(parts)} | ({"force_mean": steady_parts} if mean else {}) | more
 
 
 STRUCTURES = {
@@ -148,18 +148,18 @@ def compared(scene: fc.Scene) -> str:
     structure, law, omega = study.structure, study.contact, scene.excitation.omega
     begun = time.process_time()
     problem, tolerance = fc.Problem(structure, omega, law), scene.harmonic_balance.tolerance
-    found = resonance_at(problem, tolerance=tolerance)
+    resonance = resonance_at(problem, tolerance=tolerance)
     spent = time.process_time() - begun
-    row = f"{found.omega / (2.0 * math.pi):10.3f}"
+    row = f"{resonance.omega / (2.0 * math.pi):10.3f}"
     begun = time.process_time()
-    top, height = top_of_curve(problem, found)
-    off = (found.omega - top) / found.width
-    higher = found.solution.amplitude() / height - 1.0
-    right = abs(off) <= RIGHT[0] and abs(higher) <= RIGHT[1]
-    said = "  several" if found.several else "" if right else "  WRONG"
+    top, height = top_of_curve(problem, resonance)
+    peak_offset = (resonance.omega - top) / resonance.width
+    higher = resonance.solution.amplitude() / height - 1.0
+    is_right = abs(peak_offset) <= RIGHT[0] and abs(higher) <= RIGHT[1]
+    remark = "  several" if resonance.several else "" if is_right else "  WRONG"
     return (
-        f"{row}{top / (2.0 * math.pi):11.3f}{off:11.4f}{higher:11.2e}{found.apart:9.4f}{spent:7.2f}"
-        f"{time.process_time() - begun:9.1f}{said}"
+        f"{row}{top / (2.0 * math.pi):11.3f}{peak_offset:11.4f}{higher:11.2e}{resonance.apart:9.4f}"
+        f"{spent:7.2f}{time.process_time() - begun:9.1f}{remark}"
     )
 
 
@@ -167,8 +167,8 @@ def top_of_curve(problem: fc.Problem, found: fc.Resonance) -> tuple[float, float
     """Frequency [rad/s] and amplitude of the largest response around a resonance, on the curve from
     below the natural frequency at rest, or from above it, whichever is farther from it."""
     ends = sorted((found.omega, resonance_at(at_small_load(problem), found.omega).omega))
-    low, high = ends[0] - 3.0 * found.width, ends[1] + 3.0 * found.width
-    way = (low, high) if found.omega == ends[1] else (high, low)
+    lower_end, upper_end = ends[0] - 3.0 * found.width, ends[1] + 3.0 * found.width
+    way = (lower_end, upper_end) if found.omega == ends[1] else (upper_end, lower_end)
     curve = fc.continue_frequency(
         problem.structure, *way, problem.contact, tolerance=1e-3, longest_step=0.03
     )

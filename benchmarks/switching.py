@@ -43,11 +43,11 @@ class Switching:
 def switching_instants(harmonics: np.ndarray) -> Switching:
     """Find all sign changes of the polynomials with complex harmonics (H+1, n_pairs)."""
     gaps = np.ascontiguousarray(from_complex(harmonics).T)
-    closed = np.zeros(len(gaps), dtype=np.int8)
-    found = [_of_one(gap, closed[pair : pair + 1]) for pair, gap in enumerate(gaps)]
-    count = [len(theta) for theta, _ in found]
-    theta, closing = (np.concatenate(part) for part in zip(*found, strict=True))
-    return Switching(np.repeat(np.arange(len(gaps)), count), theta, closing, closed > 0)
+    is_closed = np.zeros(len(gaps), dtype=np.int8)
+    pair_events = [_of_one(gap, is_closed[pair : pair + 1]) for pair, gap in enumerate(gaps)]
+    count = [len(theta) for theta, _ in pair_events]
+    theta, is_closing = (np.concatenate(part) for part in zip(*pair_events, strict=True))
+    return Switching(np.repeat(np.arange(len(gaps)), count), theta, is_closing, is_closed > 0)
 
 
 def _of_one(gap: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -55,11 +55,11 @@ def _of_one(gap: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray
     room = count = len(gap) + 1
     while count >= room:  # more than 2H only where a gap is zero to rounding
         room = count + 1
-        theta, closing = np.empty(room), np.empty(room)
+        theta, is_closing = np.empty(room), np.empty(room)
         count = kernel.switching_instants(
             len(gap) // 2, 1, pointer(gap), pointer(quarter_period_waves(len(gap) // 2)), room,
-            pointer(theta), pointer(closing), pointer(closed),
+            pointer(theta), pointer(is_closing), pointer(closed),
         )  # fmt: skip
     if count < 0:
         raise MemoryError("switching instants")
-    return theta[:count], closing[:count]
+    return theta[:count], is_closing[:count]

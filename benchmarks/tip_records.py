@@ -121,8 +121,8 @@ def draw(row: Row, rng: np.random.Generator) -> Record:
     grid = 2.0 * np.pi * np.arange(-STEPS, (turns + 1) * STEPS + 1) / STEPS  # one turn more
     speed = SPEED * (1.0 + VARIATION * variation(grid, rng))
     if row.sweeps:
-        along = np.clip(grid / (2.0 * np.pi * turns), 0.0, 1.0)
-        speed *= 1.0 + 0.12 * (np.minimum(along, 1.0 - along) * 2.0 - 0.5)
+        path_share = np.clip(grid / (2.0 * np.pi * turns), 0.0, 1.0)
+        speed *= 1.0 + 0.12 * (np.minimum(path_share, 1.0 - path_share) * 2.0 - 0.5)
     slow = 0.5 * (1.0 / speed[1:] + 1.0 / speed[:-1]) * np.diff(grid)
     time = np.concatenate([[0.0], np.cumsum(slow)])
     time -= np.interp(0.0, grid, time)
@@ -133,8 +133,8 @@ def draw(row: Row, rng: np.random.Generator) -> Record:
     if row.sweeps:
         omega, damping = order * SPEED * rng.uniform(0.99, 1.01), rng.uniform(1e-3, 4e-3)
         record = replace(record, omega=omega, damping=damping)
-        swing = passage(grid, time, order, omega, damping) * np.exp(1j * phases[0])
-        envelopes = [row.waves[0] * swing / np.abs(swing).max()]
+        vibration = passage(grid, time, order, omega, damping) * np.exp(1j * phases[0])
+        envelopes = [row.waves[0] * vibration / np.abs(vibration).max()]
     else:
         envelopes = [
             size * np.exp(1j * phase) * np.ones(len(grid))
@@ -147,22 +147,22 @@ def draw(row: Row, rng: np.random.Generator) -> Record:
     target = 2.0 * np.pi * np.arange(turns)[:, None] + nominal + errors
     angle = target.copy()
     for _ in range(8):
-        moved = drift * (np.interp(angle, grid, speed) / SPEED - 1.0) / 0.06
+        drift_displacement = drift * (np.interp(angle, grid, speed) / SPEED - 1.0) / 0.06
         turned = record.asynchronous * np.interp(angle, grid, time) + phases[-1]
-        moved += ASYNCHRONOUS * np.cos(turned)
+        drift_displacement += ASYNCHRONOUS * np.cos(turned)
         for multiple, envelope in enumerate(envelopes, 1):
-            here = np.interp(angle, grid, envelope)
-            moved += (here * np.exp(1j * multiple * order * angle)).real
-        angle = target - moved / RADIUS
+            local_envelope = np.interp(angle, grid, envelope)
+            drift_displacement += (local_envelope * np.exp(1j * multiple * order * angle)).real
+        angle = target - drift_displacement / RADIUS
 
     marks = np.interp(2.0 * np.pi * np.arange(turns + 1), grid, time)
     marks += row.jitter * rng.standard_normal(len(marks))
-    seen = np.interp(angle, grid, time) + row.jitter * rng.standard_normal(angle.shape)
-    wrong = rng.random(angle.shape) < row.wrong
+    arrival_times = np.interp(angle, grid, time) + row.jitter * rng.standard_normal(angle.shape)
+    is_wrong = rng.random(angle.shape) < row.wrong
     sides = rng.choice([-1.0, 1.0], angle.shape) * rng.uniform(1e-3, 1e-2, angle.shape)
-    seen += wrong * sides / (RADIUS * SPEED)
-    seen[rng.random(angle.shape) < MISSING] = np.nan
-    return replace(record, arrivals=fc.ArrivalTimes(seen, marks, nominal, RADIUS))
+    arrival_times += is_wrong * sides / (RADIUS * SPEED)
+    arrival_times[rng.random(angle.shape) < MISSING] = np.nan
+    return replace(record, arrivals=fc.ArrivalTimes(arrival_times, marks, nominal, RADIUS))
 
 
 def passage(
@@ -175,12 +175,12 @@ def passage(
     rate = root - 1j * order * turned / steps
     decay = np.exp(rate * steps)
     gain = (decay - 1.0) / rate
-    found = np.empty(len(grid), dtype=complex)
-    value = found[0] = -1.0 / rate[0]
+    response = np.empty(len(grid), dtype=complex)
+    value = response[0] = -1.0 / rate[0]
     for n, (factor, push) in enumerate(zip(decay.tolist(), gain.tolist(), strict=True), 1):
         value = factor * value + push
-        found[n] = value
-    return found
+        response[n] = value
+    return response
 
 
 # --- what is found in them ------------------------------------------------------------------------
@@ -213,21 +213,21 @@ def judge(row: Row, record: Record, count: Count) -> None:
 
 def judge_steady(row: Row, record: Record, count: Count) -> None:
     """A vibration at a nearly constant speed."""
-    how: dict[str, Any] = {"harmonics": row.harmonics, "angle_deviation": ANGLE_DEVIATION}
-    sought = fc.fit_order(record.arrivals, range(1, 25), **how)
-    count.order += sought.order == record.order
-    count.declared += sought.order != record.order and record.order in sought.ambiguous
-    fit = sought
-    if sought.order != record.order:
+    options: dict[str, Any] = {"harmonics": row.harmonics, "angle_deviation": ANGLE_DEVIATION}
+    order_fit = fc.fit_order(record.arrivals, range(1, 25), **options)
+    count.order += order_fit.order == record.order
+    count.declared += order_fit.order != record.order and record.order in order_fit.ambiguous
+    fit = order_fit
+    if order_fit.order != record.order:
         try:
-            fit = fc.fit_order(record.arrivals, [record.order], **how)
+            fit = fc.fit_order(record.arrivals, [record.order], **options)
         except fc.InputError:  # these probes cannot measure it
             count.refused += 1
-            count.declared += record.order not in sought.ambiguous
+            count.declared += record.order not in order_fit.ambiguous
             count.found += 1
             return
-    true = np.array(row.waves[: row.harmonics])
-    scores = np.abs(fit.amplitudes - true) / fit.amplitude_errors
+    true_waves = np.array(row.waves[: row.harmonics])
+    scores = np.abs(fit.amplitudes - true_waves) / fit.amplitude_errors
     count.covered += bool(scores[0] < 1.96)
     count.unwarned += int(np.sum(scores > 3.0)) * (not fit.in_doubt)
     count.doubt += fit.in_doubt
@@ -262,7 +262,7 @@ def holds(row: Row, draws: int, count: Count) -> bool:
     by_chance = binom.ppf(0.99, draws * row.harmonics, 0.0027)
     return bool(
         count.order + count.declared >= 0.98 * draws
-        and all(low <= one <= high for one in intervals)
+        and all(low <= interval <= high for interval in intervals)
         and count.found == draws
         and count.unwarned <= by_chance
     )

@@ -82,13 +82,14 @@ def verdicts(arguments: common.Arguments) -> None:
             for omega in omegas:
                 rows.append((ratio, stiffness, omega, *judged(plate, stiffness, omega, most)))
     common.save_table(arguments.folder / "verdicts.csv", "verdict and motion", COLUMNS, rows)
-    decided = [row for row in rows if row[13] != "-"]
+    decided_rows = [row for row in rows if row[13] != "-"]
     rates = [
         abs(row[12] / row[8] - 1.0) for row in rows if np.isfinite(row[12]) and np.isfinite(row[8])
     ]
     print(
         f"\n{len(rows)} cases: {sum(row[5] == 'undecided' for row in rows)} undecided; of "
-        f"{len(decided)} that can be compared {sum(row[13] == 'yes' for row in decided)} agree. "
+        f"{len(decided_rows)} that can be compared "
+        f"{sum(row[13] == 'yes' for row in decided_rows)} agree. "
         f"Measured rate against |mu|: median {np.median(rates):.1e}, largest {max(rates):.1e}."
     )
     draw(rows, arguments.folder / "verdicts.png")
@@ -148,22 +149,22 @@ def distances(
     size = np.linalg.norm(weights * start)
     direction = np.random.default_rng(3).normal(size=len(start))
     state = start + DISTURBANCE * size * direction / np.linalg.norm(direction) / weights
-    found = [DISTURBANCE] if orbit else []
+    distance_list = [DISTURBANCE] if orbit else []
     for _ in range(most):
-        before, state = state, flow.advance(state, omega, period).state
-        off = weights * (state - (start if orbit else before))
-        found.append(float(np.linalg.norm(off) / size))
-        if not found[0] / FACTOR <= found[-1] <= FACTOR * found[0]:
+        earlier_state, state = state, flow.advance(state, omega, period).state
+        offset = weights * (state - (start if orbit else earlier_state))
+        distance_list.append(float(np.linalg.norm(offset) / size))
+        if not distance_list[0] / FACTOR <= distance_list[-1] <= FACTOR * distance_list[0]:
             break
-    return np.array(found)
+    return np.array(distance_list)
 
 
 def measured(distance: np.ndarray) -> float:
     """Factor per period over the last two thirds; nan where these are fewer than 10 periods."""
-    chosen = np.arange(len(distance) // 3, len(distance))
-    if len(chosen) < 10:
+    chosen_indices = np.arange(len(distance) // 3, len(distance))
+    if len(chosen_indices) < 10:
         return float("nan")
-    return float(np.exp(np.polyfit(chosen, np.log(distance[chosen]), 1)[0]))
+    return float(np.exp(np.polyfit(chosen_indices, np.log(distance[chosen_indices]), 1)[0]))
 
 
 def by_central_differences(
@@ -180,11 +181,11 @@ def by_central_differences(
         initial=(1.01 * displacement, 1.01 * velocity),
     )  # fmt: skip
     gap = history.by_period(history.gap)[:, :: steps // 512]
-    apart = np.linalg.norm(gap - orbit.gap, axis=(1, 2)) / np.linalg.norm(orbit.gap)
-    last = apart[-10:].mean()
-    if last < apart[0] / 3.0:
+    relative_distances = np.linalg.norm(gap - orbit.gap, axis=(1, 2)) / np.linalg.norm(orbit.gap)
+    last_distance = relative_distances[-10:].mean()
+    if last_distance < relative_distances[0] / 3.0:
         return "returns"
-    return "leaves" if last > 3.0 * apart[0] else "open"
+    return "leaves" if last_distance > 3.0 * relative_distances[0] else "open"
 
 
 def points(arguments: common.Arguments) -> None:
@@ -192,9 +193,9 @@ def points(arguments: common.Arguments) -> None:
     rows, count = [], 0
     for seed in range(10 if arguments.quick else 160):
         structure, law = random_chain(seed)
-        first, second = fc.solve_modes(structure, 2).omega
+        first_omega, second = fc.solve_modes(structure, 2).omega
         curve = fc.continue_frequency(
-            structure, 0.8 * first, 1.25 * second, law, harmonics=15, stability=True,
+            structure, 0.8 * first_omega, 1.25 * second, law, harmonics=15, stability=True,
             most_points=400, throw=False,
         )  # fmt: skip
         for place in np.flatnonzero(curve.verdicts != "undecided").tolist():
@@ -352,8 +353,8 @@ def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(3, 7))
     springs, mass = rng.uniform(0.5, 2.0, n + 1), rng.uniform(0.5, 1.5, n)
-    inner = np.diag(springs[1:-1], 1)
-    stiffness = np.diag(springs[:-1] + springs[1:]) - inner - inner.T
+    inner_coupling = np.diag(springs[1:-1], 1)
+    stiffness = np.diag(springs[:-1] + springs[1:]) - inner_coupling - inner_coupling.T
     pairs = np.eye(n)[:, [n - 1, n // 2]][:, : 1 + (rng.random() < 0.5)]
     ratio = float(10.0 ** rng.uniform(-3.0, -2.0))
     structure = fc.Structure.from_matrices(
@@ -367,13 +368,15 @@ def draw(rows: list[tuple], path: object) -> None:
     """The measured rate over the modulus of the exact leading multiplier."""
     figure, (axes, other) = common.figure(2)
     for verdict, (marker, colour) in MARKS.items():
-        chosen = [row for row in rows if row[5] == verdict]
+        chosen_rows = [row for row in rows if row[5] == verdict]
         axes.plot(
-            [row[8] for row in chosen], [row[12] for row in chosen], marker, color=colour, ms=5,
+            [row[8] for row in chosen_rows], [row[12] for row in chosen_rows], marker,
+            color=colour, ms=5,
             label=verdict, mfc="none",
         )  # fmt: skip
         other.plot(
-            [row[2] for row in chosen], [row[8] for row in chosen], marker, color=colour, ms=5,
+            [row[2] for row in chosen_rows], [row[8] for row in chosen_rows], marker,
+            color=colour, ms=5,
             label=verdict, mfc="none",
         )  # fmt: skip
     values = [row[8] for row in rows if np.isfinite(row[8] * row[12])]

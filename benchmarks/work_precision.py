@@ -95,26 +95,30 @@ def main() -> None:
 
 def case_of(name: str) -> Case:
     """A case of the benchmark, or the paper's plate."""
-    own = name == "paper-plate"
-    stored = paper_plate(name) if own else check.read(ORBITS / "cases" / f"{name}.json")
-    problem = problem_of(stored)
-    return Case(stored, problem, *orbit.modelled(problem))
+    is_own = name == "paper-plate"
+    stored_case = paper_plate(name) if is_own else check.read(ORBITS / "cases" / f"{name}.json")
+    problem = problem_of(stored_case)
+    return Case(stored_case, problem, *orbit.modelled(problem))
 
 
 def paper_plate(name: str) -> dict[str, Any]:
     """The paper's plate as a case, in all of its modes; its orbit by another flow."""
     plate = common.plate("paper_plate", {"damping.ratio": 0.01})
     law, omega = fc.UnilateralPenalty(1e9), 2000.0
-    near, flow = fc.solve_harmonic_balance(plate, omega, law), ReferenceFlow(plate, law)
-    gap = flow.orbit(flow.states_of(near, np.zeros(1))[0], omega, near.period).gap
-    stored = write.reduced(name, "", plate, law, omega)
-    parts = stored["structure"]
+    solution, flow = fc.solve_harmonic_balance(plate, omega, law), ReferenceFlow(plate, law)
+    gap = flow.orbit(flow.states_of(solution, np.zeros(1))[0], omega, solution.period).gap
+    stored_case = write.reduced(name, "", plate, law, omega)
+    parts = stored_case["structure"]
     stiffness, damping = (np.diag(parts[key]).tolist() for key in ("squares", "damping"))
     mass = np.eye(len(stiffness)).tolist()
-    stored["structure"] = {"form": "matrices", "mass": mass, "damping": damping,
+    stored_case["structure"] = {"form": "matrices", "mass": mass, "damping": damping,
                            "stiffness": stiffness, "pairs": parts["pairs"]}  # fmt: skip
-    known = {"subharmonic": 1, "gap": gap[:: len(gap) // INSTANTS].tolist(), "verdict": "stable"}
-    return stored | {"orbits": [known]}
+    known_orbit = {
+        "subharmonic": 1,
+        "gap": gap[:: len(gap) // INSTANTS].tolist(),
+        "verdict": "stable",
+    }
+    return stored_case | {"orbits": [known_orbit]}
 
 
 # --- the methods ----------------------------------------------------------------------------------
@@ -148,13 +152,13 @@ def every_method(case: Case, arguments: common.Arguments) -> Iterator[tuple[Any,
         yield from balance(case, "orbit to a tolerance", (None,), tolerance=tolerance)
     yield in_time(case, "exact flow", fc.integrate_events, INSTANTS, 1e-9)
     if massless:  # has no stable step
-        march, name, least = fc.integrate_exponential, "exponential steps", 2.0 * INSTANTS
+        march, name, fewest_steps = fc.integrate_exponential, "exponential steps", 2.0 * INSTANTS
     else:
         march, name = fc.integrate_central_difference, "central differences"
         stable = fc.stable_steps_per_period(case.structure, case.problem.omega, case.law)
-        least = max(1.3 * stable, INSTANTS)
+        fewest_steps = max(1.3 * stable, INSTANTS)
     for share in (1, 4) if arguments.quick else (1, 2, 4, 8, 16):
-        count = INSTANTS * int(np.ceil(share * least / INSTANTS))
+        count = INSTANTS * int(np.ceil(share * fewest_steps / INSTANTS))
         yield in_time(case, name, march, count, 1e-5)
     for program in OTHERS if arguments.others and case.problem.kind == "penalty" else ():
         yield from by_others(case, program, counts[::2])
@@ -165,10 +169,10 @@ def measured(work: Callable[[], Any]) -> tuple[Any, float, float]:
     times: list[float] = []
     memory = common.PeakMemory()
     while len(times) < 3 and sum(times) < 0.5:
-        started = time.process_time()
-        found = work()
-        times.append(time.process_time() - started)
-    return found, 1e3 * min(times), memory.mib()
+        start_time = time.process_time()
+        answer = work()
+        times.append(time.process_time() - start_time)
+    return answer, 1e3 * min(times), memory.mib()
 
 
 def balance(
@@ -176,9 +180,9 @@ def balance(
 ) -> Iterator[tuple[Any, ...]]:
     """Harmonic balance with its error report, from a cold start."""
     for harmonics in counts:
-        given = options if harmonics is None else options | {"harmonics": harmonics}
+        solver_options = options if harmonics is None else options | {"harmonics": harmonics}
 
-        def solve(given: dict[str, Any] = given) -> fc.PeriodicSolution:
+        def solve(given: dict[str, Any] = solver_options) -> fc.PeriodicSolution:
             omega = case.problem.omega
             return fc.solve_harmonic_balance(case.structure, omega, case.law, throw=False, **given)
 
@@ -219,9 +223,9 @@ def by_others(case: Case, program: str, counts: Sequence[int]) -> Iterator[tuple
     for harmonics in counts:
         answer = score.asked(adapter, case.stored, PATIENCE, harmonics)
         note = answer.get("unsupported") or answer["message"]
-        solved = answer.get("converged", False)
-        error = case.error(answer["gap"]) if solved else np.nan
-        cpu = 1e3 * answer.get("seconds", np.nan) if solved else np.nan
+        is_solved = answer.get("converged", False)
+        error = case.error(answer["gap"]) if is_solved else np.nan
+        cpu = 1e3 * answer.get("seconds", np.nan) if is_solved else np.nan
         yield program, f"H = {harmonics}", error, cpu, np.nan, note[:60]
         if "seconds" not in answer:
             return
@@ -232,9 +236,9 @@ def by_others(case: Case, program: str, counts: Sequence[int]) -> Iterator[tuple
 
 def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
     """Table, picture, and how much faster ours is than the best public one at the same error."""
-    made = f"commit {common.commit()}, {datetime.date.today()}"
+    origin = f"commit {common.commit()}, {datetime.date.today()}"
     stem = folder / f"work_precision_{name}"
-    common.save_table(stem.with_suffix(".csv"), f"Case {name}, {made}", COLUMNS, rows)
+    common.save_table(stem.with_suffix(".csv"), f"Case {name}, {origin}", COLUMNS, rows)
     figure, (axes,) = common.figure(1)
     for method, (_, colour, look) in METHODS.items():
         points = [row for row in rows if row[1] == method and np.isfinite(row[3])]
@@ -244,25 +248,27 @@ def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
         )  # fmt: skip
     axes.set_xlabel("processor time [ms]")
     axes.set_ylabel("error of the gaps over their motion [-]")
-    axes.set_title(f"Case {name}: error against time ({made})", fontsize=9)
+    axes.set_title(f"Case {name}: error against time ({origin})", fontsize=9)
     axes.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")  # beside, not over points
     figure.savefig(stem.with_suffix(".png"))
     record = {"commit": common.commit(), "date": str(datetime.date.today()),
               "methods": sorted({row[1] for row in rows})}  # fmt: skip
     stem.with_suffix(".json").write_text(json.dumps(record, indent=1) + "\n")
     for goal in (1e-1, 1e-2, 1e-4):
-        good = [row for row in rows if row[3] <= goal]
-        ours = [row for row in good if row[1] not in OTHERS]
-        public = [row for row in good if row[1] in OTHERS]
+        good_rows = [row for row in rows if row[3] <= goal]
+        ours = [row for row in good_rows if row[1] not in OTHERS]
+        public = [row for row in good_rows if row[1] in OTHERS]
         if not ours:
             print(f"{name}, error {goal:g}: none")
             continue
-        best = min(ours, key=lambda row: row[4])
-        said = f"{name}, error {goal:g}: {best[1]} {best[4]:.3g} ms"
+        best_row = min(ours, key=lambda row: row[4])
+        headline = f"{name}, error {goal:g}: {best_row[1]} {best_row[4]:.3g} ms"
         if public:
-            other = min(public, key=lambda row: row[4])
-            said += f"; {other[1]} takes {other[4] / best[4]:.3g} times as long"
-        print(said if public else f"{said}; no public program reaches it")
+            best_other_row = min(public, key=lambda row: row[4])
+            headline += (
+                f"; {best_other_row[1]} takes {best_other_row[4] / best_row[4]:.3g} times as long"
+            )
+        print(headline if public else f"{headline}; no public program reaches it")
 
 
 if __name__ == "__main__":

@@ -103,8 +103,8 @@ def is_quick(path: Path) -> bool:
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Leave other files unread where the quick tests alone are run: it would take a third."""
-    alone = config.getoption("markexpr") == "quick" and collection_path.suffix == ".py"
-    return True if alone and not is_quick(collection_path) else None
+    is_quick_run = config.getoption("markexpr") == "quick" and collection_path.suffix == ".py"
+    return True if is_quick_run and not is_quick(collection_path) else None
 
 
 @pytest.hookimpl(tryfirst=True)  # before the selection by marks
@@ -113,18 +113,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     whose tests share two ranks first, so that one of two processes starts these: the first half of
     all tests is one's."""
     mark_cases_not_drawn(items)
-    skipped = NOT_BY_WHEELS if find_spec("dolfinx_solver") else {}
+    reason_by_test = NOT_BY_WHEELS if find_spec("dolfinx_solver") else {}
     for item in items:
-        if why := skipped.get(function_of(item)[len("tests/") :]):
-            item.add_marker(pytest.mark.skip(reason=why))
+        if reason := reason_by_test.get(function_of(item)[len("tests/") :]):
+            item.add_marker(pytest.mark.skip(reason=reason))
         if is_quick(item.path) and not {"nightly", "mpi"} & {m.name for m in item.iter_markers()}:
             item.add_marker("quick")
     if (part := config.getoption("part")) is not None:
-        others = [item for item in items if part_of(item) != part]
-        config.hook.pytest_deselected(items=others)
+        other_items = [item for item in items if part_of(item) != part]
+        config.hook.pytest_deselected(items=other_items)
         items[:] = [item for item in items if part_of(item) == part]
-    sharing = {item.path for item in items if "on_ranks" in getattr(item, "fixturenames", ())}
-    items.sort(key=lambda item: item.path not in sharing)
+    rank_paths = {item.path for item in items if "on_ranks" in getattr(item, "fixturenames", ())}
+    items.sort(key=lambda item: item.path not in rank_paths)
 
 
 def mark_cases_not_drawn(items: list[pytest.Item]) -> None:
@@ -136,9 +136,9 @@ def mark_cases_not_drawn(items: list[pytest.Item]) -> None:
             grids[function_of(item)].append(item)
     for name, cases in grids.items():
         (count,) = cases[0].get_closest_marker("drawn").args  # type: ignore[union-attr]
-        drawn = Random(name).sample(cases, min(count, len(cases)))
+        drawn_cases = Random(name).sample(cases, min(count, len(cases)))
         for case in cases:
-            if case not in drawn:
+            if case not in drawn_cases:
                 case.add_marker("nightly")
 
 
@@ -171,8 +171,8 @@ def prepared() -> Iterator[None]:
     Its arguments are described once, which takes 5 ms."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fenics_crack.basics.progress.MESSAGE_INTERVAL", 3600.0)
-        described = importlib.import_module("fenics_crack.cli.command_line").build_parser
-        patch.setattr("fenics_crack.cli.command_line.build_parser", cache(described))
+        parser_maker = importlib.import_module("fenics_crack.cli.command_line").build_parser
+        patch.setattr("fenics_crack.cli.command_line.build_parser", cache(parser_maker))
         yield
 
 
@@ -259,8 +259,8 @@ def wide_plate(paper_scene: Scene) -> Structure:
 def light_lips(paper_scene: Scene) -> Structure:
     """The paper's plate with 1 % of damping and eight pairs without mass, 15 modes."""
     changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
-    whole = fc.build_structure(paper_scene.replace(changes))
-    return fc.reduce_structure(whole, modes=15, method="massless")
+    whole_structure = fc.build_structure(paper_scene.replace(changes))
+    return fc.reduce_structure(whole_structure, modes=15, method="massless")
 
 
 @pytest.fixture(scope="session")
@@ -312,12 +312,12 @@ def mpirun() -> Callable[..., str]:
         )  # fmt: skip
         try:
             output, errors = process.communicate(timeout=LIMIT)
-            ended = f"exit code {process.returncode}"
+            outcome = f"exit code {process.returncode}"
         except subprocess.TimeoutExpired:
             process.terminate()  # mpirun ends its ranks
             output, errors = process.communicate()
-            ended = f"not finished after {LIMIT:g} s"
-        assert ended == "exit code 0", f"{ended}\n--- stdout\n{output}\n--- stderr\n{errors}"
+            outcome = f"not finished after {LIMIT:g} s"
+        assert outcome == "exit code 0", f"{outcome}\n--- stdout\n{output}\n--- stderr\n{errors}"
         return output
 
     return run
@@ -326,6 +326,6 @@ def mpirun() -> Callable[..., str]:
 @pytest.fixture(scope="session")
 def on_ranks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Any]]:
     """Call a function of a test file on the two ranks that these tests share (`Ranks.call`)."""
-    shared = Ranks(tmp_path_factory.mktemp("ranks"))
-    yield shared.call
-    shared.end()
+    ranks = Ranks(tmp_path_factory.mktemp("ranks"))
+    yield ranks.call
+    ranks.end()

@@ -29,6 +29,6 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
     os.setsid()
     folder.mkdir(parents=True, exist_ok=True)
     folder.with_suffix(".log").touch()
-    while (given := connection.recv()) is not None:
+    while (request := connection.recv()) is not None:
         connection.send("what")
-        ENDS[given[0]]()
+        ENDS[request[0]]()

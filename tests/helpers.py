@@ -79,12 +79,12 @@ def columns_of_curve(scene: fc.Scene, folder: Path) -> dict[str, np.ndarray]:
     (folder / "scene.toml").write_text(scene.as_toml())
     assert main(["curve", str(folder / "scene.toml"), "--output", str(folder), "--quiet"]) == 0
     with open(folder / "curve.csv", newline="") as file:
-        first, *rows = csv.reader(file)
-    found = {}
-    for name, column in zip(first, zip(*rows, strict=True), strict=True):
+        header, *rows = csv.reader(file)
+    columns = {}
+    for name, column in zip(header, zip(*rows, strict=True), strict=True):
         with suppress(ValueError):
-            found[name.partition(" [")[0]] = np.array([float(word or "nan") for word in column])
-    return found
+            columns[name.partition(" [")[0]] = np.array([float(word or "nan") for word in column])
+    return columns
 
 
 @contextmanager
@@ -116,8 +116,8 @@ def wrap(patch: pytest.MonkeyPatch, name: str, around: Callable[..., Any]) -> No
 def scene_of_matrices(folder: Path, parts: dict[str, Any], tables: dict[str, Any]) -> fc.Scene:
     """Write matrices to files of their names; return the scene of these and of other tables."""
     for name, matrix in parts.items():
-        written = matrix if sparse.issparse(matrix) else np.atleast_2d(matrix)
-        scipy.io.mmwrite(folder / f"{name}.mtx", written, precision=17)
+        array = matrix if sparse.issparse(matrix) else np.atleast_2d(matrix)
+        scipy.io.mmwrite(folder / f"{name}.mtx", array, precision=17)
     files = {name: f"{name}.mtx" for name in parts}
     structure = {"structure": files | tables.get("structure", {})}
     return fc.Scene.from_mapping(tables | structure, folder)
@@ -156,8 +156,8 @@ def free_bar(elements: int) -> fc.Structure:
     """0.2 m of steel-like bar, 1 m^2, with linear elements and a wall 2 mm off its end."""
     size, young, density = 0.2 / elements, 2e11, 8000.0
     stiffness, mass = np.zeros((elements + 1,) * 2), np.zeros((elements + 1,) * 2)
-    for first in range(elements):
-        block = np.s_[first : first + 2, first : first + 2]
+    for element_index in range(elements):
+        block = np.s_[element_index : element_index + 2, element_index : element_index + 2]
         stiffness[block] += young / size * np.array([[1.0, -1.0], [-1.0, 1.0]])
         mass[block] += density * size / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
     return fc.Structure.from_matrices(mass, stiffness, gap=np.eye(elements + 1)[-1], clearance=2e-3)
@@ -171,29 +171,33 @@ def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
     linear = compliance.displacement(np.zeros(compliance.gap_shape))
     compliance.destroy()
     with BlockSystem(problem, linear) as block:
-        at, value = block.matrix.createVecs()
+        input_vector, value = block.matrix.createVecs()
         size, stiffness = linear.size, block.force_unit / block.length_unit
 
         def residual(displacement: np.ndarray) -> np.ndarray:
-            at.array_w[:] = block.scaled_unknowns_of(displacement)
-            block.evaluate(at, value)
-            assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * at.norm())
+            input_vector.array_w[:] = block.scaled_unknowns_of(displacement)
+            block.evaluate(input_vector, value)
+            assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * input_vector.norm())
             return block.force_unit * value.array_r[:size].reshape(linear.shape)
 
         def jacobian(displacement: np.ndarray) -> np.ndarray:
-            at.array_w[:] = block.scaled_unknowns_of(displacement)
-            block.linearise(at)
-            whole = csr(block.matrix).toarray()
-            modal = np.linalg.solve(whole[size:, size:], whole[size:, :size])
-            return stiffness * (whole[:size, :size] - whole[:size, size:] @ modal)
+            input_vector.array_w[:] = block.scaled_unknowns_of(displacement)
+            block.linearise(input_vector)
+            block_matrix = csr(block.matrix).toarray()
+            modal_response = np.linalg.solve(block_matrix[size:, size:], block_matrix[size:, :size])
+            return stiffness * (
+                block_matrix[:size, :size] - block_matrix[:size, size:] @ modal_response
+            )
 
         yield block, residual, jacobian
 
 
 def chain_stiffness(springs: np.ndarray) -> np.ndarray:
     """K of n masses between n + 1 springs, the first and the last of them fixed to walls."""
-    inner = springs[1:-1]
-    return np.diag(springs[:-1] + springs[1:]) - np.diag(inner, 1) - np.diag(inner, -1)
+    inner_springs = springs[1:-1]
+    return (
+        np.diag(springs[:-1] + springs[1:]) - np.diag(inner_springs, 1) - np.diag(inner_springs, -1)
+    )
 
 
 def chain(
@@ -293,12 +297,12 @@ def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.
 def period_two_orbit(harmonics: int) -> fc.PeriodicSolution:
     """The bilinear oscillator's orbit of twice the load's period at W = 2 w0, kc = 1."""
     structure, law, omega = oscillator(), fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
-    once = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, subharmonic=2)
-    disturbed = once.gap_coefficients.copy()
-    disturbed[1] += 0.3
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, subharmonic=2)
+    start_gap = solution.gap_coefficients.copy()
+    start_gap[1] += 0.3
     return fc.solve_harmonic_balance(
         structure, omega, law, harmonics=harmonics, subharmonic=2,
-        initial=replace(once, gap_coefficients=disturbed),
+        initial=replace(solution, gap_coefficients=start_gap),
     )  # fmt: skip
 
 
@@ -314,9 +318,9 @@ def passing_angles(
 
 def resized(rows: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients a0, a1, b1, ... cut off or padded with zeros to a number of harmonics."""
-    padded = np.zeros((2 * harmonics + 1, *rows.shape[1:]))
-    padded[: len(rows)] = rows[: len(padded)]
-    return padded
+    padded_rows = np.zeros((2 * harmonics + 1, *rows.shape[1:]))
+    padded_rows[: len(rows)] = rows[: len(padded_rows)]
+    return padded_rows
 
 
 def mean_square(rows: np.ndarray) -> float:
@@ -361,10 +365,10 @@ def log_slope(sizes: Any, errors: Any) -> float:
 def true_error(found: fc.PeriodicSolution, exact: fc.PeriodicSolution) -> float:
     """Root mean square of the gaps' difference relative to what of B^T u moves, by coefficients."""
     harmonics = max(found.harmonics, exact.harmonics)
-    one, two = (resized(s.gap_coefficients, harmonics) for s in (found, exact))
+    gap_rows, two = (resized(s.gap_coefficients, harmonics) for s in (found, exact))
     means = float(np.sum((two[0] + exact.structure.clearance) ** 2))
-    moving = mean_square(two) - float(np.sum(two[0] ** 2))
-    return float(np.sqrt(mean_square(one - two) / (moving + min(moving, means))))
+    variance = mean_square(two) - float(np.sum(two[0] ** 2))
+    return float(np.sqrt(mean_square(gap_rows - two) / (variance + min(variance, means))))
 
 
 # --- a Duffing oscillator with one harmonic or more -----------------------------------------------
@@ -379,18 +383,18 @@ def duffing() -> fc.Structure:
 def newton_roots(system: Any, starts: int = 400) -> list[np.ndarray]:
     """The distinct solutions that Newton's method finds from random starts of many sizes."""
     size = np.linalg.norm(system.linear_gap)
-    rng, found = np.random.default_rng(0), list[np.ndarray]()
+    rng, roots = np.random.default_rng(0), list[np.ndarray]()
     for _ in range(starts):
         gap = rng.normal(size=system.shape)
         gap *= size * 10.0 ** rng.uniform(-1.0, 1.0) / np.linalg.norm(gap)
         for _ in range(100):
-            at = system.linearise(gap)
-            if np.linalg.norm(at.residual) < 1e-11 * np.linalg.norm(gap):
-                if all(np.linalg.norm(gap - other) > 1e-6 * size for other in found):
-                    found.append(gap)
+            linearisation = system.linearise(gap)
+            if np.linalg.norm(linearisation.residual) < 1e-11 * np.linalg.norm(gap):
+                if all(np.linalg.norm(gap - known_root) > 1e-6 * size for known_root in roots):
+                    roots.append(gap)
                 break
-            gap = gap - at.solve(at.residual)
-    return found
+            gap = gap - linearisation.solve(linearisation.residual)
+    return roots
 
 
 def duffing_system(harmonics: int, samples: int) -> Any:
@@ -428,8 +432,8 @@ def few_frames() -> Iterator[pytest.MonkeyPatch]:
     """Periods that are drawn or written have four frames instead of 36; and a monkeypatch."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("animation.animate_period", "vtk.write_period"):
-            whole = getattr(fc, name.partition(".")[2])
-            patch.setattr(f"fenics_crack.draw.{name}", partial(whole, frames=4))
+            function = getattr(fc, name.partition(".")[2])
+            patch.setattr(f"fenics_crack.draw.{name}", partial(function, frames=4))
         yield patch
 
 
@@ -439,7 +443,7 @@ def rows_of_the_paper() -> dict[str, list[str]]:
     text, _, _ = (ROOT / "docs" / "the_paper.md").read_text().partition("\n## The yardstick")
     lines = [line for line in text.splitlines() if line.startswith("| ")]
     cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
-    return {first: rest for first, *rest in cells if first}
+    return {row_name: rest for row_name, *rest in cells if row_name}
 
 
 def assert_found(name: str, *numbers: str) -> None:

@@ -73,8 +73,8 @@ def command(program: str | Path, ranks: int) -> list[str]:
 def environment() -> dict[str, str]:
     """What ranks need besides: a program of theirs can import the test files."""
     tests = ROOT / "tests"
-    inner = (item for item in tests.iterdir() if item.is_dir())
-    folders = [tests, *inner, ROOT / "benchmarks", ROOT, os.environ.get("PYTHONPATH", "")]
+    test_folders = (item for item in tests.iterdir() if item.is_dir())
+    folders = [tests, *test_folders, ROOT / "benchmarks", ROOT, os.environ.get("PYTHONPATH", "")]
     search = os.pathsep.join(filter(None, map(str, folders)))
     return os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": search}
 
@@ -136,12 +136,12 @@ class Ranks:
         """Let both call back."""
         place = self.folder / "socket"
         place.unlink(missing_ok=True)
-        with socket.socket(socket.AF_UNIX) as door, open(self.folder / "said", "wb") as said:
+        with socket.socket(socket.AF_UNIX) as door, open(self.folder / "said", "wb") as log_file:
             door.bind(str(place))
             door.listen()
             self.process = subprocess.Popen(
                 command(f"import ranks; ranks.serve({str(place)!r})", 2),
-                env=environment(), stdin=subprocess.DEVNULL, stdout=said, stderr=said,
+                env=environment(), stdin=subprocess.DEVNULL, stdout=log_file, stderr=log_file,
             )  # fmt: skip
             self.lines = [Connection(self.accepted(door).detach()) for _ in range(2)]
 
@@ -156,21 +156,21 @@ class Ranks:
 
     def answers(self) -> list[Any]:
         """What the ranks return, the first one's first."""
-        found: dict[int, Any] = {}
+        results: dict[int, Any] = {}
         until = time.monotonic() + LIMIT
-        waiting = list(self.lines)
-        while waiting:
-            ready = wait(waiting, max(0.0, until - time.monotonic()))
+        waiting_lines = list(self.lines)
+        while waiting_lines:
+            ready = wait(waiting_lines, max(0.0, until - time.monotonic()))
             assert ready, f"not finished after {LIMIT:g} s{self.printed()}"
             for line in ready:
-                waiting.remove(line)  # type: ignore[arg-type]
+                waiting_lines.remove(line)  # type: ignore[arg-type]
                 try:
-                    rank, returned, failure = line.recv()  # type: ignore[union-attr]
+                    rank, result, failure = line.recv()  # type: ignore[union-attr]
                 except EOFError:
                     raise AssertionError(f"a rank has ended{self.printed()}") from None
                 assert not failure, f"on rank {rank}:\n{failure}{self.printed()}"
-                found[rank] = returned
-        return [found[rank] for rank in sorted(found)]
+                results[rank] = result
+        return [results[rank] for rank in sorted(results)]
 
     def printed(self) -> str:
         """The end of what both have printed."""
@@ -200,10 +200,10 @@ def serve(place: str) -> None:
                 sent = line.recv_bytes()
             except EOFError:
                 return
-            found, failure = None, ""
+            result, failure = None, ""
             try:
                 function, arguments = pickle.loads(sent)
-                found = function(*arguments, comm)
+                result = function(*arguments, comm)
             except BaseException:
                 failure = traceback.format_exc()
-            line.send((comm.rank, found if comm.rank == 0 else None, failure))
+            line.send((comm.rank, result if comm.rank == 0 else None, failure))

@@ -56,13 +56,13 @@ def time_limit() -> Iterator[None]:
     def too_long(number: int, frame: object) -> None:
         raise AssertionError(f"not done after {LONGEST} s")
 
-    before = signal.signal(signal.SIGPROF, too_long)
+    earlier_handler = signal.signal(signal.SIGPROF, too_long)
     signal.setitimer(signal.ITIMER_PROF, LONGEST)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
+        signal.signal(signal.SIGPROF, earlier_handler)
 
 
 def check_error(error: InputError) -> None:
@@ -154,8 +154,8 @@ def test_what_nobody_foresaw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     code, errors = call(["check", path])
     assert (code, errors.count("\n")) == (2, 1)
     assert errors == f"fenics-crack: scene = {path!r}: must be a TOML file (of a library)\n"
-    code, told = call(["check", path, "--verbose"])
-    assert code == 2 and told.startswith("Traceback") and told.endswith(errors)
+    code, printed_text = call(["check", path, "--verbose"])
+    assert code == 2 and printed_text.startswith("Traceback") and printed_text.endswith(errors)
 
 
 def test_a_path_that_cannot_be() -> None:
@@ -298,8 +298,8 @@ def test_scenes_that_failed(changes: dict[str, Any]) -> None:
 
 def test_a_crack_tip_too_fine() -> None:
     """The element at the tip has a size that gmsh can mesh and the matrices can hold."""
-    graded = {"layout": "graded", "cells": "triangle", "size": 0.1, "lip_elements": 3}
-    scene = Scene.from_mapping(TINY | {"mesh": graded | {"grading": 1e6}})
+    mesh_table = {"layout": "graded", "cells": "triangle", "size": 0.1, "lip_elements": 3}
+    scene = Scene.from_mapping(TINY | {"mesh": mesh_table | {"grading": 1e6}})
     with pytest.raises(InputError, match=r"mesh\.grading"):
         fc.solve(scene.replace({"crack.length": 1e-4}))
 
@@ -325,8 +325,8 @@ def test_a_surface_in_two_groups(tmp_path: Path) -> None:
         )
     )
     assert double.read_text().count(" 2 1 7 ") == 1
-    once, twice = (fc.solve(scene_of_file(p)).result for p in (path, double))
-    np.testing.assert_allclose(once.gap_coefficients, twice.gap_coefficients, rtol=1e-9)
+    single_solution, twice = (fc.solve(scene_of_file(p)).result for p in (path, double))
+    np.testing.assert_allclose(single_solution.gap_coefficients, twice.gap_coefficients, rtol=1e-9)
 
 
 # --- matrices -------------------------------------------------------------------------------------
@@ -340,14 +340,14 @@ def balance_or_refuse(arguments: dict[str, Any], options: dict[str, Any]) -> Non
     with time_limit(), np.errstate(all="ignore"):
         try:
             structure = fc.Structure.from_matrices(**arguments)
-            found = fc.solve_harmonic_balance(structure, **options)
+            solution = fc.solve_harmonic_balance(structure, **options)
         except InputError as error:
             check_error(error)
         except ConvergenceError:
             pass
         else:
-            assert np.all(np.isfinite(found.displacement_coefficients))
-            assert np.all(np.isfinite(found.gap_coefficients))
+            assert np.all(np.isfinite(solution.displacement_coefficients))
+            assert np.all(np.isfinite(solution.gap_coefficients))
 
 
 ODD = [

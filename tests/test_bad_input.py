@@ -338,29 +338,41 @@ def test_bad_input_is_one_line(
     line: str, message: str, folder: Path, run_command: RunCommand
 ) -> None:
     """Exit code 2, and what was found and what may stand there on standard error."""
-    for name, listed in LISTS.items():
-        message = message.replace(name, listed)
+    for name, list_items in LISTS.items():
+        message = message.replace(name, list_items)
     arguments: list[str] = []
     for word in line.split():
         arguments += ["--set", word] if "=" in word or word in SETTINGS else [word]
-    read = run_command(*arguments, code=2)
-    written = list(Path("output").glob("*/*"))
-    assert not read.out and (not written or line.startswith("timing"))  # which writes arrivals
-    said, _, _ = (errors := read.err).partition("for example:")
-    error, *further = [row for row in said.splitlines() if not row.startswith("remark: ")]
+    process = run_command(*arguments, code=2)
+    written_files = list(Path("output").glob("*/*"))
+    assert not process.out and (
+        not written_files or line.startswith("timing")
+    )  # which writes arrivals
+    error_text, _, _ = (errors := process.err).partition("for example:")
+    error, *further = [row for row in error_text.splitlines() if not row.startswith("remark: ")]
     assert error.startswith(f"fenics-crack: {message}")
-    assert all(one.startswith("fenics-crack: ") for one in further)
-    assert [one.split()[1] for one in further] == FURTHER.get(line, "").split()
-    shown = [row for row in errors.splitlines() if not row.startswith("remark: ")][
+    assert all(further_message.startswith("fenics-crack: ") for further_message in further)
+    assert [further_message.split()[1] for further_message in further] == FURTHER.get(
+        line, ""
+    ).split()
+    error_rows = [row for row in errors.splitlines() if not row.startswith("remark: ")][
         1 + len(further) :
     ]
-    lines = [one for one in (error, *further) if " is missing: must be" in one]
-    tables = [one.split()[1] for one in lines]
-    lacks = [one for one in tables if any(f"{name}.".startswith(f"{one}.") for name in TABLES)]
-    assert shown[:2] == (["for example:", ""] if lacks else [])
+    lines = [
+        further_message
+        for further_message in (error, *further)
+        if " is missing: must be" in further_message
+    ]
+    tables = [further_message.split()[1] for further_message in lines]
+    lacks = [
+        further_message
+        for further_message in tables
+        if any(f"{name}.".startswith(f"{further_message}.") for name in TABLES)
+    ]
+    assert error_rows[:2] == (["for example:", ""] if lacks else [])
     if lacks:  # lines that a new scene has, some of them commented out
-        assert shown[2].startswith((f"[{lacks[0]}]", f"[{lacks[0]}.")) and len(shown) > 3
-        for words in (line.split("#")[0].strip() for line in shown[2:]):
+        assert error_rows[2].startswith((f"[{lacks[0]}]", f"[{lacks[0]}.")) and len(error_rows) > 3
+        for words in (line.split("#")[0].strip() for line in error_rows[2:]):
             assert words in TEMPLATE or lacks == ["curve"]  # that of this scene
 
 
@@ -375,20 +387,20 @@ SETTINGS = ("crack.length",)
 @pytest.mark.parametrize("name", ["scene.py", "fields.py"])
 def test_every_message_of_the_scene_is_in_the_table(name: str) -> None:
     """A check that is added to the scene needs a line above."""
-    shown = "\n".join(message for _, message in TABLE)
+    table_text = "\n".join(message for _, message in TABLE)
     tree = ast.parse((ROOT / "fenics_crack" / "scene" / name).read_text(encoding="utf-8"))
-    missing = []
+    missing_messages = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and node.args:
-            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if called in ("InputError", "require", "given", "holds"):
+            function_name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if function_name in ("InputError", "require", "given", "holds"):
                 words = [
                     part.value
-                    for part in ast.walk(node.args[0 if called == "holds" else -1])
+                    for part in ast.walk(node.args[0 if function_name == "holds" else -1])
                     if isinstance(part, ast.Constant) and isinstance(part.value, str)
                 ]
                 longest = max(words, key=len, default="")
                 longest = longest.strip("' ").removeprefix("left out")
-                if longest not in shown and longest not in ("allowed", "a"):
-                    missing.append(longest)
-    assert not missing
+                if longest not in table_text and longest not in ("allowed", "a"):
+                    missing_messages.append(longest)
+    assert not missing_messages

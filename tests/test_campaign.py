@@ -73,12 +73,12 @@ def test_tolerance_is_met_by_an_exact_orbit(number: int) -> None:
 def test_is_not_called_stable(number: int) -> None:
     """Nor unstable: no orbit is found."""
     case = campaign.draw(1, number)
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    verdict = fc.floquet(case.structure, found).verdict
+    verdict = fc.floquet(case.structure, solution).verdict
     assert verdict in ("irregular", "undecided")
-    assert campaign.judge(case, found, "solution", verdict).judgement != campaign.WRONG
+    assert campaign.judge(case, solution, "solution", verdict).judgement != campaign.WRONG
 
 
 def test_short_ranges_in_which_a_light_damping_is_overcome() -> None:
@@ -89,12 +89,12 @@ def test_short_ranges_in_which_a_light_damping_is_overcome() -> None:
     curve = campaign.followed(case)
     kinds = [one.kind for one in curve.bifurcations]
     assert kinds == ["period_doubling"] * 2 + ["neimark_sacker"] * 2 + ["period_doubling"] * 2
-    outside = np.flatnonzero(curve.verdicts == "unstable")
-    assert len(outside) >= 6
-    for place in sorted({*(outside - 1), *outside, *(outside + 1)}):
-        found = curve.solution(int(place))
-        orbit, off = campaign.exact_orbit(case, found)
-        assert orbit is not None and off < 2.0 * campaign.estimate(found)
+    unstable_indices = np.flatnonzero(curve.verdicts == "unstable")
+    assert len(unstable_indices) >= 6
+    for place in sorted({*(unstable_indices - 1), *unstable_indices, *(unstable_indices + 1)}):
+        solution = curve.solution(int(place))
+        orbit, distance = campaign.exact_orbit(case, solution)
+        assert orbit is not None and distance < 2.0 * campaign.estimate(solution)
         leaves = float(np.abs(orbit.multipliers).max()) > 1.0
         assert curve.verdicts[place] == ("unstable" if leaves else "stable")
 
@@ -104,8 +104,8 @@ def test_orbit_with_near_gaps_and_another_state_does_not_judge() -> None:
     """Six masses, two stiff pairs, over the clearance: next to the last point are three stable
     orbits, 0.2 % away and more by their gaps, which hardly see what the two highest modes do."""
     case = campaign.draw(90, 25, "parameter")
-    found = {one.judgement for one in campaign.parameters(case)}
-    assert "right" in found and "WRONG" not in found
+    judgements = {finding_row.judgement for finding_row in campaign.parameters(case)}
+    assert "right" in judgements and "WRONG" not in judgements
 
 
 @pytest.mark.parametrize("number", [18, pytest.param(90, marks=pytest.mark.nightly), 92])
@@ -123,11 +123,11 @@ def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
     """One stiff pair, H = 5, error 8.6 %: stable by its harmonics; the orbit next to it has a
     multiplier of 6.3 by the reference, which takes half a minute."""
     case = campaign.draw(76, 19, None, "smooth")
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    stability = fc.floquet(case.structure, found)
-    assert found.report.truncation == pytest.approx(0.0857, rel=0.01)
+    stability = fc.floquet(case.structure, solution)
+    assert solution.report.truncation == pytest.approx(0.0857, rel=0.01)
     assert abs(stability.multipliers[0]) < 1.0 and stability.verdict == "undecided"
     assert "the truncated harmonics change it by 8.6 %" in stability.reason
 
@@ -187,14 +187,22 @@ def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(
     """Which each of them has by itself, and the reference confirms for some."""
     case = campaign.draw(seed, number, None, family or campaign.family_of(seed, number))
     curve = campaign.followed(case, 0.1 if case.family == "few" else 0.03)
-    chosen = places(curve).tolist()
-    alone = {place: fc.floquet(case.structure, curve.solution(place)).verdict for place in chosen}
-    both = [one for one in chosen if "undecided" not in (alone[one], curve.verdicts[one])]
-    assert {curve.verdicts[place] for place in both} == expected and len(both) > 0.8 * len(chosen)
+    chosen_places = places(curve).tolist()
+    verdict_by_place = {
+        place: fc.floquet(case.structure, curve.solution(place)).verdict for place in chosen_places
+    }
+    decided_places = [
+        one
+        for one in chosen_places
+        if "undecided" not in (verdict_by_place[one], curve.verdicts[one])
+    ]
+    assert {curve.verdicts[place] for place in decided_places} == expected and len(
+        decided_places
+    ) > 0.8 * len(chosen_places)
     assert kinds is None or [one.kind for one in curve.bifurcations] == kinds
-    for place in both:
-        assert curve.verdicts[place] == alone[place], place
-    for place in both[:: min(6, len(both) // 4)]:
+    for place in decided_places:
+        assert curve.verdicts[place] == verdict_by_place[place], place
+    for place in decided_places[:: min(6, len(decided_places) // 4)]:
         row = campaign.judge(case, curve.solution(place), "point", str(curve.verdicts[place]))
         assert row.judgement != campaign.WRONG, row
 
@@ -209,27 +217,31 @@ def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -
 @pytest.mark.parametrize(("family", "pairs"), [("mass", (5, 10)), ("plate", (8, 61))])
 def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, int]) -> None:
     """Drawn twice it is the same, with as many pairs as its family has."""
-    one, two = (campaign.draw(1, 1, family=family) for _ in range(2))
-    assert (one.omega, one.kind, one.harmonics) == (two.omega, two.kind, two.harmonics)
-    assert pairs[0] <= one.structure.n_pairs <= pairs[1]
-    assert one.structure.light_lips == (family == "plate")
+    first_case, two = (campaign.draw(1, 1, family=family) for _ in range(2))
+    assert (first_case.omega, first_case.kind, first_case.harmonics) == (
+        two.omega,
+        two.kind,
+        two.harmonics,
+    )
+    assert pairs[0] <= first_case.structure.n_pairs <= pairs[1]
+    assert first_case.structure.light_lips == (family == "plate")
 
 
 def test_tolerance_that_says_that_it_is_missed() -> None:
     """It is no wrong answer unless its stated error is; one that does not say so is."""
     case = campaign.draw(1, 1, "solution")
-    found = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
-    assert found.report.truncation == pytest.approx(1.02e-2, rel=0.05)
+    solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
+    assert solution.report.truncation == pytest.approx(1.02e-2, rel=0.05)
 
     def judged(status: str, share: float = 1.0) -> str:
-        report = replace(found.report, truncation=share * found.report.truncation)
-        told = replace(found, status=status).reported(report)
-        return campaign.judge(case, told, "tolerance", "-", 1e-9).judgement
+        report = replace(solution.report, truncation=share * solution.report.truncation)
+        reported_solution = replace(solution, status=status).reported(report)
+        return campaign.judge(case, reported_solution, "tolerance", "-", 1e-9).judgement
 
-    missed = "solved; error 1 %, 1e-07 % was asked; what helps: "
-    assert judged(missed + "modes") == campaign.LIMITED
-    assert judged(missed + "more damping") == campaign.UNCONVERGED
-    assert judged("converged") == judged(missed + "modes", 0.1) == campaign.WRONG
+    missed_text = "solved; error 1 %, 1e-07 % was asked; what helps: "
+    assert judged(missed_text + "modes") == campaign.LIMITED
+    assert judged(missed_text + "more damping") == campaign.UNCONVERGED
+    assert judged("converged") == judged(missed_text + "modes", 0.1) == campaign.WRONG
 
 
 @pytest.mark.nightly
@@ -252,13 +264,13 @@ def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert campaign.read(path) == [json.loads(json.dumps(kept))]
     row = kept["rows"][0] | {"true": 1e-3, "estimate": 1e-3, "pred": 1e-4}
     row |= {"verdict": "stable", "asked": float("nan")}
-    met = row | {"asked": 1e-2, "verdict": "-"}
-    wrong = row | {"true": 1e-2, "judgement": campaign.WRONG}
-    rows = [one | {"of": kept} for one in (row, met, wrong)]
+    met_row = row | {"asked": 1e-2, "verdict": "-"}
+    wrong_row = row | {"true": 1e-2, "judgement": campaign.WRONG}
+    rows = [one | {"of": kept} for one in (row, met_row, wrong_row)]
     table = dict(zip(campaign.COLUMNS, campaign.line("few", rows), strict=True))
     assert (table["answers"], table["WRONG"], table["stable > 3 pred"]) == (3, 1, 2)
     assert table["tolerances met"] == "1 of 1" and table["undecided %"] == "0.0"
-    campaign.summarise([kept | {"rows": [row, wrong]}])
+    campaign.summarise([kept | {"rows": [row, wrong_row]}])
     printed = capsys.readouterr().out
     assert "few" in printed and "Wrong" in printed
 
@@ -275,8 +287,8 @@ def test_orbit_that_newton_s_method_does_not_find(number: int) -> None:
     )
     orbit, flow = found.orbit, case.flow(case.structure)
     state = campaign.state_of(orbit, flow)
-    after = flow.advance(state, case.omega, 0.0, orbit.period).state
-    assert np.linalg.norm(after - state) < 1e-6 * np.linalg.norm(state)
+    later_state = flow.advance(state, case.omega, 0.0, orbit.period).state
+    assert np.linalg.norm(later_state - state) < 1e-6 * np.linalg.norm(state)
 
 
 @pytest.mark.nightly
@@ -284,13 +296,13 @@ def test_large_error_is_stated_from_the_prediction() -> None:
     """Where no orbit is found, with a reason that says so. Two steps estimated 7 %, the
     second a quarter of the first; the exact orbit is 40 % away."""
     case = campaign.draw(1, 553)
-    found = fc.solve_harmonic_balance(
+    solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    assert not found.report.confirmed
-    assert found.report.truncation == stated_error(found.assessment.predicted_error)
-    assert 0.4 < found.report.truncation < campaign.UNKNOWN
-    reason = fc.floquet(case.structure, found).reason
+    assert not solution.report.confirmed
+    assert solution.report.truncation == stated_error(solution.assessment.predicted_error)
+    assert 0.4 < solution.report.truncation < campaign.UNKNOWN
+    reason = fc.floquet(case.structure, solution).reason
     assert "no orbit was found" in reason or "no exact orbit was found" in reason
 
 
@@ -322,9 +334,9 @@ def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
     """Ten times as far, of 39 rigid pairs; twice the harmonics leave a fortieth of it. The error
     was unknown. The verdict is open: the reason has that of the orbit."""
     case = campaign.draw(79, 803, family="inner")
-    found = fc.solve_harmonic_balance(case.structure, 12129.7687, case.law, harmonics=20)
-    stability = fc.floquet(case.structure, found)
-    row = campaign.judge(case, found, "solution", stability.verdict)
+    solution = fc.solve_harmonic_balance(case.structure, 12129.7687, case.law, harmonics=20)
+    stability = fc.floquet(case.structure, solution)
+    row = campaign.judge(case, solution, "solution", stability.verdict)
     assert row.judgement == campaign.UNDECIDED, row
     assert "nearest exact orbit, which is stable" in stability.reason
     assert stability.reason.endswith("it may be another motion")
@@ -338,8 +350,8 @@ def test_fold_as_narrow_as_the_error() -> None:
     case = campaign.draw(82, 225)
     curve = campaign.followed(case, tolerance=campaign.TOLERANCE, longest_step=0.01)
     verdicts = curve.verdicts
-    turned = np.flatnonzero(np.sign(np.diff(curve.omega)) != np.sign(np.diff(curve.omega)[0]))
-    places = [*turned[::4], turned[0] - 8, turned[-1] + 20]
+    fold_indices = np.flatnonzero(np.sign(np.diff(curve.omega)) != np.sign(np.diff(curve.omega)[0]))
+    places = [*fold_indices[::4], fold_indices[0] - 8, fold_indices[-1] + 20]
     rows = [
         campaign.judge(case, curve.solution(int(place)), "point", str(verdicts[place]))
         for place in places

@@ -52,20 +52,20 @@ def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert frequencies["bonded"][0] == pytest.approx(3324.7, abs=0.5)
     assert frequencies["bonded"][0] < frequencies["uncracked"][0]
 
-    agreeing, paper = summary["agreeing"], summary["paper"]
-    assert agreeing["direct_integration"]["settled"]
-    assert agreeing["difference_of_methods"] < 0.01
-    many, five = agreeing["harmonic_balance"], paper["harmonic_balance"]
+    agreeing_summary, paper = summary["agreeing"], summary["paper"]
+    assert agreeing_summary["direct_integration"]["settled"]
+    assert agreeing_summary["difference_of_methods"] < 0.01
+    many, five = agreeing_summary["harmonic_balance"], paper["harmonic_balance"]
     assert many["gap_harmonic_1_m"] == pytest.approx(7.4182e-7, rel=1e-3)
     assert many["largest_opening_m"] == pytest.approx(1.4520e-6, rel=2e-3)
-    assert many["error_of_gap"] < 2e-3 and agreeing["exact_orbit"]["verdict"] == "stable"
+    assert many["error_of_gap"] < 2e-3 and agreeing_summary["exact_orbit"]["verdict"] == "stable"
     assert paper["exact_orbit"]["verdict"] == "unstable"
     assert not paper["direct_integration"]["settled"]
     assert paper["direct_integration"]["energy_created_by_contact"] < 0.1
     assert paper["block_system"]["difference"] < 1e-10
     assert paper["block_system"]["unknowns"] == 50 * 11 + 50 * 10  # displacements, damped modes
-    low, high = paper["direct_integration"]["amplitudes_m"]
-    assert low < paper["exact_orbit"]["amplitude_m"] < high
+    lower_amplitude, upper_amplitude = paper["direct_integration"]["amplitudes_m"]
+    assert lower_amplitude < paper["exact_orbit"]["amplitude_m"] < upper_amplitude
 
     answer = "\n".join(capsys.readouterr().out.splitlines()[-10:])
     for words in (
@@ -88,7 +88,7 @@ def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     for words in ("unknown", "undecided", "not known"):
         assert words not in answer.replace("unknowns", "") + text.replace('"unknowns"', "")
 
-    linear, start = paper["linear"], agreeing["start_up"]
+    linear, start = paper["linear"], agreeing_summary["start_up"]
     assert start["difference_of_central_differences"] < 0.01
     assert paper["direct_integration"]["corner_crossings_per_period"] == pytest.approx(
         1.0, abs=0.01
@@ -96,14 +96,18 @@ def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert_found("Figure 1", "2302.9", "3324.7", f"{frequencies['uncracked'][0]:.1f}")
     sizes = [f"{1e6 * linear[place]:.3f} um" for place in ("gap_m", "corner_m")]
     assert_found("Figure 3", *sizes, f"{linear['correlation']:.6f}")
-    opening, deep = 1e6 * five["largest_opening_m"], 1e9 * five["largest_penetration_m"]
-    assert_found("Figure 5", f"{opening:.3f} um", f"{deep:.2f} nm")
+    opening, depth_nm = 1e6 * five["largest_opening_m"], 1e9 * five["largest_penetration_m"]
+    assert_found("Figure 5", f"{opening:.3f} um", f"{depth_nm:.2f} nm")
     sides = [f"{1e6 * side:.3f}" for side in paper["corner_m"]]
     assert_found("Figure 6", *sides, sizes[1], f"{1e6 * paper['uncracked_corner_m']:.3f} um")
-    assert_found("Figures 7, 8", f"{agreeing['difference_of_methods']:.1%}".replace("%", " %"))
+    assert_found(
+        "Figures 7, 8", f"{agreeing_summary['difference_of_methods']:.1%}".replace("%", " %")
+    )
     assert_found("summary", f"{100.0 * many['error_of_gap']:.2f} %")
-    off = [f"{100.0 * abs(five[name]):.1f} %" for name in ("error_of_amplitude", "error_of_gap")]
-    assert_found("few harmonics", *off)
+    error_texts = [
+        f"{100.0 * abs(five[name]):.1f} %" for name in ("error_of_amplitude", "error_of_gap")
+    ]
+    assert_found("few harmonics", *error_texts)
 
     figures = ["fig1_plate", "fig4_contact_laws", "modes", "agreeing/fig2_from_rest"]
     figures += ["agreeing/fig7_fig8_both_methods", "paper/fig2_from_rest", "paper/fig3_linear"]
@@ -134,9 +138,9 @@ def swept(folder: Path, comm: object) -> str:
     """What the demo of sweeps says with fewer cases (collective)."""
     over = {"crack.length": [0.03, 0.05], "excitation.omega": [1600.0, 1800.0, 2000.0]}
     demo = load("sweep")
-    with contextlib.redirect_stdout(io.StringIO()) as said:
+    with contextlib.redirect_stdout(io.StringIO()) as output_stream:
         demo.main(folder, fc.Scene.load(demo.SCENE).replace({"sweep.over": over}))
-    return said.getvalue()
+    return output_stream.getvalue()
 
 
 @pytest.mark.nightly
@@ -193,29 +197,34 @@ def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert height == pytest.approx(np.interp(omega, curve.omega, amplitude), rel=0.02)
     pictures = ["multipliers.png"]
     pictures += [f"{name}{part}.png" for name in demo.HARMONICS for part in ("", "_content")]
-    before = {name: (tmp_path / name).read_bytes() for name in pictures}
+    earlier_pictures = {name: (tmp_path / name).read_bytes() for name in pictures}
     for name in pictures:
         (tmp_path / name).unlink()
     monkeypatch.setattr(fc, "continue_frequency", None)
     monkeypatch.setattr(fc, "integrate_events", None)
     again = demo.main(tmp_path, again=True)
     assert np.array_equal(again.omega, curve.omega)
-    assert {name: (tmp_path / name).read_bytes() for name in pictures} == before
+    assert {name: (tmp_path / name).read_bytes() for name in pictures} == earlier_pictures
 
 
 @pytest.mark.nightly
 def test_blade(tmp_path: Path) -> None:
     """A cracked blade on a rotor, coarsely: the run-up peaks between open and bonded crack,
     rotation opens it, and tip timing finds most of the vibration."""
-    found = load("blade").main(tmp_path, quick=True)
-    low, high = found["order meets open crack [rpm]"], found["order meets bonded crack [rpm]"]
-    assert low < found["at [rpm]"] < high
-    assert low < found["order meets breathing crack [rpm]"] < high
-    assert found["duty cycle, slow and pressed"] > 0.3
-    assert found["duty cycle, fast and free"] == 0.0
-    assert 0.1 < found["contact duty cycle there"] < 0.6
-    seen = found["largest amplitude by tip timing [m]"] / found["largest amplitude [m]"]
-    assert 0.5 < seen < 1.05  # groups of revolutions blur the peak
+    numbers = load("blade").main(tmp_path, quick=True)
+    open_rpm, bonded_rpm = (
+        numbers["order meets open crack [rpm]"],
+        numbers["order meets bonded crack [rpm]"],
+    )
+    assert open_rpm < numbers["at [rpm]"] < bonded_rpm
+    assert open_rpm < numbers["order meets breathing crack [rpm]"] < bonded_rpm
+    assert numbers["duty cycle, slow and pressed"] > 0.3
+    assert numbers["duty cycle, fast and free"] == 0.0
+    assert 0.1 < numbers["contact duty cycle there"] < 0.6
+    tip_timing_ratio = (
+        numbers["largest amplitude by tip timing [m]"] / numbers["largest amplitude [m]"]
+    )
+    assert 0.5 < tip_timing_ratio < 1.05  # groups of revolutions blur the peak
     for name in ("campbell", "run_up", "closed", "map", "arrivals", "probes"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
@@ -224,14 +233,14 @@ def test_blade(tmp_path: Path) -> None:
 def test_solid_blade(tmp_path: Path) -> None:
     """A twisted blade on the coarse mesh: flap and torsion, a run-up whose peak the closing crack
     bends over a fold, and every picture."""
-    found = load("solid_blade").main(tmp_path, quick=True)
-    flap = found["flap, crack open [Hz]"], found["flap, crack bonded [Hz]"]
+    numbers = load("solid_blade").main(tmp_path, quick=True)
+    flap = numbers["flap, crack open [Hz]"], numbers["flap, crack bonded [Hz]"]
     assert flap == pytest.approx((398.3, 407.9), rel=2e-3)
-    assert found["torsion, crack open [Hz]"] == pytest.approx(1760.6, rel=2e-3)
-    assert 4.0 * found["at [rpm]"] / 60.0 == pytest.approx(np.mean(flap), abs=0.4 * np.ptp(flap))
-    assert 1e-3 < found["largest amplitude [m]"] < 4e-3
-    assert 0.1 < found["contact duty cycle there"] < 0.3
-    assert 0.05 < found["unstable share of the points"] < 0.4
+    assert numbers["torsion, crack open [Hz]"] == pytest.approx(1760.6, rel=2e-3)
+    assert 4.0 * numbers["at [rpm]"] / 60.0 == pytest.approx(np.mean(flap), abs=0.4 * np.ptp(flap))
+    assert 1e-3 < numbers["largest amplitude [m]"] < 4e-3
+    assert 0.1 < numbers["contact duty cycle there"] < 0.3
+    assert 0.05 < numbers["unstable share of the points"] < 0.4
     for name in ("mesh", "modes", "run_up", "contact", "spectrum"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     assert (tmp_path / "breathing.gif").stat().st_size > 100_000
@@ -243,17 +252,17 @@ def test_flapping_blade(tmp_path: Path) -> None:
     """A blade in flap: its crack, open for half of a period, bears most at the surface, where it
     grows fastest; friction changes next to nothing. With another mesh, K to some percent."""
     scene = fc.Scene.load(DEMOS / "flapping_blade.toml")
-    found = load("flapping_blade").main(tmp_path, scene.replace({"mesh.lip_elements": 3}))
-    assert found["resonance [Hz]"] == pytest.approx(332.5, rel=5e-3)
-    assert found["amplitude there [m]"] == pytest.approx(1.31e-3, rel=0.02)
+    numbers = load("flapping_blade").main(tmp_path, scene.replace({"mesh.lip_elements": 3}))
+    assert numbers["resonance [Hz]"] == pytest.approx(332.5, rel=5e-3)
+    assert numbers["amplitude there [m]"] == pytest.approx(1.31e-3, rel=0.02)
     # As stated: at least the size of the change of the motion, also at another phase.
-    assert found["friction would change the amplitude by"] < 2e-3
-    assert found["largest K_I [Pa m^0.5]"] == pytest.approx(4.99e6, rel=0.06)
-    deepest = found["largest K_I where the crack is deepest [Pa m^0.5]"]
+    assert numbers["friction would change the amplitude by"] < 2e-3
+    assert numbers["largest K_I [Pa m^0.5]"] == pytest.approx(4.99e6, rel=0.06)
+    deepest = numbers["largest K_I where the crack is deepest [Pa m^0.5]"]
     assert deepest == pytest.approx(2.98e6, rel=0.03)
-    assert found["last depth [m]"] == pytest.approx(0.003) and found["last length [m]"] > 0.016
-    assert 2e6 < found["cycles of growth"] < 5e6
-    assert 1.3 < found["known within a factor of"] < 4.0
+    assert numbers["last depth [m]"] == pytest.approx(0.003) and numbers["last length [m]"] > 0.016
+    assert 2e6 < numbers["cycles of growth"] < 5e6
+    assert 1.3 < numbers["known within a factor of"] < 4.0
     for name in ("curve", "intensity", "contact", "growth"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
@@ -288,12 +297,12 @@ def test_first_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = []
     for cell in [cell for cell in cells if cell["cell_type"] == "code"]:
         assert cell["outputs"] == [] and cell["execution_count"] is None
-        *lines, last = ast.parse("".join(cell["source"])).body
-        if isinstance(last, ast.Expr):
+        *lines, last_statement = ast.parse("".join(cell["source"])).body
+        if isinstance(last_statement, ast.Expr):
             lines.append(ast.parse("shown = 0").body[0])
-            lines[-1].value = last.value
+            lines[-1].value = last_statement.value
         else:
-            lines.append(last)
+            lines.append(last_statement)
         exec(compile(ast.Module(lines, []), "notebook", "exec"), names)
         shown.append(names.pop("shown", None))
     assert shown.pop(0) is None  # the import
@@ -321,11 +330,11 @@ def test_first_notebook_in_jupyter() -> None:
 def test_bladed_disk(tmp_path: Path) -> None:
     """The cracked blade has a resonance of its own, and probes find every amplitude."""
     scene = fc.Scene.load(DEMOS / "bladed_disk.toml").replace({"mesh.size": 0.02})
-    found = load("bladed_disk").main(tmp_path, scene, 100)
-    assert 880.0 < found["resonance of the cracked blade [Hz]"] < 920.0
-    assert found["its second harmonic over the first"] > 0.02
-    assert found["largest amplification by mistuning"] < found["Whitehead's bound"]
-    assert found["tip amplitudes off by at most so many standard errors"] < 4.0
+    numbers = load("bladed_disk").main(tmp_path, scene, 100)
+    assert 880.0 < numbers["resonance of the cracked blade [Hz]"] < 920.0
+    assert numbers["its second harmonic over the first"] > 0.02
+    assert numbers["largest amplification by mistuning"] < numbers["Whitehead's bound"]
+    assert numbers["tip amplitudes off by at most so many standard errors"] < 4.0
     pictures = {"diameters", "blades", "wheel", "amplification"}
     assert {f"{name}.png" for name in pictures} < {path.name for path in tmp_path.iterdir()}
 
@@ -333,12 +342,17 @@ def test_bladed_disk(tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_friction(tmp_path: Path) -> None:
     """Friction halves the peak of the inclined crack; the solution without says so of itself."""
-    found = load("friction").main(tmp_path)
-    free, rubbing = found["peak without friction [m]"], found["peak with friction [m]"]
-    assert 0.45 < rubbing / free < 0.55
-    part = found["friction left out, part of the peak"]
-    assert 0.5 < part / (1.0 - rubbing / free) < 2.0  # 20 modes have another peak than ten
-    assert found["loss by friction over that by damping"] == pytest.approx(0.814, abs=0.005)
+    numbers = load("friction").main(tmp_path)
+    peak_without_friction, peak_with_friction = (
+        numbers["peak without friction [m]"],
+        numbers["peak with friction [m]"],
+    )
+    assert 0.45 < peak_with_friction / peak_without_friction < 0.55
+    part = numbers["friction left out, part of the peak"]
+    assert (
+        0.5 < part / (1.0 - peak_with_friction / peak_without_friction) < 2.0
+    )  # 20 modes have another peak than ten
+    assert numbers["loss by friction over that by damping"] == pytest.approx(0.814, abs=0.005)
     assert {"response.png", "loops.png"} == {path.name for path in tmp_path.iterdir()}
 
 
@@ -347,8 +361,10 @@ def test_own_forms(tmp_path: Path) -> None:
     """The graded plate on springs is slower than that of one modulus which is clamped."""
     solution = load("own_forms").main(tmp_path)
     assert solution.converged and solution.report.total < 1e-2
-    clamped = fc.build_structure(fc.Scene.load(DEMOS / "inclined_crack.toml"))
-    slower, faster = (fc.solve_modes(s, 1).omega[0] for s in (solution.structure.whole, clamped))
+    clamped_structure = fc.build_structure(fc.Scene.load(DEMOS / "inclined_crack.toml"))
+    slower, faster = (
+        fc.solve_modes(s, 1).omega[0] for s in (solution.structure.whole, clamped_structure)
+    )
     assert 0.5 < slower / faster < 0.95
     assert solution.indicators().opening == pytest.approx(3.341e-6, rel=1e-2)
     assert len(list(tmp_path.glob("plate*.pvtu"))) == 20

@@ -43,10 +43,10 @@ def trial(base: Path) -> Iterator[fuzzing.Trial]:
 )  # fmt: skip
 def test_every_input_ends_well(part: str, count: int, trial: fuzzing.Trial) -> None:
     """With a result, a line about the input, or what did not converge."""
-    found = [trial.attempt(part, case, 1) for case in range(count)]
-    assert not [one for one in found if one.wrong]
-    counts = Counter(one.outcome for one in found)
-    assert len(found) == count and min(counts["done"], counts["refused"]) > 2
+    attempts = [trial.attempt(part, case, 1) for case in range(count)]
+    assert not [attempt for attempt in attempts if attempt.wrong]
+    counts = Counter(attempt.outcome for attempt in attempts)
+    assert len(attempts) == count and min(counts["done"], counts["refused"]) > 2
 
 
 @pytest.mark.parametrize(
@@ -58,29 +58,34 @@ def test_every_input_ends_well(part: str, count: int, trial: fuzzing.Trial) -> N
 )  # fmt: skip
 def test_calls_end_well(part: str, count: int, most: int, base: Path, tmp_path: Path) -> None:
     """Of all public names in an InputError, but for a few; of forged files in one, or a result."""
-    found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
-    assert len([one for one in found if one.wrong]) <= most, [one for one in found if one.wrong]
-    assert len(found) == count and sum(one.outcome == "refused" for one in found) > count / 2
+    attempts = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
+    assert len([attempt for attempt in attempts if attempt.wrong]) <= most, [
+        attempt for attempt in attempts if attempt.wrong
+    ]
+    assert (
+        len(attempts) == count
+        and sum(attempt.outcome == "refused" for attempt in attempts) > count / 2
+    )
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_drawn_calls_end_well(tmp_path: Path) -> None:
     """The same of a few, in this process."""
-    wrong = []
+    wrong_calls = []
     for case in range(60):
-        what, attempt = fuzzing.public_call(Random(f"2 {case}"), tmp_path)
+        description, attempt = fuzzing.public_call(Random(f"2 {case}"), tmp_path)
         with np.errstate(all="ignore"):
             code, message = fuzzing.called(attempt)
-        wrong += [f"{what}: {message}"] if code == 1 or "\n" in message else []
-    assert len(wrong) <= 3, wrong
+        wrong_calls += [f"{description}: {message}"] if code == 1 or "\n" in message else []
+    assert len(wrong_calls) <= 3, wrong_calls
 
 
 @pytest.mark.nightly
 def test_inputs_of_the_day(base: Path, tmp_path: Path) -> None:
     """The same with as many inputs as two minutes allow, on each day others."""
     until, seed = time.monotonic() + 120.0, int(time.time()) // 86_400
-    for one in fuzzing.attempts("inputs", itertools.count(), seed, base, tmp_path):
-        assert not one.wrong, one
+    for attempt in fuzzing.attempts("inputs", itertools.count(), seed, base, tmp_path):
+        assert not attempt.wrong, attempt
         if time.monotonic() > until:
             break
 
@@ -96,8 +101,8 @@ def test_a_case_is_always_the_same(base: Path, tmp_path: Path) -> None:
         files = (path for path in sorted(folder.rglob("*.toml")) if path.is_file())
         return words, {path.name: path.read_bytes() for path in files}
 
-    first = [drawn(case) for case in range(5)]
-    assert [drawn(case) for case in reversed(range(5))] == first[::-1]
+    first_draws = [drawn(case) for case in range(5)]
+    assert [drawn(case) for case in reversed(range(5))] == first_draws[::-1]
 
 
 @pytest.mark.parametrize("end", ends.ENDS)
@@ -108,8 +113,10 @@ def test_what_the_process_does_is_seen(
     monkeypatch.setattr(fuzzing, "work", ends.work)
     if end == "TOO LONG":  # a slow machine may take as long to start a process that dies
         monkeypatch.setattr(fuzzing, "SECONDS", 0.1)
-    found = [*fuzzing.attempts(end, range(2), 1, tmp_path)]
-    assert [(one.case, one.outcome, one.wrong) for one in found] == [(n, end, True) for n in (0, 1)]
+    attempts = [*fuzzing.attempts(end, range(2), 1, tmp_path)]
+    assert [(attempt.case, attempt.outcome, attempt.wrong) for attempt in attempts] == [
+        (n, end, True) for n in (0, 1)
+    ]
 
 
 TWO = "fenics-crack: a is missing: must be b\nfenics-crack: c = 1: not allowed\n"

@@ -126,31 +126,35 @@ def imports(module: str) -> list[tuple[str, list[str]]]:
 
     A text that names a module, "study.run:solve" too, counts as an import.
     """
-    found: list[tuple[str, list[str]]] = []
+    module_imports: list[tuple[str, list[str]]] = []
     for node in nodes(module):
         if isinstance(node, ast.Import):
-            found += [(a.name, []) for a in node.names if a.name.startswith("fenics_crack")]
+            module_imports += [
+                (a.name, []) for a in node.names if a.name.startswith("fenics_crack")
+            ]
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_crack"):
             for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                found += [(inner, []) if inner in MODULES else (str(node.module), [alias.name])]
+                full_name = f"{node.module}.{alias.name}"
+                module_imports += [
+                    (full_name, []) if full_name in MODULES else (str(node.module), [alias.name])
+                ]
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             place, colon, _ = node.value.partition(":")
             place = f"fenics_crack.{place}" if colon else place
-            found += [(place, [])] if place in MODULES.keys() - {"fenics_crack"} else []
-    return found
+            module_imports += [(place, [])] if place in MODULES.keys() - {"fenics_crack"} else []
+    return module_imports
 
 
 @cache
 def packages(module: str) -> list[str]:
     """Other packages that a module imports, in the order of its text."""
-    found = []
+    package_names = []
     for node in nodes(module):
         if isinstance(node, ast.Import):
-            found += [(node.lineno, alias.name.split(".")[0]) for alias in node.names]
+            package_names += [(node.lineno, alias.name.split(".")[0]) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            found.append((node.lineno, node.module.split(".")[0]))
-    return [name for _, name in sorted(found)]
+            package_names.append((node.lineno, node.module.split(".")[0]))
+    return [name for _, name in sorted(package_names)]
 
 
 def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
@@ -170,33 +174,33 @@ def names_in(node: ast.AST) -> set[str]:
 
 def test_page_shows_the_folders() -> None:
     """Each folder once."""
-    here = [path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()]
-    assert sorted(floors()) == sorted(here)
+    folder_names = [path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()]
+    assert sorted(floors()) == sorted(folder_names)
 
 
 def test_folders_import_only_from_below() -> None:
     """In that page's order; what stands beside the folders imports from none."""
     order = floors()
-    wrong = []
+    wrong_imports = []
     for module in MODULES.keys() - FACE:
         for target, _ in imports(module):
-            here, there = floor_of(module), floor_of(target)
-            if target in FACE or (there is not None and here is None):
-                wrong.append(f"{module} -> {target}")
-            elif here and there and order.index(here) > order.index(there):
-                wrong.append(f"{module} -> {target}")
-    assert not wrong
+            own_floor, target_floor = floor_of(module), floor_of(target)
+            if target in FACE or (target_floor is not None and own_floor is None):
+                wrong_imports.append(f"{module} -> {target}")
+            elif own_floor and target_floor and order.index(own_floor) > order.index(target_floor):
+                wrong_imports.append(f"{module} -> {target}")
+    assert not wrong_imports
 
 
 def test_wings_stand_at_the_side() -> None:
     """Nothing but the program, its pictures and the face imports one; none imports another."""
-    wrong = [
+    wrong_imports = [
         f"{module} -> {target}"
         for module in MODULES.keys() - FACE
         for target, _ in imports(module)
         if folder_of(target) in WINGS - {folder_of(module)} and folder_of(module) not in ABOVE_WINGS
     ]
-    assert not wrong
+    assert not wrong_imports
 
 
 def test_no_circle_of_files() -> None:
@@ -207,36 +211,38 @@ def test_no_circle_of_files() -> None:
 
 def test_no_private_name_is_imported() -> None:
     """What begins with an underscore is its module's own."""
-    taken = {
+    private_imports = {
         f"{module}: {target}.{name}"
         for module in MODULES
         for target, names in imports(module)
         for name in names
         if name.startswith("_")
     }
-    assert not taken
+    assert not private_imports
 
 
 def test_functions_are_short() -> None:
     """No function is longer than a page or two."""
     lengths = {}
     for place, node in functions():
-        first = node.body[0]
-        told = ast.get_docstring(node) is not None
-        docstring = (first.end_lineno or 0) - first.lineno + 1 if told else 0
+        first_statement = node.body[0]
+        has_docstring = ast.get_docstring(node) is not None
+        docstring = (
+            (first_statement.end_lineno or 0) - first_statement.lineno + 1 if has_docstring else 0
+        )
         lengths[place] = (node.end_lineno or 0) - node.lineno + 1 - docstring
     assert not {place: n for place, n in lengths.items() if n > LONGEST_FUNCTION}
 
 
 def test_functions_take_few_parameters() -> None:
     """Constructors too, self left out; the fields of a dataclass are no parameters."""
-    many = {}
+    long_signatures = {}
     for place, node in functions():
-        given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-        count = len([a for a in given if a.arg not in ("self", "cls")])
+        all_arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        count = len([a for a in all_arguments if a.arg not in ("self", "cls")])
         if count > MAX_PARAMETERS + (node.name in WITH_ONE_MORE):
-            many[place] = count
-    assert not many
+            long_signatures[place] = count
+    assert not long_signatures
 
 
 def opened_in(code: ast.AST, inside: str = "") -> Iterator[tuple[str, str]]:
@@ -249,8 +255,8 @@ def opened_in(code: ast.AST, inside: str = "") -> Iterator[tuple[str, str]]:
             yield inside, words
         elif isinstance(node, ast.Import | ast.ImportFrom):
             module, names = getattr(node, "module", None), {alias.name for alias in node.names}
-            renamed = {alias.name for alias in node.names if alias.asname}
-            hidden = {module} if isinstance(node, ast.ImportFrom) else renamed
+            renamed_imports = {alias.name for alias in node.names if alias.asname}
+            hidden = {module} if isinstance(node, ast.ImportFrom) else renamed_imports
             if hidden & OPENING_MODULES or names & OPENERS.get(str(module), set()):
                 yield inside, ast.unparse(node)
         scope = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
@@ -259,13 +265,13 @@ def opened_in(code: ast.AST, inside: str = "") -> Iterator[tuple[str, str]]:
 
 def test_files_have_doors() -> None:
     """No file is opened, made, copied or removed but behind them; no exception is out of date."""
-    opened = {
+    file_openers = {
         f"{module} {function}".strip()
         for module in MODULES
         if folder_of(module) not in DOORS
         for function, _ in opened_in(tree(module))
     }
-    assert opened == EXCEPTIONS.keys()
+    assert file_openers == EXCEPTIONS.keys()
 
 
 @pytest.mark.parametrize(
@@ -288,7 +294,7 @@ def test_laws_answer_for_themselves() -> None:
     """No module but that of the laws asks for a law's class."""
     home = module_name(PACKAGE / "model" / "contact.py")
     laws = {node.name for node in tree(home).body if isinstance(node, ast.ClassDef)}
-    asked = {
+    law_checks = {
         f"{module}:{node.lineno}"
         for module in MODULES.keys() - {home}
         for node in nodes(module)
@@ -296,27 +302,30 @@ def test_laws_answer_for_themselves() -> None:
         and names_in(node.func) & {"isinstance", "issubclass"}
         and names_in(node.args[-1]) & laws
     }
-    assert laws and not asked
+    assert laws and not law_checks
 
 
 def test_no_module_keeps_objects() -> None:
     """What is computed of an object is kept with it: no module has a dictionary to be filled."""
-    kept = set()
+    kept_objects = set()
     for module in MODULES:
         for node in tree(module).body:
             if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-                empty = isinstance(node.value, ast.Dict) and not node.value.keys
-                if empty or names_in(node.value) & {"WeakKeyDictionary", "WeakValueDictionary"}:
-                    kept.add(f"{module}:{node.lineno}")
-    assert not kept
+                is_empty_dict = isinstance(node.value, ast.Dict) and not node.value.keys
+                if is_empty_dict or names_in(node.value) & {
+                    "WeakKeyDictionary",
+                    "WeakValueDictionary",
+                }:
+                    kept_objects.add(f"{module}:{node.lineno}")
+    assert not kept_objects
 
 
 @pytest.mark.parametrize("name", fc.__all__)
 def test_face(name: str) -> None:
     """Every name of the package is there, in the file that it is said to be from, and explained."""
-    thing = getattr(fc, name)
+    public_object = getattr(fc, name)
     assert name in dir(fc)
-    text = thing.__doc__
+    text = public_object.__doc__
     assert text and not text.startswith(f"{name}(")  # what a dataclass without one says
 
 
@@ -334,21 +343,25 @@ def test_mpi_is_imported_before_petsc() -> None:
     assert order.index("mpi4py") < order.index("petsc4py")
     for module in MODULES.keys() - {ranks}:
         if folder_of(module) != "cli" and NEED_MPI_FIRST & set(packages(module)):
-            first = imports(f"fenics_crack.{folder_of(module)}")[:1]
-            assert first == [(ranks, [])], module
+            first_import = imports(f"fenics_crack.{folder_of(module)}")[:1]
+            assert first_import == [(ranks, [])], module
 
 
 def test_types_of_others_are_not_followed() -> None:
     """mypy takes every other package as untyped: what it finds is the same on every machine."""
-    used = {name for module in MODULES for name in packages(module)}
-    others = used - sys.stdlib_module_names - {"fenics_crack"}
+    used_packages = {name for module in MODULES for name in packages(module)}
+    foreign_packages = used_packages - sys.stdlib_module_names - {"fenics_crack"}
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
-    (skipped,) = (own for own in settings["overrides"] if own.get("follow_imports") == "skip")
-    assert {f"{name}.*" for name in others} <= set(skipped["module"])
+    (skipped_overrides,) = (
+        override for override in settings["overrides"] if override.get("follow_imports") == "skip"
+    )
+    assert {f"{name}.*" for name in foreign_packages} <= set(skipped_overrides["module"])
 
 
 def test_face_is_sorted() -> None:
     """The list of names reads in the order of the files."""
     lines = (PACKAGE / "__init__.pyi").read_text().splitlines()
-    given = [line for line in lines if line.startswith("from ")]
-    assert all(one.split()[1] <= two.split()[1] for one, two in pairwise(given))
+    import_lines = [line for line in lines if line.startswith("from ")]
+    assert all(
+        line_above.split()[1] <= two.split()[1] for line_above, two in pairwise(import_lines)
+    )

@@ -17,12 +17,12 @@ ALL = (*HEAVY, "numpy", "scipy", "mpi4py", "petsc4py", "slepc4py", "h5py")
 
 def fresh(program: str) -> str:
     """What a program says in a process of its own, without what this one has imported."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT,
         env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
 @pytest.mark.parametrize(
@@ -124,9 +124,9 @@ try:
 except fc.basics.errors.InputError as error:
     print(error.key, error.value, "1.24.2" in error.allowed, sys.prefix in error.allowed)
 """
-    line, code, told = fresh(program).splitlines()
+    line, code, message = fresh(program).splitlines()
     assert line.startswith("fenics-crack: numpy = '2.4.1': must be 1.24.2") and code == "2"
-    assert told == "numpy 2.4.1 True True"
+    assert message == "numpy 2.4.1 True True"
 
 
 def test_what_was_stopped_ends_without_noise() -> None:

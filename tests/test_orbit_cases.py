@@ -19,8 +19,8 @@ FILES = sorted((FOLDER / "cases").glob("*.json"))
 def test_all_are_what_was_written() -> None:
     """At least 30 cases, at most 8 MB, as they were sealed; a third from publications."""
     cases = [check.read(path) for path in FILES]
-    published = [case for case in cases if case["source"]["changed"]]
-    assert len(cases) >= 30 and 3 * len(published) >= 30
+    published_cases = [case for case in cases if case["source"]["changed"]]
+    assert len(cases) >= 30 and 3 * len(published_cases) >= 30
     assert sum(path.stat().st_size for path in FILES) < 8e6
     assert {case["law"]["kind"] for case in cases} == set(check.LIMITS)
 
@@ -70,11 +70,11 @@ def test_page_counts_them() -> None:
     """Structures, pairs, publications, and what is proved, in docs/the_paper.md."""
     page = (FOLDER.parents[1] / "docs" / "the_paper.md").read_text().replace("\n", " ")
     cases = [check.read(path) for path in FILES]
-    published = json.loads((FOLDER / "published.json").read_text())
+    published_cases = json.loads((FOLDER / "published.json").read_text())
     proofs = json.loads((FOLDER / "proofs.json").read_text())
-    proved = {name.partition("/")[0] for name in proofs}
+    proved_names = {name.partition("/")[0] for name in proofs}
     assert f"set of {len(cases)} structures" in page
     assert f"one mass to {max(len(case['clearance']) for case in cases)} pairs" in page
-    assert f"{len(published)} are from publications" in page
-    assert f"{len(proofs)} orbits of {len(proved)} cases" in page
+    assert f"{len(published_cases)} are from publications" in page
+    assert f"{len(proofs)} orbits of {len(proved_names)} cases" in page
     assert max(proof["radius"] for proof in proofs.values()) < 1e-21

@@ -23,8 +23,8 @@ def test_site_builds_and_names_everything(tmp_path: Path) -> None:
     """Sphinx warns of text that it cannot read and of references that lead nowhere."""
     builder = ["sphinx", "-b", "singlehtml"]  # one page, which takes a fifth less
     command = [sys.executable, "-m", *builder, "-W", "--keep-going", "-q", "docs", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
     index = (
         (tmp_path / "objects.inv").read_bytes().split(b"\n", 4)[4]
     )  # behind its four first lines
@@ -42,9 +42,9 @@ FUNCTIONS = [name for name in fc.__all__ if inspect.isfunction(getattr(fc, name)
 def test_functions_say_what_they_take(name: str) -> None:
     """Each public function explains all of its parameters and no other, above what it raises, and
     what it returns, with an example."""
-    found = dict(validate(f"fenics_crack.{name}")["errors"])
+    errors = dict(validate(f"fenics_crack.{name}")["errors"])
     # Not explained, unknown, order of the sections; nothing said of what is returned, no example.
-    assert not found.keys() & {"PR01", "PR02", "GL07", "RT01", "EX01"}
+    assert not errors.keys() & {"PR01", "PR02", "GL07", "RT01", "EX01"}
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +52,11 @@ def names() -> dict[str, Any]:
     """What docs/reference/examples.md makes for the examples."""
     text = (ROOT / "docs" / "reference" / "examples.md").read_text()
     [block] = re.findall(r"```python\n(.*?)```", text, re.S)
-    made: dict[str, Any] = {}
+    objects: dict[str, Any] = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
-        exec(compile(block, "examples.md", "exec"), made)
-    return made
+        exec(compile(block, "examples.md", "exec"), objects)
+    return objects
 
 
 DEAR = {"amplification", "draw_amplification", "draw_wheel"}
@@ -74,7 +74,7 @@ def test_examples_run(
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(getattr(fc, name))
     assert text
-    made = dict(names)
+    namespace = dict(names)
     for example in doctest.DocTestParser().get_examples(text):
         if doctest.SKIP not in example.options:
-            exec(compile(example.source, name, "exec"), made)
+            exec(compile(example.source, name, "exec"), namespace)

@@ -43,13 +43,15 @@ def test_motion_is_that_of_a_general_integrator(damping: str) -> None:
         u, v = np.split(state, 2)
         contact = np.maximum(law.stiffness * (gap.T @ u - structure.clearance), 0.0)
         wave = np.array([1.0, np.cos(omega * time), np.sin(omega * time)])
-        resisted = system.rows.T @ (system.damping @ (system.rows @ v))
-        force = wave @ structure.force - gap @ contact - stiffness @ u - resisted
+        damping_force = system.rows.T @ (system.damping @ (system.rows @ v))
+        force = wave @ structure.force - gap @ contact - stiffness @ u - damping_force
         return np.concatenate([v, np.linalg.solve(mass, force)])
 
     rest = np.zeros(2 * structure.n_dofs)
-    found = scipy.integrate.solve_ivp(rate, (0.0, 6.0), rest, "DOP853", rtol=1e-11, atol=1e-12)
-    u, v = np.split(found.y[:, -1], 2)
+    integration = scipy.integrate.solve_ivp(
+        rate, (0.0, 6.0), rest, "DOP853", rtol=1e-11, atol=1e-12
+    )
+    u, v = np.split(integration.y[:, -1], 2)
     passage = flow.advance(rest, omega, 0.0, 6.0)
     assert len(passage.pieces) > 2
     assert relative(passage.state, flow.state(u, v)) < 1e-8
@@ -59,17 +61,17 @@ def test_motion_is_that_of_a_general_integrator(damping: str) -> None:
 def test_energy_of_free_motion_is_kept(plate: fc.Study) -> None:
     """Rigid lips without mass, no load and no damping: 1/2 q'^2 + 1/2 q Lambda q + 1/2 s lambda
     over a period, to 1e-11."""
-    free = plate.structure.varied(load=0.0, damping=0.0)
-    flow = ReferenceFlow(free, plate.contact)
+    free_structure = plate.structure.varied(load=0.0, damping=0.0)
+    flow = ReferenceFlow(free_structure, plate.contact)
     state = np.zeros(2 * len(flow.system.squares))
     state[:4] = np.random.default_rng(3).normal(size=4)
 
     def energy(state: np.ndarray) -> float:
         q, v = np.split(state, 2)
         slow = q / flow.scale @ flow.system.pairs
-        closed = flow.contact(slow)
-        elastic = flow.system.squares @ (q / flow.scale) ** 2
-        return float(v @ v + elastic + slow @ flow.closed_set(closed).forces @ slow)
+        is_closed = flow.contact(slow)
+        elastic_energy = flow.system.squares @ (q / flow.scale) ** 2
+        return float(v @ v + elastic_energy + slow @ flow.closed_set(is_closed).forces @ slow)
 
     period = 2.0 * np.pi / np.sqrt(flow.system.squares[0])
     passage = flow.advance(state, 1.0, 0.0, period)
@@ -98,14 +100,14 @@ def test_tangent_is_that_of_the_motion(plate: fc.Study) -> None:
 def test_plate_that_only_looked_stable(plate: fc.Study) -> None:
     """The gap does not enter, complementarity holds, and the multiplier is 1.0089331506."""
     omega = plate.scene.excitation.omega
-    found = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=20)
+    solution = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=20)
     flow = ReferenceFlow(plate.structure, plate.contact)
-    orbit = flow.orbit(flow.states_of(found, np.zeros(1))[0], omega, found.period)
+    orbit = flow.orbit(flow.states_of(solution, np.zeros(1))[0], omega, solution.period)
     assert abs(orbit.multipliers[0]) == pytest.approx(1.0089331506, rel=1e-9)
     assert orbit.gap.max() < 1e-13 * np.abs(orbit.gap).max()
-    times = np.arange(512) * found.period / 512
-    off = relative(found.gap(times), orbit.gap)
-    assert off < 3.0 * predicted(flow, found)
+    times = np.arange(512) * solution.period / 512
+    off = relative(solution.gap(times), orbit.gap)
+    assert off < 3.0 * predicted(flow, solution)
 
 
 def test_one_mass() -> None:

@@ -51,11 +51,11 @@ def test_every_orbit_of_a_case_is_accepted(name: str) -> None:
     """Each of several at one frequency, with its own verdict; shifted by periods of the load."""
     case = case_of(name)
     for orbit in case["orbits"]:
-        turned = np.roll(orbit["gap"], 256 // orbit["subharmonic"], axis=0)
+        turned_gap = np.roll(orbit["gap"], 256 // orbit["subharmonic"], axis=0)
         slide = orbit.get("tangential_gap")
         if slide is not None:
             slide = np.roll(slide, 256 // orbit["subharmonic"], axis=0).tolist()
-        row = score.scored(case, answer_of(orbit, gap=turned.tolist(), tangential=slide))
+        row = score.scored(case, answer_of(orbit, gap=turned_gap.tolist(), tangential=slide))
         assert row["error"] < 1e-9 and row["found"] and row["right"] and row["within"]
 
 
@@ -63,10 +63,10 @@ def test_what_is_wrong_is_not_honest() -> None:
     """By a tenth: wrong where it is called a solution and no error is stated."""
     case = case_of("bilinear-1")
     orbit = case["orbits"][0]
-    off = (1.1 * (gap := np.array(orbit["gap"])) - 0.1 * gap.mean(axis=0)).tolist()
+    deviating_gap = (1.1 * (gap := np.array(orbit["gap"])) - 0.1 * gap.mean(axis=0)).tolist()
 
     def row(**changes: Any) -> dict[str, Any]:
-        return score.scored(case, answer_of(orbit, gap=off, error=None) | changes)
+        return score.scored(case, answer_of(orbit, gap=deviating_gap, error=None) | changes)
 
     assert row()["error"] == pytest.approx(0.1, rel=1e-3)
     assert not row()["found"] and not row()["honest"]
@@ -82,18 +82,18 @@ def test_equations_of_a_problem(name: str) -> None:
     coordinates of the gaps: the balance of its first harmonics."""
     case = case_of(name)
     orbit = case["orbits"][0]
-    given = problem.problem_of(case)
+    original_problem = problem.problem_of(case)
     gap, count = np.array(orbit["gap"]), 3
-    rows = np.fft.rfft(given.contact(gap)[0], axis=0)[: count + 1] / len(gap)
-    for whole in (given.with_faces(), given.in_gaps()):
+    rows = np.fft.rfft(original_problem.contact(gap)[0], axis=0)[: count + 1] / len(gap)
+    for variant in (original_problem.with_faces(), original_problem.in_gaps()):
         moved, size = [], 0.0
-        load = whole.load(count)
+        load = variant.load(count)
         for order in range(count + 1):
-            w, factor = order * given.omega, 1.0 if order == 0 else 2.0
+            w, factor = order * original_problem.omega, 1.0 if order == 0 else 2.0
             f = load[0] if order == 0 else load[2 * order - 1] - 1j * load[2 * order]
-            dynamic = whole.stiffness - w**2 * whole.mass + 1j * w * whole.damping
-            q = np.linalg.solve(dynamic, f - whole.pairs @ (factor * rows[order]))
-            moved.append(whole.pairs.T @ q - (order == 0) * whole.clearance)
+            dynamic = variant.stiffness - w**2 * variant.mass + 1j * w * variant.damping
+            q = np.linalg.solve(dynamic, f - variant.pairs @ (factor * rows[order]))
+            moved.append(variant.pairs.T @ q - (order == 0) * variant.clearance)
             wave = factor * np.fft.rfft(gap, axis=0)[order] / len(gap)
             size = max(size, float(np.abs(moved[-1] - wave).max() / np.ptp(gap)))
         assert size < 2e-3  # the force's spectrum from 256 samples, near a resonance
@@ -101,15 +101,21 @@ def test_equations_of_a_problem(name: str) -> None:
 
 def test_rate_is_that_of_the_equations() -> None:
     """z' at a state beside the equation of motion; its slope by differences."""
-    given = problem.problem_of(case_of("five-stops"))
+    case_problem = problem.problem_of(case_of("five-stops"))
     state = np.random.default_rng(1).normal(size=10)
     q, v = state[:5], state[5:]
-    push = given.contact(q @ given.pairs - given.clearance)[0]
-    left = given.mass @ given.rate(0.3, state)[5:] + given.damping @ v + given.stiffness @ q
-    assert left + given.pairs @ push == pytest.approx(given.force(0.3))
-    near = np.array([given.rate(0.3, state + step) for step in 1e-7 * np.eye(10)])
-    slope = given.rate_slope(state[:, None])[:, :, 0]
-    assert (near - given.rate(0.3, state)).T / 1e-7 == pytest.approx(slope, rel=1e-5, abs=1e-5)
+    push = case_problem.contact(q @ case_problem.pairs - case_problem.clearance)[0]
+    force_sum = (
+        case_problem.mass @ case_problem.rate(0.3, state)[5:]
+        + case_problem.damping @ v
+        + case_problem.stiffness @ q
+    )
+    assert force_sum + case_problem.pairs @ push == pytest.approx(case_problem.force(0.3))
+    perturbed_rates = np.array([case_problem.rate(0.3, state + step) for step in 1e-7 * np.eye(10)])
+    slope = case_problem.rate_slope(state[:, None])[:, :, 0]
+    assert (perturbed_rates - case_problem.rate(0.3, state)).T / 1e-7 == pytest.approx(
+        slope, rel=1e-5, abs=1e-5
+    )
 
 
 def test_adapters_answer_through_their_own_process() -> None:
@@ -126,22 +132,24 @@ def test_adapters_answer_through_their_own_process() -> None:
 def test_adapters_are_short(path: Path) -> None:
     """40 lines without blank ones, comments, imports and docstrings; the example, a program of its
     own, 100."""
-    text, left = path.read_text(), set()
+    text, skipped_numbers = path.read_text(), set()
     for node in ast.walk(ast.parse(text)):
         words = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         if words or isinstance(node, ast.Import | ast.ImportFrom):
-            left |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+            skipped_numbers |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     lines = [line.strip() for line in text.splitlines()]
-    counted = [line for number, line in enumerate(lines, 1) if number not in left]
-    counted = [line for line in counted if line and not line.startswith("#")]
-    assert len(counted) <= (100 if path.stem == "plain" else 40)
+    code_lines = [line for number, line in enumerate(lines, 1) if number not in skipped_numbers]
+    code_lines = [line for line in code_lines if line and not line.startswith("#")]
+    assert len(code_lines) <= (100 if path.stem == "plain" else 40)
 
 
 def test_harmonics_of_an_adapter() -> None:
     """Those that are asked for, in place of its own: the error of a kink falls with them."""
-    case, plain = case_of("bilinear-10"), ORBITS / "adapters" / "plain.py"
-    few, many = (score.scored(case, score.asked(plain, case, 60.0, h))["error"] for h in (5, 40))
-    assert many < 0.05 * few
+    case, adapter = case_of("bilinear-10"), ORBITS / "adapters" / "plain.py"
+    few_error, many_error = (
+        score.scored(case, score.asked(adapter, case, 60.0, h))["error"] for h in (5, 40)
+    )
+    assert many_error < 0.05 * few_error
 
 
 @pytest.mark.nightly

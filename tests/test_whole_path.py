@@ -62,15 +62,15 @@ def test_a_preload_and_the_length_of_a_crack(folder: Path, ask: object) -> None:
     """A crack breathes at every length and load frequency. One that is pressed together stays
     closed under a small load, and breathes under a large one."""
     assert callable(ask)
-    checked = {r["what"]: r["value"] for r in json.loads(ask("check --format json"))}
-    breathing = checked[BREATHING]
-    printed = ask(
+    checked_values = {r["what"]: r["value"] for r in json.loads(ask("check --format json"))}
+    breathing_frequency = checked_values[BREATHING]
+    printed_text = ask(
         "sweep",
         "sweep.over={'excitation.frequency' = {start = 780.0, stop = 880.0, count = 5}, "
         "'crack.length' = [0.015, 0.02, 0.025, 0.03]}",
         "output.quantities=['ratio_2_1', 'closed_share']",
     )
-    assert len(printed.splitlines()) <= 20 and "ratio_2_1" in printed
+    assert len(printed_text.splitlines()) <= 20 and "ratio_2_1" in printed_text
     ratios, shares = (
         column(folder / "output/plate/sweep.csv", name) for name in ("ratio_2_1", "closed_share")
     )
@@ -78,13 +78,16 @@ def test_a_preload_and_the_length_of_a_crack(folder: Path, ask: object) -> None:
     assert np.all((shares > 0.3) & (shares < 0.7))
     peaks = []
     for name, force in LOADS.items():
-        changes = [f"curve.start={0.98 * breathing}", f"curve.stop={1.02 * breathing}"]
+        changes = [
+            f"curve.start={0.98 * breathing_frequency}",
+            f"curve.stop={1.02 * breathing_frequency}",
+        ]
         changes += [f"excitation.force_sin=[{force}, 0.0]", "curve.stability=false"]
         ask("curve", *changes, "crack.clearance=-5e-7", output=f"output/{name}")
         points = folder / f"output/{name}/curve.csv"
         amplitude = column(points, "amplitude [m]")
         peaks.append(column(points, "frequency [Hz]")[amplitude.argmax()])
-    assert peaks[0] > peaks[1] == pytest.approx(breathing, rel=0.01)
+    assert peaks[0] > peaks[1] == pytest.approx(breathing_frequency, rel=0.01)
 
 
 # --- docs/short_answers.md ------------------------------------------------------------------------
@@ -135,18 +138,18 @@ def test_what_is_answered(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     scene = fc.Scene.load("plate.toml").replace(coarse)
     Path("plate.toml").write_text(scene.as_toml())
     things = {"fenics_crack": fc, "scene": scene, "run": fc.modes(scene, 1)}
-    for written, answer in ROWS:
+    for written_text, answer in ROWS:
         capsys.readouterr()
-        if written.startswith("fenics-crack "):
+        if written_text.startswith("fenics-crack "):
             with contextlib.suppress(SystemExit):
-                main(shlex.split(written)[1:])
-            said = "".join(capsys.readouterr())
-            if written.startswith("fenics-crack new blade.toml"):
+                main(shlex.split(written_text)[1:])
+            messages = "".join(capsys.readouterr())
+            if written_text.startswith("fenics-crack new blade.toml"):
                 blade = fc.Scene.load("blade.toml").replace(coarse)
                 Path("blade.toml").write_text(blade.as_toml())
         else:
             with pytest.raises(AttributeError) as caught:
-                eval(written, dict(things))
-            said = str(caught.value)
+                eval(written_text, dict(things))
+            messages = str(caught.value)
         parts = [re.escape(part) for part in answer.split(" ... ")]
-        assert re.search(".*".join(parts), said, re.S), (written, said)
+        assert re.search(".*".join(parts), messages, re.S), (written_text, messages)

@@ -51,8 +51,8 @@ def digest(case: dict[str, Any]) -> str:
 
 def sealed(case: dict[str, Any]) -> dict[str, Any]:
     """A case with its hash."""
-    whole = json.loads(json.dumps(case))
-    return {**whole, "hash": digest(whole)}
+    case_copy = json.loads(json.dumps(case))
+    return {**case_copy, "hash": digest(case_copy)}
 
 
 def limit(case: dict[str, Any]) -> float:
@@ -64,28 +64,30 @@ def apart(orbit: dict[str, Any], again: dict[str, Any]) -> float:
     """Difference of an orbit from its second reference: gap, closure and loss, relative."""
     gap, start = np.array(orbit["gap"]), again.get("start", np.array(orbit["state"]))
     size = float(max(np.ptp(orbit[name], axis=0).max() for name in GAPS if name in orbit))
-    found = [float(np.abs(gap - again["gap"]).max()) / size]
+    distances = [float(np.abs(gap - again["gap"]).max()) / size]
     half = 2 * (len(again["state"]) // 2)
     for part in np.split(np.arange(half), 2):
         move = np.abs(start[part]).max() or 1.0
-        found.append(float(np.abs(again["state"][part] - start[part]).max() / move))
+        distances.append(float(np.abs(again["state"][part] - start[part]).max() / move))
     if "tangential_gap" in orbit:
         slide = np.array(orbit["tangential_gap"])
-        found.append(float(np.abs(slide - again["tangential_gap"]).max() / size))
+        distances.append(float(np.abs(slide - again["tangential_gap"]).max() / size))
     if "loss" in again:
-        found.append(abs(orbit["loss"] - again["loss"]) / abs(orbit["loss"]))
+        distances.append(abs(orbit["loss"] - again["loss"]) / abs(orbit["loss"]))
     if np.size(again.get("monodromy", ())):
         values = np.linalg.eigvals(again["monodromy"])
-        largest = abs(complex(*orbit["multipliers"][0]))
-        found.append(abs(np.abs(values).max() - largest) / max(largest, 1.0))
-    return max(found)
+        largest_size = abs(complex(*orbit["multipliers"][0]))
+        distances.append(abs(np.abs(values).max() - largest_size) / max(largest_size, 1.0))
+    return max(distances)
 
 
 def second_reference(case: dict[str, Any], orbit: dict[str, Any]) -> float:
     """How far an orbit is from the second reference, over one period from its state."""
     motion = Motion(case)
-    again = motion.period(np.array(orbit["state"]), orbit["subharmonic"], tangent=motion.size <= 40)
-    return apart(orbit, again)
+    second_passage = motion.period(
+        np.array(orbit["state"]), orbit["subharmonic"], tangent=motion.size <= 40
+    )
+    return apart(orbit, second_passage)
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -118,10 +120,10 @@ def followed(case: dict[str, Any]) -> float:
     Damaged
         It is beyond the limit of its law.
     """
-    worst = max(second_reference(case, orbit) for orbit in case["orbits"])
-    if not worst <= limit(case):
-        raise Damaged(f"{case['name']}: {worst:.1e} from the second reference")
-    return worst
+    largest_difference = max(second_reference(case, orbit) for orbit in case["orbits"])
+    if not largest_difference <= limit(case):
+        raise Damaged(f"{case['name']}: {largest_difference:.1e} from the second reference")
+    return largest_difference
 
 
 def main() -> None:
@@ -130,9 +132,9 @@ def main() -> None:
     for path in paths:
         if not sys.argv[1:] or path.stem in sys.argv[1:]:
             case = read(path)
-            few = len(case["clearance"]) <= FEW
+            has_few_pairs = len(case["clearance"]) <= FEW
             print(
-                f"{path.stem:20} {followed(case):.1e}" if few else f"{path.stem:20} hash",
+                f"{path.stem:20} {followed(case):.1e}" if has_few_pairs else f"{path.stem:20} hash",
                 flush=True,
             )
 

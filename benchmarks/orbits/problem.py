@@ -114,21 +114,21 @@ class Problem:
             return self
         pull, pairs = np.linalg.inv(self.flexibility), self.pairs
         pull = 0.5 * (pull + pull.T)
-        held, none, zero = pairs @ pull, 0.0 * pull, 0.0 * pairs
+        held, zero_block, zero = pairs @ pull, 0.0 * pull, 0.0 * pairs
         stiffness = np.block([[self.stiffness + held @ pairs.T, -held], [-held.T, pull]])
         mass, damping = (
-            np.block([[one, zero], [zero.T, none]]) for one in (self.mass, self.damping)
+            np.block([[matrix, zero], [zero.T, zero_block]]) for matrix in (self.mass, self.damping)
         )
         mean, cos, sin = (
-            np.hstack([own - lift @ held.T, lift @ pull])
-            for own, lift in (
+            np.hstack([load_part - lift @ held.T, lift @ pull])
+            for load_part, lift in (
                 (self.mean, self.lift[0]), (self.cos, self.lift[1::2]), (self.sin, self.lift[2::2])
             )
         )  # fmt: skip
         return replace(
             self, mass=mass, damping=damping, stiffness=stiffness, flexibility=None,
             pairs=np.vstack([zero, np.eye(len(pull))]), mean=mean, cos=cos, sin=sin,
-            tangents=np.vstack([self.tangents, none]), lift=0.0 * self.lift,
+            tangents=np.vstack([self.tangents, zero_block]), lift=0.0 * self.lift,
         )  # fmt: skip
 
     def in_gaps(self) -> Problem:
@@ -140,22 +140,23 @@ class Problem:
         Unsupported
             The gaps depend on each other.
         """
-        whole = self.with_faces()
-        rows = whole.pairs.T
-        if whole.kind == "friction":
-            rows = np.vstack([rows, whole.tangents.T])
+        face_problem = self.with_faces()
+        rows = face_problem.pairs.T
+        if face_problem.kind == "friction":
+            rows = np.vstack([rows, face_problem.tangents.T])
         if np.linalg.matrix_rank(rows) < len(rows):
             raise Unsupported("no dependent gaps")
-        back = np.hstack([np.linalg.pinv(rows), np.linalg.svd(rows)[2][len(rows) :].T])
+        inverse_rows = np.hstack([np.linalg.pinv(rows), np.linalg.svd(rows)[2][len(rows) :].T])
 
         def turned(matrix: np.ndarray) -> np.ndarray:
-            return np.asarray(back.T @ matrix @ back)
+            return np.asarray(inverse_rows.T @ matrix @ inverse_rows)
 
         return replace(
-            whole, mass=turned(whole.mass), damping=turned(whole.damping),
-            stiffness=turned(whole.stiffness), pairs=back.T @ whole.pairs,
-            tangents=back.T @ whole.tangents, mean=whole.mean @ back, cos=whole.cos @ back,
-            sin=whole.sin @ back,
+            face_problem, mass=turned(face_problem.mass), damping=turned(face_problem.damping),
+            stiffness=turned(face_problem.stiffness), pairs=inverse_rows.T @ face_problem.pairs,
+            tangents=inverse_rows.T @ face_problem.tangents, mean=face_problem.mean @ inverse_rows,
+            cos=face_problem.cos @ inverse_rows,
+            sin=face_problem.sin @ inverse_rows,
         )  # fmt: skip
 
     @property
@@ -206,11 +207,14 @@ class Problem:
         """dz'/dz at several times at once: (2n, 2n, times)."""
         n, inverse = len(self.mass), np.linalg.inv(self.mass)
         slope = self.contact((self.pairs.T @ state[:n]).T - self.clearance)[1].T
-        found = np.zeros((2 * n, 2 * n, state.shape[1]))
-        found[:n, n:], found[n:, n:] = np.eye(n)[:, :, None], -(inverse @ self.damping)[:, :, None]
-        pushed = np.einsum("ip,pl,jp->ijl", inverse @ self.pairs, slope, self.pairs)
-        found[n:, :n] = -(inverse @ self.stiffness)[:, :, None] - pushed
-        return found
+        slopes = np.zeros((2 * n, 2 * n, state.shape[1]))
+        slopes[:n, n:], slopes[n:, n:] = (
+            np.eye(n)[:, :, None],
+            -(inverse @ self.damping)[:, :, None],
+        )
+        gap_slope = np.einsum("ip,pl,jp->ijl", inverse @ self.pairs, slope, self.pairs)
+        slopes[n:, :n] = -(inverse @ self.stiffness)[:, :, None] - gap_slope
+        return slopes
 
     def only(self, *kinds: str) -> None:
         """Refuse other laws.
@@ -230,8 +234,8 @@ class Problem:
         for order in range(1, harmonics + 1):
             w = order * self.omega
             dynamic = self.stiffness - w**2 * self.mass + 1j * w * self.damping
-            found = np.linalg.solve(dynamic, load[2 * order - 1] - 1j * load[2 * order])
-            rows[2 * order - 1 : 2 * order + 1] = found.real, -found.imag
+            amplitude = np.linalg.solve(dynamic, load[2 * order - 1] - 1j * load[2 * order])
+            rows[2 * order - 1 : 2 * order + 1] = amplitude.real, -amplitude.imag
         return rows
 
     def gap(self, coefficients: np.ndarray) -> np.ndarray:
@@ -259,25 +263,25 @@ def problem_of(case: dict[str, Any]) -> Problem:
     parts, load, law = case["structure"], case["load"], case["law"]
     orders, count = len(load["cos"]), len(case["clearance"])
     pairs, lift = np.array(parts["pairs"], dtype=float), np.zeros((2 * orders + 1, count))
-    if modal := parts["form"] == "modes":
-        given = np.array(parts["lift"], dtype=float)[: len(lift)]
-        lift[: len(given)] = given
+    if is_modal := parts["form"] == "modes":
+        stored_lift = np.array(parts["lift"], dtype=float)[: len(lift)]
+        lift[: len(stored_lift)] = stored_lift
 
     def matrix(name: str) -> np.ndarray:
-        found = np.array(parts[name], dtype=float)
-        return np.diag(found) if found.ndim == 1 else found
+        array = np.array(parts[name], dtype=float)
+        return np.diag(array) if array.ndim == 1 else array
 
     def each(name: str) -> np.ndarray:
         return np.broadcast_to(np.array(law.get(name, 0.0), dtype=float), (count,)).copy()
 
     rigid = law["kind"] == "rigid"
     return Problem(
-        name=case["name"], mass=np.eye(len(pairs)) if modal else matrix("mass"),
-        damping=matrix("damping"), stiffness=matrix("squares" if modal else "stiffness"),
+        name=case["name"], mass=np.eye(len(pairs)) if is_modal else matrix("mass"),
+        damping=matrix("damping"), stiffness=matrix("squares" if is_modal else "stiffness"),
         pairs=pairs, tangents=np.array(parts.get("tangents", 0.0 * pairs), dtype=float),
         mean=np.array(load["mean"], dtype=float), cos=np.array(load["cos"], dtype=float),
         sin=np.array(load["sin"], dtype=float), omega=float(load["omega"]), lift=lift,
-        flexibility=matrix("flexibility") if modal else None,
+        flexibility=matrix("flexibility") if is_modal else None,
         kind=law["kind"], normal=np.full(count, np.inf) if rigid else each("stiffness"),
         clearance=np.array(case["clearance"], dtype=float),
         sharpness=float(law.get("sharpness", 0.0)), coefficient=each("coefficient"),

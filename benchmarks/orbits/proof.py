@@ -36,8 +36,8 @@ def equations(case: dict) -> tuple[arb_mat, arb_mat, arb_mat]:
     waves = [row for pair in zip(load["cos"], load["sin"], strict=True) for row in pair]
     force, inverse = arb_mat([load["mean"], *waves]).transpose(), arb_mat(parts["mass"]).inv()
     n, p, more = B.nrows(), B.ncols(), len(waves)
-    own = (-arb_mat(parts["stiffness"]), -arb_mat(parts["damping"]), force)
-    blocks = [(inverse * matrix).tolist() for matrix in own]
+    arb_parts = (-arb_mat(parts["stiffness"]), -arb_mat(parts["damping"]), force)
+    blocks = [(inverse * matrix).tolist() for matrix in arb_parts]
     G = [[int(j == n + i) for j in range(2 * n + 1 + more)] for i in range(n)]
     G += [[*a, *b, *c] for a, b, c in zip(*blocks, strict=True)] + [[0] * len(G[0])]
     for i in range(more):  # cosines fall by sines, sines rise by cosines
@@ -70,13 +70,14 @@ def value(X: list[arb], parts: list, R: arb_mat, pairs: list, T: arb) -> tuple[a
 def prove(case: dict, orbit: dict) -> dict:
     """Prove an orbit of a case near its state and its crossings."""
     require(case["law"]["kind"] == "penalty", "not a penalty")
-    (times, pairs), first = zip(*orbit["crossings"], strict=True), orbit["first"]
-    sets = [[on ^ (pairs[:part].count(j) % 2 == 1) for j, on in enumerate(first)]
+    (times, pairs), first_set = zip(*orbit["crossings"], strict=True), orbit["first"]
+    sets = [[on ^ (pairs[:part].count(j) % 2 == 1) for j, on in enumerate(first_set)]
             for part in range(len(pairs) + 1)]  # fmt: skip
     require(sets[0] == sets[-1], "the last set is not the first")
     (G, P, R), k, states = equations(case), case["law"]["stiffness"], len(orbit["state"])
     parts = [G - P * arb_mat([[arb(k[i]) * int(on and i == j) for j in range(len(k))]
-                              for i, on in enumerate(closed)]) * R for closed in sets]  # fmt: skip
+                              for i, on in enumerate(closed_pairs)]) * R
+             for closed_pairs in sets]  # fmt: skip
     T = 2 * arb.pi() * orbit["subharmonic"] / arb(case["load"]["omega"])
     m = [arb(v) for v in orbit["state"]]
     m += [arb(b) - arb(a) for a, b in zip((0, *times), times, strict=False)]
@@ -92,18 +93,18 @@ def prove(case: dict, orbit: dict) -> dict:
     require(all(inside), "the operator does not map the box into itself")
     pieces = [(i, j, arb(0), arb(path[i][2].upper()), i > 0 and pairs[i - 1] == j,
                i < len(pairs) and pairs[i] == j, 0)
-              for i, closed in enumerate(sets) for j in range(len(closed))]  # fmt: skip
+              for i, closed_pairs in enumerate(sets) for j in range(len(closed_pairs))]  # fmt: skip
     while pieces:  # a gap over a piece of a part; is it zero at the piece's first, last instant?
-        i, j, low, high, rises, falls, halvings = pieces.pop()
-        (G, w, _), sign, middle = path[i], 1 if sets[i][j] else -1, (low + high).mid() / 2
-        over = (G * low.union(high)).exp() * w
+        i, j, left_end, right_end, rises, falls, halvings = pieces.pop()
+        (G, w, _), sign, middle = path[i], 1 if sets[i][j] else -1, (left_end + right_end).mid() / 2
+        over = (G * left_end.union(right_end)).exp() * w
         gap, slope = sign * (R * over)[j, 0], sign * (R * G * over)[j, 0]
         if not (gap > 0 or (rises > falls and slope > 0) or (falls > rises and slope < 0)):
             require(halvings < DEEPEST, "the sign of a gap between crossings is open")
-            pieces += [(i, j, low, middle, rises, False, halvings + 1),
-                       (i, j, middle, high, False, falls, halvings + 1)]  # fmt: skip
+            pieces += [(i, j, left_end, middle, rises, False, halvings + 1),
+                       (i, j, middle, right_end, False, falls, halvings + 1)]  # fmt: skip
     crossings = [[float(t), j] for t, j in zip(accumulate(m[states:]), pairs, strict=True)]
-    return {"crossings": crossings, "first": first, "radius": float(RADIUS),
+    return {"crossings": crossings, "first": first_set, "radius": float(RADIUS),
             "state": [v.str(25, radius=False) for v in m[:states]]}  # fmt: skip
 
 

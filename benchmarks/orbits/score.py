@@ -48,37 +48,37 @@ which the references are stored."""
 
 def constants(adapter: Path) -> dict[str, Any]:
     """What an adapter states of its program: read, not run."""
-    found: dict[str, Any] = {}
+    value_by_name: dict[str, Any] = {}
     for node in ast.parse(adapter.read_text()).body:
         if isinstance(node, ast.Assign):
             targets, values = node.targets[0], node.value
-            several = isinstance(targets, ast.Tuple) and isinstance(values, ast.Tuple)
+            is_tuple = isinstance(targets, ast.Tuple) and isinstance(values, ast.Tuple)
             names = targets.elts if isinstance(targets, ast.Tuple) else [targets]
-            parts = values.elts if several and isinstance(values, ast.Tuple) else [values]
+            parts = values.elts if is_tuple and isinstance(values, ast.Tuple) else [values]
             for name, value in zip(names, parts, strict=False):
                 if isinstance(name, ast.Name) and name.id in ("REQUIREMENTS", "SOURCE"):
-                    found[name.id] = ast.literal_eval(value)
-    return found
+                    value_by_name[name.id] = ast.literal_eval(value)
+    return value_by_name
 
 
 def python_of(adapter: Path) -> Path:
     """The Python of a program; its environment is made if it is not there."""
-    stated = constants(adapter)
-    if not stated:
+    adapter_constants = constants(adapter)
+    if not adapter_constants:
         return Path(sys.executable)
     place = HERE / "environments" / adapter.stem
     python = place / "bin" / "python"
     if not python.exists():
         print(f"making {place}", flush=True)
         subprocess.run([sys.executable, "-m", "venv", str(place)], check=True)
-        wanted = stated.get("REQUIREMENTS", ("numpy",))
-        pip = [str(python), "-m", "pip", "install", "--quiet", *wanted]
+        requirements = adapter_constants.get("REQUIREMENTS", ("numpy",))
+        pip = [str(python), "-m", "pip", "install", "--quiet", *requirements]
         subprocess.run(pip, check=True)
-        if "SOURCE" in stated:
-            address, commit = stated["SOURCE"]
+        if "SOURCE" in adapter_constants:
+            address, commit = adapter_constants["SOURCE"]
             subprocess.run(["git", "clone", "--quiet", address, str(place / "source")], check=True)
-            at = ["git", "-C", str(place / "source"), "checkout", "--quiet", commit]
-            subprocess.run(at, check=True)
+            checkout_command = ["git", "-C", str(place / "source"), "checkout", "--quiet", commit]
+            subprocess.run(checkout_command, check=True)
             (packages,) = place.glob("lib/python*/site-packages")
             (packages / "source.pth").write_text(str(place / "source") + "\n")
     return python
@@ -88,21 +88,21 @@ def asked(
     adapter: Path, case: dict[str, Any], seconds: float, harmonics: int | None = None
 ) -> dict[str, Any]:
     """What a program answers to a case, with its own number of harmonics or another one."""
-    given = {name: case[name] for name in ("name", "structure", "load", "law", "clearance")}
+    case_parts = {name: case[name] for name in ("name", "structure", "load", "law", "clearance")}
     command = [str(python_of(adapter)), str(HERE / "worker.py"), str(adapter.absolute())]
     command += [] if harmonics is None else [str(harmonics)]
     with tempfile.TemporaryDirectory() as folder:  # some programs write where they run
         try:
-            ended = subprocess.run(
-                command, input=json.dumps(given), capture_output=True, text=True, cwd=folder,
+            process = subprocess.run(
+                command, input=json.dumps(case_parts), capture_output=True, text=True, cwd=folder,
                 timeout=seconds, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return {"gap": None, "converged": False, "message": f"no answer in {seconds:g} s"}
-    if ended.returncode:
-        last = ended.stderr.strip().splitlines()[-1:] or ["no word"]
-        return {"gap": None, "converged": False, "message": last[0]}
-    return dict(json.loads(ended.stdout))
+    if process.returncode:
+        last_line = process.stderr.strip().splitlines()[-1:] or ["no word"]
+        return {"gap": None, "converged": False, "message": last_line[0]}
+    return dict(json.loads(process.stdout))
 
 
 # --- scores ---------------------------------------------------------------------------------------
@@ -111,8 +111,8 @@ def asked(
 def shifted(gap: np.ndarray, share: float) -> np.ndarray:
     """A periodic motion later by a share of its period."""
     waves = np.fft.rfft(gap, axis=0)
-    turned = waves * np.exp(2j * np.pi * share * np.arange(len(waves)))[:, None]
-    return np.fft.irfft(turned, len(gap), axis=0) if share else gap
+    turned_waves = waves * np.exp(2j * np.pi * share * np.arange(len(waves)))[:, None]
+    return np.fft.irfft(turned_waves, len(gap), axis=0) if share else gap
 
 
 def second(gap: np.ndarray, periods: int) -> np.ndarray:
@@ -135,32 +135,34 @@ def scored(case: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
     """The answer against the nearest orbit of a case."""
     if "unsupported" in answer:
         return {"case": case["name"], "unsupported": answer["unsupported"]}
-    kept = {name: answer.get(name) for name in ("message", "seconds", "verdict", "version")}
+    answer_parts = {name: answer.get(name) for name in ("message", "seconds", "verdict", "version")}
     row = {"case": case["name"], "stated": answer.get("error"), "claimed": answer["converged"],
-           "error": np.inf, "second": np.inf, "true verdict": None, **kept}  # fmt: skip
+           "error": np.inf, "second": np.inf, "true verdict": None, **answer_parts}  # fmt: skip
     friction = case["law"]["kind"] == "friction"
     for orbit in case["orbits"]:
         periods, stuck = orbit["subharmonic"], orbit.get("stuck", [])
-        mine = whole(answer, *("gap", "tangential")[: 1 + friction], stuck=stuck)
-        true = whole(orbit, *check.GAPS[: 1 + friction], stuck=stuck)
-        if mine is None or true is None or periods != answer["periods"]:
+        own_waves = whole(answer, *("gap", "tangential")[: 1 + friction], stuck=stuck)
+        true_waves = whole(orbit, *check.GAPS[: 1 + friction], stuck=stuck)
+        if own_waves is None or true_waves is None or periods != answer["periods"]:
             continue
-        if mine.shape != true.shape:
-            row["message"] = f"gaps of shape {mine.shape}, not {true.shape}"
+        if own_waves.shape != true_waves.shape:
+            row["message"] = f"gaps of shape {own_waves.shape}, not {true_waves.shape}"
             continue
-        size = np.linalg.norm(true - true.mean(axis=0))
+        size = np.linalg.norm(true_waves - true_waves.mean(axis=0))
         for turn in range(periods):
-            here = shifted(true, turn / periods)
-            error = float(np.linalg.norm(mine - here) / size)
+            shifted_waves = shifted(true_waves, turn / periods)
+            error = float(np.linalg.norm(own_waves - shifted_waves) / size)
             if error < row["error"]:
-                change = second(mine, periods) - second(here, periods)
+                change = second(own_waves, periods) - second(shifted_waves, periods)
                 row |= {"error": error, "second": float(np.linalg.norm(change) / size),
                         "true verdict": orbit["verdict"]}  # fmt: skip
     row["found"] = bool(row["claimed"] and row["error"] <= FOUND)
-    stated = row["stated"]
-    said = stated is not None and row["error"] <= max(UNDERSTATED * stated, ROUNDING)
-    row["honest"] = bool(not row["claimed"] or row["found"] or said)
-    row["within"] = None if stated is None or not row["claimed"] else bool(said)
+    stated_error = row["stated"]
+    is_honest = stated_error is not None and row["error"] <= max(
+        UNDERSTATED * stated_error, ROUNDING
+    )
+    row["honest"] = bool(not row["claimed"] or row["found"] or is_honest)
+    row["within"] = None if stated_error is None or not row["claimed"] else bool(is_honest)
     row["right"] = (
         row["verdict"] == row["true verdict"] if row["verdict"] and row["found"] else None
     )
@@ -169,22 +171,22 @@ def scored(case: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
 
 def share(values: list[Any]) -> str:
     """How many of those that are known are true."""
-    known = [value for value in values if value is not None]
-    return f"{sum(known)} of {len(known)}" if known else "-"
+    known_values = [value for value in values if value is not None]
+    return f"{sum(known_values)} of {len(known_values)}" if known_values else "-"
 
 
 def line(name: str, rows: list[dict[str, Any]]) -> list[str]:
     """The row of a program in the table."""
-    tried = [row for row in rows if "unsupported" not in row]
-    found = [row for row in tried if row["found"]]
-    numbers = [np.median([row[key] for row in found]) if found else np.nan
+    tried_rows = [row for row in rows if "unsupported" not in row]
+    found_rows = [row for row in tried_rows if row["found"]]
+    numbers = [np.median([row[key] for row in found_rows]) if found_rows else np.nan
                for key in ("error", "second", "seconds")]  # fmt: skip
-    versions = {row["version"] for row in tried if row.get("version")}
+    versions = {row["version"] for row in tried_rows if row.get("version")}
     return [
-        name, ", ".join(sorted(versions)), str(len(tried)), str(len(found)),
-        *(f"{number:.1e}" for number in numbers[:2]), share([row["within"] for row in tried]),
-        share([row["right"] for row in tried]),
-        str(sum(not row["honest"] for row in tried)), f"{1e3 * numbers[2]:.3g}",
+        name, ", ".join(sorted(versions)), str(len(tried_rows)), str(len(found_rows)),
+        *(f"{number:.1e}" for number in numbers[:2]), share([row["within"] for row in tried_rows]),
+        share([row["right"] for row in tried_rows]),
+        str(sum(not row["honest"] for row in tried_rows)), f"{1e3 * numbers[2]:.3g}",
     ]  # fmt: skip
 
 
@@ -200,28 +202,28 @@ def main() -> None:
     parser.add_argument("--programs", nargs="+", default=programs, choices=programs)
     parser.add_argument("--cases", nargs="+", help="names; default: all")
     parser.add_argument("--seconds", type=float, default=120.0, help="of clock time for each case")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     files = {path.stem: path for path in sorted((HERE / "cases").glob("*.json"))}
-    if unknown := set(given.cases or ()) - set(files):
+    if unknown := set(arguments.cases or ()) - set(files):
         parser.error(f"cases {', '.join(sorted(unknown))}: allowed are {', '.join(files)}")
-    cases = [check.read(files[name]) for name in given.cases or files]
-    given.folder.mkdir(parents=True, exist_ok=True)
-    table, every = [], {}
-    for name in given.programs:
+    cases = [check.read(files[name]) for name in arguments.cases or files]
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    table, all_rows = [], {}
+    for name in arguments.programs:
         adapter = HERE / "adapters" / f"{name}.py"
-        rows = [scored(case, asked(adapter, case, given.seconds)) for case in cases]
-        every[name] = rows
+        rows = [scored(case, asked(adapter, case, arguments.seconds)) for case in cases]
+        all_rows[name] = rows
         table.append(line(name, rows))
-        (given.folder / "scores.json").write_text(json.dumps(every, indent=1) + "\n")
+        (arguments.folder / "scores.json").write_text(json.dumps(all_rows, indent=1) + "\n")
         print("| " + " | ".join(table[-1]) + " |", flush=True)
     print("\n| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS))
     print(*("| " + " | ".join(one) + " |" for one in table), sep="\n")
-    for name, rows in every.items():
+    for name, rows in all_rows.items():
         for row in rows:
             if "unsupported" not in row and not (row["found"] and row["honest"]):
                 word = "not found" if row["honest"] else "WRONG"
-                said = row["message"].partition("\n")[0][:110]
-                print(f"{name}, {row['case']}: {word}, error {row['error']:.2g}: {said}")
+                message = row["message"].partition("\n")[0][:110]
+                print(f"{name}, {row['case']}: {word}, error {row['error']:.2g}: {message}")
 
 
 if __name__ == "__main__":

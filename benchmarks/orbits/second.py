@@ -66,10 +66,16 @@ class Motion:
         inverse = np.linalg.inv(self.mass)
         self.inverse = inverse
         if self.law["kind"] != "smoothed":
-            closed = self.stiffness + self.pairs @ np.linalg.solve(self.compliance, self.pairs.T)
+            closed_stiffness = self.stiffness + self.pairs @ np.linalg.solve(
+                self.compliance, self.pairs.T
+            )
             if self.friction:
-                closed = closed + (self.tangents * self.tangential) @ self.tangents.T
-            self.fastest = float(np.sqrt(np.abs(np.linalg.eigvals(inverse @ closed)).max()))
+                closed_stiffness = (
+                    closed_stiffness + (self.tangents * self.tangential) @ self.tangents.T
+                )
+            self.fastest = float(
+                np.sqrt(np.abs(np.linalg.eigvals(inverse @ closed_stiffness)).max())
+            )
         self.size = 2 * n
 
     def waves(self, time: float, count: int) -> np.ndarray:
@@ -83,8 +89,8 @@ class Motion:
 
     def forces(self, closed: np.ndarray) -> np.ndarray:
         """lambda = forces @ s of a set of closed pairs."""
-        found, on = np.zeros_like(self.compliance), np.ix_(closed, closed)
-        found[on] = np.linalg.inv(self.compliance[on])
+        found, closed_block = np.zeros_like(self.compliance), np.ix_(closed, closed)
+        found[closed_block] = np.linalg.inv(self.compliance[closed_block])
         return found
 
     def holds(self, closed: np.ndarray, slow: np.ndarray) -> bool:
@@ -97,9 +103,9 @@ class Motion:
         """Pairs that are closed at a slow gap: lambda, D lambda - s >= 0, one of both 0."""
         size = np.sqrt(np.diag(self.compliance))
         root = np.linalg.cholesky(self.compliance / np.outer(size, size))
-        right = np.linalg.solve(root, slow / size)
-        scale = np.abs(right).max() or 1.0
-        return np.asarray(scipy.optimize.nnls(root.T, right / scale)[0] > 0.0)
+        right_side = np.linalg.solve(root, slow / size)
+        scale = np.abs(right_side).max() or 1.0
+        return np.asarray(scipy.optimize.nnls(root.T, right_side / scale)[0] > 0.0)
 
     def period(
         self, state: np.ndarray, subharmonic: int, tangent: bool = False
@@ -113,40 +119,43 @@ class Motion:
         n, period = self.size // 2, 2.0 * np.pi * subharmonic / self.omega
         moments = period * np.arange(INSTANTS) / INSTANTS
         columns = np.eye(self.size) if tangent else np.zeros((self.size, 0))
-        packed = np.append(np.column_stack([state, columns]).ravel(), 0.0)
-        shape, gap, now = (
+        packed_state = np.append(np.column_stack([state, columns]).ravel(), 0.0)
+        shape, gap, current_time = (
             (self.size, columns.shape[1] + 1),
             np.empty((INSTANTS, len(self.normal))),
             0.0,
         )
         size = float((np.abs(state[:n]) @ np.abs(self.pairs)).max()) + 1e-300
         # The set a moment after the start, by the velocity.
-        late = MOMENT * period
-        closed = self.closed_set(self.slow(late, state[:n] + late * state[n:]))
+        moment = MOMENT * period
+        closed_pairs = self.closed_set(self.slow(moment, state[:n] + moment * state[n:]))
         for _ in range(MOST_EVENTS):
-            answer = self.forces(closed)
-            held = self.stiffness + self.pairs @ answer @ self.pairs.T
-            sign = np.where(closed[:, None], -np.diag(self.compliance)[:, None] * answer,
-                            np.eye(len(closed)) - self.flexibility @ answer)  # fmt: skip
+            answer = self.forces(closed_pairs)
+            held_stiffness = self.stiffness + self.pairs @ answer @ self.pairs.T
+            sign = np.where(closed_pairs[:, None], -np.diag(self.compliance)[:, None] * answer,
+                            np.eye(len(closed_pairs)) - self.flexibility @ answer)  # fmt: skip
 
             def rate(time: float, values: np.ndarray) -> np.ndarray:
-                moved = values[:-1].reshape(shape)
-                push = -held @ moved[:n] - self.damping @ moved[n:]
+                state_columns = values[:-1].reshape(shape)
+                push = -held_stiffness @ state_columns[:n] - self.damping @ state_columns[n:]
                 wave = self.waves(time, len(self.force)) @ self.force
                 lift = self.waves(time, len(self.lift)) @ self.lift
                 push[:, 0] += wave - self.pairs @ (answer @ lift)
-                lost = moved[n:, 0] @ self.damping @ moved[n:, 0]
-                return np.append(np.vstack([moved[n:], self.inverse @ push]).ravel(), lost)
+                lost_power = state_columns[n:, 0] @ self.damping @ state_columns[n:, 0]
+                return np.append(
+                    np.vstack([state_columns[n:], self.inverse @ push]).ravel(), lost_power
+                )
 
             def event(time: float, values: np.ndarray) -> float:
                 slow = self.slow(time, values[:-1].reshape(shape)[:n, 0])
                 return float((sign @ slow).max() - NOTHING * size)
 
             event.terminal, event.direction = True, 1.0  # type: ignore[attr-defined]
-            inside = moments[(moments >= now - 1e-14 * period)]
+            inner_moments = moments[(moments >= current_time - 1e-14 * period)]
             run = solve_ivp(
-                rate, (now, period), packed, "DOP853", rtol=RELATIVE, atol=1e-15 * size,
-                max_step=STEP / self.fastest, events=event, t_eval=np.append(inside, period),
+                rate, (current_time, period), packed_state, "DOP853", rtol=RELATIVE,
+                atol=1e-15 * size,
+                max_step=STEP / self.fastest, events=event, t_eval=np.append(inner_moments, period),
             )  # fmt: skip
             for time, values in zip(run.t, np.transpose(run.y), strict=False):
                 index = int(np.rint(time / period * INSTANTS))
@@ -154,18 +163,18 @@ class Motion:
                     slow = self.slow(time, values[:-1].reshape(shape)[:n, 0])
                     gap[index] = slow - self.flexibility @ (answer @ slow)
             if run.status == 0:
-                packed = run.y[:, -1]
+                packed_state = run.y[:, -1]
                 break
-            now, packed = run.t_events[0][0], run.y_events[0][0]
-            moved = packed[:-1].reshape(shape)[:, 0]
-            ahead = self.slow(now + late, moved[:n] + late * moved[n:])
-            guess = closed.copy()
-            guess[np.argmax(sign @ self.slow(now, moved[:n]))] ^= True
-            closed = guess if self.holds(guess, ahead) else self.closed_set(ahead)
+            current_time, packed_state = run.t_events[0][0], run.y_events[0][0]
+            motion = packed_state[:-1].reshape(shape)[:, 0]
+            slow_gap = self.slow(current_time + moment, motion[:n] + moment * motion[n:])
+            guess = closed_pairs.copy()
+            guess[np.argmax(sign @ self.slow(current_time, motion[:n]))] ^= True
+            closed_pairs = guess if self.holds(guess, slow_gap) else self.closed_set(slow_gap)
         else:
             raise RuntimeError("events without end")
-        end = packed[:-1].reshape(shape)
-        return {"state": end[:, 0], "gap": gap, "loss": packed[-1], "monodromy": end[:, 1:]}
+        end = packed_state[:-1].reshape(shape)
+        return {"state": end[:, 0], "gap": gap, "loss": packed_state[-1], "monodromy": end[:, 1:]}
 
     def _smooth(self, state: np.ndarray, subharmonic: int) -> dict[str, np.ndarray]:
         n, period = self.size // 2, 2.0 * np.pi * subharmonic / self.omega
@@ -176,8 +185,8 @@ class Motion:
             push = self.waves(time, len(self.force)) @ self.force - self.stiffness @ values[:n]
             push -= self.damping @ values[n:-1]
             push -= self.pairs @ (k * gap * (0.5 + np.arctan(s * gap) / np.pi))
-            lost = values[n:-1] @ self.damping @ values[n:-1]
-            return np.concatenate([values[n:-1], self.inverse @ push, [lost]])
+            lost_power = values[n:-1] @ self.damping @ values[n:-1]
+            return np.concatenate([values[n:-1], self.inverse @ push, [lost_power]])
 
         times = period * np.arange(INSTANTS + 1) / INSTANTS
         run = solve_ivp(
@@ -193,7 +202,11 @@ class Motion:
         k, kt, mu = self.normal, self.tangential, self.coefficient
         place, motion = state[2 * n :].copy(), np.append(state[: 2 * n], 0.0)
         moments = period * np.arange(INSTANTS) / INSTANTS
-        gaps, across_all, now = np.empty((INSTANTS, len(k))), np.empty((INSTANTS, len(k))), 0.0
+        gaps, tangential_gaps, current_time = (
+            np.empty((INSTANTS, len(k))),
+            np.empty((INSTANTS, len(k))),
+            0.0,
+        )
 
         def parts(time: float, values: np.ndarray) -> tuple[np.ndarray, ...]:
             q, v = values[:n], values[n : 2 * n]
@@ -207,26 +220,30 @@ class Motion:
         def begin(gap: Any, rise: Any, across: Any, slide: Any, j: int) -> int:
             """State of a pair that closes, or is closed at the start."""
             pull = kt[j] * (across[j] - place[j])
-            most = mu[j] * k[j] * max(gap[j], 0.0)
-            if abs(pull) < most * (1.0 - 1e-9):
+            friction_limit = mu[j] * k[j] * max(gap[j], 0.0)
+            if abs(pull) < friction_limit * (1.0 - 1e-9):
                 return STICK
-            if most == 0.0 or abs(pull) <= 1e-12 + most * 1e-9:
+            if friction_limit == 0.0 or abs(pull) <= 1e-12 + friction_limit * 1e-9:
                 speed = kt[j] * slide[j]
                 return (
                     STICK if abs(speed) <= mu[j] * k[j] * rise[j] else (UP if speed > 0 else DOWN)
                 )
             return UP if pull > 0.0 else DOWN
 
-        first = parts(0.0, motion)
-        states = [begin(*first, j) if first[0][j] > 0.0 else OPEN for j in range(len(k))]
+        start_parts = parts(0.0, motion)
+        states = [
+            begin(*start_parts, j) if start_parts[0][j] > 0.0 else OPEN for j in range(len(k))
+        ]
         for _ in range(MOST_EVENTS):
             kinds = np.array(states)
             slips = np.where(kinds == UP, 1.0, np.where(kinds == DOWN, -1.0, 0.0))
 
             def pulls(gap: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 normal = np.where(kinds == OPEN, 0.0, k * gap)
-                held = np.where(kinds == STICK, kt * (across - place), slips * mu * normal)
-                return normal, held
+                tangential_force = np.where(
+                    kinds == STICK, kt * (across - place), slips * mu * normal
+                )
+                return normal, tangential_force
 
             def rate(time: float, values: np.ndarray) -> np.ndarray:
                 gap, _, across, slide = parts(time, values)
@@ -234,8 +251,8 @@ class Motion:
                 v = values[n : 2 * n]
                 push = self.waves(time, len(self.force)) @ self.force - self.stiffness @ values[:n]
                 push -= self.damping @ v + self.pairs @ normal + self.tangents @ held
-                lost = v @ self.damping @ v + held @ slide
-                return np.concatenate([v, self.inverse @ push, [lost]])
+                lost_power = v @ self.damping @ v + held @ slide
+                return np.concatenate([v, self.inverse @ push, [lost_power]])
 
             def ends(time: float, values: np.ndarray) -> np.ndarray:
                 gap, rise, across, slide = parts(time, values)
@@ -251,31 +268,36 @@ class Motion:
 
             event.terminal, event.direction = True, 1.0  # type: ignore[attr-defined]
             run = solve_ivp(
-                rate, (now, period), motion, "DOP853", rtol=1e-12, atol=1e-14,
+                rate, (current_time, period), motion, "DOP853", rtol=1e-12, atol=1e-14,
                 max_step=STEP / self.fastest, events=event,
-                t_eval=np.append(moments[moments >= now - 1e-14 * period], period),
+                t_eval=np.append(moments[moments >= current_time - 1e-14 * period], period),
             )  # fmt: skip
             for time, values in zip(run.t, np.transpose(run.y), strict=False):
                 index = int(np.rint(time / period * INSTANTS))
                 if index < INSTANTS:
-                    gaps[index], _, across_all[index], _ = parts(time, values)
+                    gaps[index], _, tangential_gaps[index], _ = parts(time, values)
             if run.status == 0:
                 motion = run.y[:, -1]
                 break
-            now, motion = run.t_events[0][0], run.y_events[0][0]
-            which = int(np.argmax(ends(now, motion)))
-            gap, rise, across, slide = parts(now, motion)
-            j, leaves = which % len(k), which < len(k)
+            current_time, motion = run.t_events[0][0], run.y_events[0][0]
+            event_index = int(np.argmax(ends(current_time, motion)))
+            gap, rise, tangential_gap, slide = parts(current_time, motion)
+            j, leaves = event_index % len(k), event_index < len(k)
             if kinds[j] == OPEN:
-                place[j] = across[j]
-                states[j] = begin(0.0 * gap, rise, across, slide, j)
+                place[j] = tangential_gap[j]
+                states[j] = begin(0.0 * gap, rise, tangential_gap, slide, j)
             elif leaves:
                 states[j] = OPEN
             elif kinds[j] == STICK:
-                states[j] = UP if across[j] > place[j] else DOWN
+                states[j] = UP if tangential_gap[j] > place[j] else DOWN
             else:
-                place[j] = across[j] - slips[j] * mu[j] * k[j] * gap[j] / kt[j]
+                place[j] = tangential_gap[j] - slips[j] * mu[j] * k[j] * gap[j] / kt[j]
                 states[j] = STICK
         else:
             raise RuntimeError("events without end")
-        return {"state": motion[:-1], "gap": gaps, "loss": motion[-1], "tangential_gap": across_all}
+        return {
+            "state": motion[:-1],
+            "gap": gaps,
+            "loss": motion[-1],
+            "tangential_gap": tangential_gaps,
+        }

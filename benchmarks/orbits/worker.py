@@ -33,13 +33,14 @@ def answered(solve: Any, case: dict[str, Any]) -> dict[str, Any]:
         return {"unsupported": str(error)}
     except Exception as error:
         answer = Answer(message=f"{type(error).__name__}: {error}")
-    found = {**vars(answer), "seconds": time.process_time() - begin}
+    answer_row = {**vars(answer), "seconds": time.process_time() - begin}
     for name in ("gap", "tangential"):
-        if found[name] is not None:
-            values = np.asarray(found[name], dtype=float)
-            found[name] = values.tolist() if np.all(np.isfinite(values)) else None
+        if answer_row[name] is not None:
+            values = np.asarray(answer_row[name], dtype=float)
+            answer_row[name] = values.tolist() if np.all(np.isfinite(values)) else None
     return {
-        name: value.item() if hasattr(value, "item") else value for name, value in found.items()
+        name: value.item() if hasattr(value, "item") else value
+        for name, value in answer_row.items()
     }
 
 
@@ -54,10 +55,10 @@ def main() -> None:
         if sys.argv[2:]:
             adapter.HARMONICS = int(sys.argv[2])  # type: ignore[attr-defined]
         answered(adapter.solve, json.loads(WARM.read_text()))
-        found = answered(adapter.solve, json.load(sys.stdin))
+        answer = answered(adapter.solve, json.load(sys.stdin))
     source = getattr(adapter, "SOURCE", ("", ""))[1]
-    found["version"] = source or version(adapter.PACKAGE)
-    json.dump(found, sys.stdout)
+    answer["version"] = source or version(adapter.PACKAGE)
+    json.dump(answer, sys.stdout)
 
 
 if __name__ == "__main__":

@@ -115,10 +115,10 @@ def starts(
     flow: Any, structure: fc.Structure, law: Any, omega: float, few: bool
 ) -> list[np.ndarray]:
     """States from which orbits are sought: harmonic balance, rest followed, random ones."""
-    found, period, random = [], 2.0 * np.pi / omega, np.random.default_rng(87)
+    start_states, period, random = [], 2.0 * np.pi / omega, np.random.default_rng(87)
     try:
         solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=20, throw=False)
-        found.append(wave_states(flow, solution.displacement_coefficients, omega)[0])
+        start_states.append(wave_states(flow, solution.displacement_coefficients, omega)[0])
     except Exception as error:  # another start does
         print("  harmonic balance:", error)
     state = np.array(flow.rest_state, float)
@@ -126,22 +126,22 @@ def starts(
         for number in range(20 if few else SETTLED):
             state = flow.advance(state, omega, period).state
             if number > (10 if few else SETTLED - 4):
-                found.append(state)
+                start_states.append(state)
     except fc.ConvergenceError as error:
         print("  from rest:", error)
     size = flow.energy_weights(omega)
-    scale = max((float(np.linalg.norm(size * one)) for one in found), default=1.0)
+    scale = max((float(np.linalg.norm(size * one)) for one in start_states), default=1.0)
     for _ in range(2 if few else STARTS):
-        one = random.normal(size=len(found[0])) / size
+        one = random.normal(size=len(start_states[0])) / size
         one *= random.uniform(0.2, 3.0) * scale / np.linalg.norm(size * one)
-        found.append(one)
+        start_states.append(one)
         try:
             for _ in range(8):
                 one = flow.advance(one, omega, period).state
-            found.append(one)
+            start_states.append(one)
         except fc.ConvergenceError:
             continue
-    return found
+    return start_states
 
 
 def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> list[dict[str, Any]]:
@@ -183,20 +183,20 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     gap = orbit.gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)
     loss = work.damping + float(np.sum(work.friction))
     waves = orbit.coefficients(HARMONICS).gap[:, : gap.shape[1]]
-    found = stored(
+    stored_orbit = stored(
         case, orbit.subharmonic, state, gap, loss, orbit.multipliers, orbit.events, waves
     )
     if flow.friction_law:
         slide = orbit.tangential_gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)
-        found["tangential_gap"], found["stuck"] = rounded(slide), orbit.stuck.tolist()
+        stored_orbit["tangential_gap"], stored_orbit["stuck"] = rounded(slide), orbit.stuck.tolist()
     elif case["structure"]["form"] == "matrices":
         sets, ends = orbit.motion.track.sets > 0, np.cumsum(orbit.motion.track.lengths)
-        found["first"] = sets[0].tolist()
-        found["crossings"] = [
+        stored_orbit["first"] = sets[0].tolist()
+        stored_orbit["crossings"] = [
             [float(ends[i]), int(j)]
             for i in range(len(sets) - 1) for j in np.flatnonzero(sets[i] != sets[i + 1])
         ]  # fmt: skip
-    return found
+    return stored_orbit
 
 
 def stored(case: dict[str, Any], periods: int, state: np.ndarray, gap: np.ndarray, loss: float,
@@ -207,14 +207,22 @@ def stored(case: dict[str, Any], periods: int, state: np.ndarray, gap: np.ndarra
         harmonics = np.abs(spectrum) * np.r_[1.0, np.full(HARMONICS, 2.0)][:, None]
     else:
         harmonics = np.vstack([np.abs(waves[:1]), np.hypot(waves[1::2], waves[2::2])])
-    leading = sorted(multipliers, key=lambda one: (-abs(one), one.imag))[:6]
-    largest = abs(leading[0])
-    verdict = "undecided" if abs(largest - 1.0) < 1e-6 else "stable" if largest < 1 else "unstable"
+    leading_multipliers = sorted(multipliers, key=lambda one: (-abs(one), one.imag))[:6]
+    largest_size = abs(leading_multipliers[0])
+    verdict = (
+        "undecided"
+        if abs(largest_size - 1.0) < 1e-6
+        else "stable"
+        if largest_size < 1
+        else "unstable"
+    )
     return {
         "subharmonic": periods, "state": state.tolist(), "gap": rounded(gap),
         "harmonics": rounded(harmonics), "least": gap.min(axis=0).tolist(),
         "most": gap.max(axis=0).tolist(), "loss": float(loss), "events": int(events),
-        "multipliers": [[float(one.real), float(one.imag)] for one in leading], "verdict": verdict,
+        "multipliers": [[float(multiplier.real), float(multiplier.imag)]
+                        for multiplier in leading_multipliers],
+        "verdict": verdict,
     }  # fmt: skip
 
 
@@ -234,26 +242,30 @@ def smooth_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> li
     shapes = np.linalg.inv(flow.system.rows)
     state = np.append(shapes @ orbit.state[:n] / flow.scale, shapes @ orbit.state[n:])
     rates = orbit.state[n:]
-    many = 4096
-    times = np.append(period * np.arange(many) / many, period)
-    moved = flow._integrated(orbit.state[:, None], omega, 0.0, times)[:-1, :, 0]
-    rates = moved[:, n:]
-    loss = period / many * float(np.einsum("ti,ij,tj", rates, flow.system.damping, rates))
+    n_instants = 4096
+    times = np.append(period * np.arange(n_instants) / n_instants, period)
+    motion = flow._integrated(orbit.state[:, None], omega, 0.0, times)[:-1, :, 0]
+    rates = motion[:, n:]
+    loss = period / n_instants * float(np.einsum("ti,ij,tj", rates, flow.system.damping, rates))
     return [stored(case, 1, state, orbit.gap[::2], loss, orbit.multipliers, 0, None)]
 
 
 def finished(case: dict[str, Any], structure: fc.Structure, law: Any) -> dict[str, Any]:
     """A case with its references and its hash."""
-    smooth = case["law"]["kind"] == "smoothed"
-    orbits = (smooth_orbits if smooth else exact_orbits)(case, structure, law)
-    made = ["DOP853 in modal coordinates" if smooth else "exact flow of fenics_crack, shooting"]
-    many = structure.n_pairs > 20
-    if many:
-        made.append("reference_flow.py, one period from the state of the first")
+    is_smooth = case["law"]["kind"] == "smoothed"
+    orbits = (smooth_orbits if is_smooth else exact_orbits)(case, structure, law)
+    methods = [
+        "DOP853 in modal coordinates" if is_smooth else "exact flow of fenics_crack, shooting"
+    ]
+    has_many_pairs = structure.n_pairs > 20
+    if has_many_pairs:
+        methods.append("reference_flow.py, one period from the state of the first")
     else:
-        made.append("Radau, one period" if smooth else "DOP853 from event to event, one period")
+        methods.append(
+            "Radau, one period" if is_smooth else "DOP853 from event to event, one period"
+        )
     for orbit in orbits:
-        if many:
+        if has_many_pairs:
             flow = reference_flow.ReferenceFlow(structure, law)
             start = np.array(orbit["state"])
             start[: len(start) // 2] *= flow.scale
@@ -264,42 +276,46 @@ def finished(case: dict[str, Any], structure: fc.Structure, law: Any) -> dict[st
             passage = flow.advance(
                 start, case["load"]["omega"], 0.0, 2.0 * np.pi / case["load"]["omega"], INSTANTS
             )
-            again = {"gap": passage.gap, "state": passage.state, "start": start}
-            orbit["agreement"] = check.apart(orbit, again)
+            passage_arrays = {"gap": passage.gap, "state": passage.state, "start": start}
+            orbit["agreement"] = check.apart(orbit, passage_arrays)
         else:
             orbit["agreement"] = check.second_reference(case, orbit)
-    return check.sealed(case | {"references": made, "orbits": orbits})
+    return check.sealed(case | {"references": methods, "orbits": orbits})
 
 
 def main() -> None:
     """Write the cases named, by default all."""
-    given = [json.loads((HERE / name).read_text()) for name in ("published.json", "drawn.json")]
-    made = [(case, *built(case)) for cases in given for case in cases]
-    wanted = sys.argv[1:]
-    names = [case["name"] for case, *_ in made] + list(PLATES)
+    given_cases = [
+        json.loads((HERE / name).read_text()) for name in ("published.json", "drawn.json")
+    ]
+    built_cases = [(case, *built(case)) for cases in given_cases for case in cases]
+    wanted_names = sys.argv[1:]
+    names = [case["name"] for case, *_ in built_cases] + list(PLATES)
     (HERE / "cases").mkdir(exist_ok=True)
-    lookup = {case["name"]: (case, structure, law) for case, structure, law in made}
-    for name in wanted or names:
+    lookup = {case["name"]: (case, structure, law) for case, structure, law in built_cases}
+    for name in wanted_names or names:
         begin = time.process_time()
         try:
             case, structure, law = lookup[name] if name in lookup else plate(name)
-            whole = finished(case, structure, law)
+            finished_case = finished(case, structure, law)
         except Exception as error:
             print(f"{name:20} FAILED {type(error).__name__}: {error}", flush=True)
             continue
-        orbits = whole["orbits"]
-        worst = max((one["agreement"] for one in orbits), default=np.inf)
+        orbits = finished_case["orbits"]
+        worst_agreement = max((orbit["agreement"] for orbit in orbits), default=np.inf)
         say = [
-            f"{one['subharmonic']}:{one['verdict'][0]}{abs(complex(*one['multipliers'][0])):.4f}/{one['events']}"
-            for one in orbits
+            f"{orbit['subharmonic']}:{orbit['verdict'][0]}{abs(complex(*orbit['multipliers'][0])):.4f}/{orbit['events']}"
+            for orbit in orbits
         ]
-        good = worst <= check.limit(whole)
-        if good:
+        is_good = worst_agreement <= check.limit(finished_case)
+        if is_good:
             (HERE / "cases" / f"{name}.json").write_text(
-                json.dumps(whole, separators=(",", ":")) + "\n"
+                json.dumps(finished_case, separators=(",", ":")) + "\n"
             )
-        word, seconds = "ok " if good else "NOT", time.process_time() - begin
-        print(f"{name:20} {word} {worst:.1e} {seconds:6.1f} s  {' '.join(say)}", flush=True)
+        word, seconds = "ok " if is_good else "NOT", time.process_time() - begin
+        print(
+            f"{name:20} {word} {worst_agreement:.1e} {seconds:6.1f} s  {' '.join(say)}", flush=True
+        )
 
 
 if __name__ == "__main__":

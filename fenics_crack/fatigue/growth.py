@@ -516,10 +516,8 @@ def _grow_ellipse(
         interpolation_error,
     )
     values_by_column = {
-        column_name: ellipse_table.interpolate_column(
-            column_name, ellipse_path.depth, ellipse_path.length
-        )
-        for column_name in ellipse_table.column_by_name
+        name: ellipse_table.interpolate_column(name, ellipse_path.depth, ellipse_path.length)
+        for name in ellipse_table.column_by_name
     }
     elapsed_time = _integrate_over_cycles(
         RAD_PER_TURN / values_by_column["omega"], ellipse_path.cycles

@@ -153,19 +153,12 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
             <= INNER_FRONT_DISTANCE_RATIO
         )
-        inner_nodes, inner_node_parameters = (
-            crack_front.node_positions[is_inner],
-            crack_front.parameters[is_inner],
-        )
-        ray_points_and_directions = zip(
-            inner_nodes,
-            crack_front.frame_and_curvature(inner_node_parameters)[0][:, 0],
-            strict=True,
-        )
+        inner_nodes = crack_front.node_positions[is_inner]
+        inner_frames, _ = crack_front.frame_and_curvature(crack_front.parameters[is_inner])
         ligament = min(
             (
-                ray_length(*ray_point_and_direction, surface_triangles)
-                for ray_point_and_direction in ray_points_and_directions
+                ray_length(node, frame[0], surface_triangles)
+                for node, frame in zip(inner_nodes, inner_frames, strict=True)
             ),
             default=np.nan,
         )

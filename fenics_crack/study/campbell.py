@@ -448,24 +448,22 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     requested_scene = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
-    fastest_structure = assemble_or_reuse(scene, comm)
-    max_modes = count_bonded_modes(fastest_structure)
+    top_structure = assemble_or_reuse(scene, comm)
+    max_modes = count_bonded_modes(top_structure)
     if count is not None and count > max_modes:
         raise InputError("count", count, f"a whole number from 1 to {max_modes}")
     count = min(few, max_modes) if count is None else count
     # The bonded mode with an open mode's shape may come later, if the bond moves it past others.
-    n_bonded_modes = min(count + 2, max_modes) if fastest_structure.n_pairs else 0
+    n_bonded = min(count + 2, max_modes) if top_structure.n_pairs else 0
     start, stop = speed_array[[0, -1]]
-    projection = RitzProjection.of_range(
-        fastest_structure.damped(None), start, stop, count, n_bonded_modes
-    )
+    projection = RitzProjection.of_range(top_structure.damped(None), start, stop, count, n_bonded)
     load_amplitude = projection.force[1] - 1j * projection.force[2]
-    peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, fastest_structure)
+    peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, top_structure)
 
     @cache
     def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
         return _find_frequencies_and_margins(
-            projection.structure_at_speed(speed), peak_amplitude_function, count, n_bonded_modes
+            projection.structure_at_speed(speed), peak_amplitude_function, count, n_bonded
         )
 
     omega_of_states, hold_margins = zip(
@@ -480,9 +478,7 @@ def campbell(
     )
     frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
-    modes = Modes(
-        projected_modes.omega, projection.basis @ projected_modes.shapes, fastest_structure
-    )
+    modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
     coriolis = coriolis_shifts(modes, speed_array[-1] * axis)
     diagram = Campbell(
         requested_scene,
@@ -490,13 +486,13 @@ def campbell(
         omega_open,
         omega_tied,
         omega_partly,
-        fastest_structure.n_pairs > 0,
+        top_structure.n_pairs > 0,
         frequency_kinds,
         kind_changes,
         coriolis,
         find_frequencies_and_margins,
     )
-    damped_projection = replace(projection, structure=fastest_structure)
+    damped_projection = replace(projection, structure=top_structure)
     return replace(diagram, met=_find_load_resonances(diagram, damped_projection))
 
 

@@ -140,11 +140,8 @@ def find_key_figures(study: Study) -> KeyFigures:
 
     A reduced study is evaluated in its own coordinates, in which static responses are exact.
     """
-    scene, structure, law = (
-        study.scene,
-        study.structure.structure_in_few_coordinates(),
-        study.contact,
-    )
+    scene, law = study.scene, study.contact
+    structure = study.structure.structure_in_few_coordinates()
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
         _solve_modes_and_statics(structure)
     )
@@ -175,9 +172,8 @@ def find_key_figures(study: Study) -> KeyFigures:
             )
         )  # fmt: skip
         peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
-        peak_rotation = max(
-            peak_rotation, float((watched_amplitudes / clamp_distances).max(initial=0.0))
-        )
+        rotation_amplitudes = watched_amplitudes / clamp_distances
+        peak_rotation = max(peak_rotation, float(rotation_amplitudes.max(initial=0.0)))
         if structure.n_pairs:
             peak_gap_motion = max(peak_gap_motion, float(gap_amplitudes.max()))
             is_closing = (

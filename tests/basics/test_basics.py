@@ -97,7 +97,7 @@ def test_stages_are_logged(paper_scene: fc.Scene, caplog: pytest.LogCaptureFixtu
 @pytest.mark.parametrize("kept", [True, False], ids=["kept", "brief"])
 def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes long says so now and then, while it computes, and not after its end."""
-    passed, threads = threading.Event(), list[threading.Thread]()
+    passed_event, threads = threading.Event(), list[threading.Thread]()
 
     class Beats(threading.Event):
         """Three beats pass, and then none until the end."""
@@ -109,7 +109,7 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
             self.left -= 1
             if self.left:
                 return False
-            passed.set()
+            passed_event.set()
             return super().wait(LIMIT)
 
     def thread(**given: Any) -> threading.Thread:
@@ -122,11 +122,13 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
     stream.truncate()
     with progress.StageLines(stream, keeps_lines=kept):
         progress.begin_stage("path")
-        assert passed.wait(LIMIT)
-    shown = stream.getvalue()
-    assert shown.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n") == 3
+        assert passed_event.wait(LIMIT)
+    shown_text = stream.getvalue()
+    assert (
+        shown_text.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n") == 3
+    )
     threads[0].join(LIMIT)
-    assert len(threads) == 1 and not threads[0].is_alive() and stream.getvalue() == shown
+    assert len(threads) == 1 and not threads[0].is_alive() and stream.getvalue() == shown_text
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -165,8 +167,8 @@ def made_sweep(scene: fc.Scene) -> fc.SweepResult:
         for name, (_, kind) in UNIT_AND_TYPE_BY_COLUMN.items()
     }
     columns["state"] = np.array([[1, 1, 2], [1, 1, 0]])
-    swept = replace(scene, sweep=Sweep.from_mapping({"over": over}))
-    return fc.SweepResult(Path("sweep.h5"), swept, columns)
+    swept_scene = replace(scene, sweep=Sweep.from_mapping({"over": over}))
+    return fc.SweepResult(Path("sweep.h5"), swept_scene, columns)
 
 
 def plain(value: object) -> bool:
@@ -184,14 +186,14 @@ def test_results_describe_themselves(name: str, results: dict[str, Any]) -> None
     assert "\n" not in line and len(line) < 140 and "array" not in line
     page = result._repr_html_()
     assert page.startswith("<table>") and page.count("<table>") == page.count("</table>") == 1
-    found = result.to_dict()
-    assert all(type(key) is str for key in found)
+    entries = result.to_dict()
+    assert all(type(key) is str for key in entries)
     if name in TABLES:
         assert isinstance(result, Tabular)
-        assert len({len(column) for column in found.values()}) == 1
-        assert all(plain(value) for column in found.values() for value in column)
+        assert len({len(column) for column in entries.values()}) == 1
+        assert all(plain(value) for column in entries.values() for value in column)
     else:
-        assert all(map(plain, found.values()))
+        assert all(map(plain, entries.values()))
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -201,10 +203,10 @@ def test_tables_read_back(name: str, results: dict[str, Any], tmp_path: Path) ->
     results[name].to_csv(path)
     with open(path, newline="") as file:
         header, *rows = csv.reader(file)
-    found = results[name].to_dict()
-    assert [column.split(" [")[0] for column in header] == list(found)
+    entries = results[name].to_dict()
+    assert [column.split(" [")[0] for column in header] == list(entries)
     assert any("[rad/s]" in column for column in header)
-    for column, values in zip(zip(*rows, strict=True), found.values(), strict=True):
+    for column, values in zip(zip(*rows, strict=True), entries.values(), strict=True):
         for text, value in zip(column, values, strict=True):
             assert text == str(value)
     with pytest.raises(fc.InputError, match="path"):
@@ -234,10 +236,10 @@ def test_what_the_lines_say(results: dict[str, Any]) -> None:
 def test_dicts_say_what_the_results_are(results: dict[str, Any]) -> None:
     """Values are those of the attributes."""
     curve, sweep = results["curve"].to_dict(), results["sweep"].to_dict()
-    seen = results["curve"].indicators(results["curve"].structure.watched_dof)
+    indicators = results["curve"].indicators(results["curve"].structure.watched_dof)
     assert list(curve)[:5] == ["omega", "frequency", "iterations", "multiplier", "verdict"]
-    assert curve["amplitude"] == seen.amplitude.tolist()
-    assert curve["ratio_2_1"] == seen.ratio_2_1.tolist()
+    assert curve["amplitude"] == indicators.amplitude.tolist()
+    assert curve["ratio_2_1"] == indicators.ratio_2_1.tolist()
     assert curve["omega"] == results["curve"].omega.tolist()
     assert sweep["excitation.omega"] == 2 * [1900.0, 2000.0, 2100.0]
     assert sweep["crack.length"] == 3 * [0.03] + 3 * [0.05]
@@ -253,18 +255,26 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     solution = results["bifurcation"].solution
     time = np.linspace(0.0, solution.period, 1024, endpoint=False)
     gap, force = solution.gap(time), solution.contact_force(time)
-    found = solution.to_dict()
-    sampled = gap.max(), force.max(), np.ptp(solution.displacement(time, [1])) / 2.0
-    for exact, seen in zip(
-        (found["penetration"], found["contact_force"], solution.amplitude(1)), sampled, strict=True
+    entries = solution.to_dict()
+    sampled_values = gap.max(), force.max(), np.ptp(solution.displacement(time, [1])) / 2.0
+    for exact, stored_value in zip(
+        (entries["penetration"], entries["contact_force"], solution.amplitude(1)),
+        sampled_values,
+        strict=True,
     ):
-        assert 0.0 < seen <= exact < seen * (1.0 + 1e-5)
-    assert found["closed_share"] == np.mean(force > 0.0)
-    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
+        assert 0.0 < stored_value <= exact < stored_value * (1.0 + 1e-5)
+    assert entries["closed_share"] == np.mean(force > 0.0)
+    free_linear_solution = fc.solve_linear(
+        fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
+    )
     of_faces = observable_names(Place.FACES, excluded_flags=ObservableFlag.REQUIRES_FRICTION)
-    assert found.keys() - free.to_dict().keys() == {*of_faces} >= {"opening", "closed_share"}
+    assert (
+        entries.keys() - free_linear_solution.to_dict().keys()
+        == {*of_faces}
+        >= {"opening", "closed_share"}
+    )
     table = solution.table("contact_force", "omega")
-    force_row = "contact_force [N]", found["contact_force"]
+    force_row = "contact_force [N]", entries["contact_force"]
     assert table.rows == [force_row, ("omega [rad/s]", solution.omega)]
 
 
@@ -272,11 +282,11 @@ def test_sweep_over_its_keys(results: dict[str, Any], monkeypatch: pytest.Monkey
     """An xarray.Dataset of dimensions, numbers and units; without xarray one clear error."""
     dataset = SimpleNamespace(Dataset=lambda columns, swept: (columns, swept))
     monkeypatch.setitem(sys.modules, "xarray", dataset)
-    columns, swept = results["sweep"].to_xarray()
+    columns, swept_columns = results["sweep"].to_xarray()
     keys, response, attributes = columns["response"]
-    assert keys == [*swept] == ["crack.length", "excitation.omega"]
+    assert keys == [*swept_columns] == ["crack.length", "excitation.omega"]
     assert response.shape == (2, 3) and attributes == {"units": "m"}
-    assert swept["crack.length"] == [0.03, 0.05] and columns["state"][1].shape == (2, 3)
+    assert swept_columns["crack.length"] == [0.03, 0.05] and columns["state"][1].shape == (2, 3)
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(ImportError, match=r"to_xarray needs xarray \(pip install"):
         results["sweep"].to_xarray()
@@ -295,10 +305,16 @@ def test_long_tables_are_cut_for_eyes_only() -> None:
 
 def test_quantities() -> None:
     """A number with a prefix that suits it."""
-    shown = {1.4514e-6: "1.451 µm", 0.0: "0 m", -2e-9: "-2 nm", 999.97e-6: "1000 µm", 12.0: "12 m"}
-    assert {value: format_quantity(value, "m") for value in shown} == shown
-    plain = {"": "0.02", "1": "0.02", "deg": "0.02 deg", "Hz": "0.02 Hz"}
-    assert {unit: format_quantity(0.02, unit) for unit in plain} == plain
+    text_by_value = {
+        1.4514e-6: "1.451 µm",
+        0.0: "0 m",
+        -2e-9: "-2 nm",
+        999.97e-6: "1000 µm",
+        12.0: "12 m",
+    }
+    assert {value: format_quantity(value, "m") for value in text_by_value} == text_by_value
+    text_by_unit = {"": "0.02", "1": "0.02", "deg": "0.02 deg", "Hz": "0.02 Hz"}
+    assert {unit: format_quantity(0.02, unit) for unit in text_by_unit} == text_by_unit
 
 
 def test_a_name_has_one_unit() -> None:
@@ -324,11 +340,11 @@ def test_ranges_in_words() -> None:
 
 def test_units_that_read_well() -> None:
     """Three digits before the point at most."""
-    for largest, unit, factor, found in (
+    for largest_value, unit, factor, expected_unit in (
         (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
         (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
     ):  # fmt: skip
-        assert choose_unit_prefix(largest, unit) == (pytest.approx(factor), found)
+        assert choose_unit_prefix(largest_value, unit) == (pytest.approx(factor), expected_unit)
 
 
 def test_values_of_keys_in_words() -> None:
@@ -342,8 +358,8 @@ def test_a_default_of_a_listed_table_is_told(paper_scene: fc.Scene) -> None:
     """As that of any other: it was "none"."""
     one = paper_scene.replace({"loads.1.edge": "top", "loads.1.traction_sin": [1.0, 0.0]})
     lagging = one.replace({"loads.1.phase": 30.0})
-    told = ["loads.1.phase = 0 degrees", "loads.1.phase = 30 degrees"]
-    assert describe_differences([one, lagging]) == told
+    notes = ["loads.1.phase = 0 degrees", "loads.1.phase = 30 degrees"]
+    assert describe_differences([one, lagging]) == notes
     assert describe_differences([paper_scene, one])[0].startswith("loads.1.edge = none")
 
 
@@ -367,13 +383,13 @@ COMMANDS = {
 def room_for(size: int) -> Iterator[None]:
     """No file of this process can grow beyond a size, as on a full disk; modules are not written,
     as Python does not see that it wrote them in part."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    earlier_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     writes_no_modules, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, earlier_limit[1]))
     try:
         yield
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, earlier_limit)
         sys.dont_write_bytecode = writes_no_modules
 
 
@@ -401,8 +417,8 @@ def test_full_disk(
     capsys.readouterr()
     with room_for(100):
         assert main(words) == 1
-    told = capsys.readouterr()
-    (line,) = told.err.splitlines()
+    output = capsys.readouterr()
+    (line,) = output.err.splitlines()
     assert re.search(r"= '/.*\.(h5|json|png)': must be a file that can be written \(.", line), line
     assert {file.name for file in tmp_path.iterdir()} - {"before"} == {*COMMANDS[command]}
     assert all((tmp_path / name).read_text() == "before" for name in COMMANDS[command])
@@ -426,8 +442,8 @@ def test_full_disk_on_two_ranks(command: str, tmp_path: Path, on_ranks: Callable
     codes, lines = on_ranks(run_without_room, words)
     assert codes == [1, 1] and len(lines) == 1, lines
     assert re.search(r"= '/.*\.(h5|json)': must be a file that can be written \(.", lines[0])
-    left = {file.name for file in tmp_path.iterdir()} - {"before"}
-    assert left == {*COMMANDS[command]}
+    files_left = {file.name for file in tmp_path.iterdir()} - {"before"}
+    assert files_left == {*COMMANDS[command]}
     assert all((tmp_path / name).read_text() == "before" for name in COMMANDS[command])
     codes, lines = on_ranks(run_program, words)
     assert codes == [0, 0], lines
@@ -441,15 +457,15 @@ def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     shell = f'mount -t tmpfs -o size=20k tmpfs {tmp_path} || exit 99; exec "$@"'
     words = ["sweep", str(DEMOS / "chain.toml"), *SMALL, "--output", str(tmp_path / "new")]
     program = [sys.executable, "-m", "fenics_crack", *words]
-    done = subprocess.run(
+    process = subprocess.run(
         ["unshare", "-m", "sh", "-c", shell, "sh", *program],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode == 99 or done.stderr.startswith("unshare: "):  # as in a chroot
+    if process.returncode == 99 or process.stderr.startswith("unshare: "):  # as in a chroot
         pytest.skip("cannot mount")
-    line, *more = done.stderr.splitlines()
-    assert not more, done.stderr
-    assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
+    line, *more_lines = process.stderr.splitlines()
+    assert not more_lines, process.stderr
+    assert process.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
 @pytest.mark.drawn(3)
@@ -457,18 +473,18 @@ def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_links_in_the_folder_lead_nowhere(command: str, chain_result: Path, tmp_path: Path) -> None:
     """A file takes the place of a link, and what the link leads to stays as it was."""
-    own, victim = tmp_path / "own", tmp_path / "victim"
-    own.mkdir()
+    own_folder, victim = tmp_path / "own", tmp_path / "victim"
+    own_folder.mkdir()
     victim.write_text("before")
     for name in COMMANDS[command]:
-        (own / name).symlink_to(victim)
-    words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(own)]
+        (own_folder / name).symlink_to(victim)
+    words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(own_folder)]
     if command in ("plot", "report"):
         page = "report.html" if command == "report" else ""
-        words = [command, str(chain_result), "--quiet", "--output", str(own / page)]
+        words = [command, str(chain_result), "--quiet", "--output", str(own_folder / page)]
     assert main(words) == 0
     assert victim.read_text() == "before"
-    assert not any((own / name).is_symlink() for name in COMMANDS[command])
+    assert not any((own_folder / name).is_symlink() for name in COMMANDS[command])
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -477,13 +493,13 @@ def test_a_sweep_through_a_link_is_refused(
 ) -> None:
     """One line, whether the link leads to another sweep of the same scene or to nothing yet."""
     words = ["sweep", str(DEMOS / "chain.toml"), *SMALL, "--output"]
-    victim, own = tmp_path / "victim", tmp_path / "own"
+    victim, own_folder = tmp_path / "victim", tmp_path / "own"
     if there:
         assert main([*words, str(victim)]) == 0
-    own.mkdir()
-    (own / "sweep.h5").symlink_to(victim / "sweep.h5")
+    own_folder.mkdir()
+    (own_folder / "sweep.h5").symlink_to(victim / "sweep.h5")
     capsys.readouterr()
-    assert main([*words, str(own)]) == 2
+    assert main([*words, str(own_folder)]) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert "regular file" in line and (victim / "sweep.h5").exists() == there
 
@@ -510,21 +526,23 @@ def test_a_file_that_is_kept(
     linking: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a folder below, where no link is followed, also on a file system without hard links."""
-    own, kept, victim = (tmp_path / name for name in ("own", "own/kept", "victim"))
-    kept.mkdir(parents=True)
+    own_folder, kept_path, victim = (tmp_path / name for name in ("own", "own/kept", "victim"))
+    kept_path.mkdir(parents=True)
     victim.write_text("victim")
-    (own / "a").write_text("before")
-    for link in (own / "b", kept / "a", kept / "b", kept / "c"):
+    (own_folder / "a").write_text("before")
+    for link in (own_folder / "b", kept_path / "a", kept_path / "b", kept_path / "c"):
         link.symlink_to(victim)
     if not linking:
         monkeypatch.setattr(os, "link", lambda *_: os.lstat("/nothing"))  # an OSError
-    assert keep_files(("a", "b", "d"), own, kept) and not keep_files(("c", "d"), own, kept)
-    write_file_whole(own / "a", "after")
-    assert victim.read_text() == "victim" and (kept / "a").read_text() == "before"
-    assert sorted(path.name for path in kept.iterdir()) == ["a", "c"]
-    (own / "link").symlink_to(kept)
+    assert keep_files(("a", "b", "d"), own_folder, kept_path) and not keep_files(
+        ("c", "d"), own_folder, kept_path
+    )
+    write_file_whole(own_folder / "a", "after")
+    assert victim.read_text() == "victim" and (kept_path / "a").read_text() == "before"
+    assert sorted(path.name for path in kept_path.iterdir()) == ["a", "c"]
+    (own_folder / "link").symlink_to(kept_path)
     with pytest.raises(NotADirectoryError):
-        keep_files(("a",), own, own / "link")
+        keep_files(("a",), own_folder, own_folder / "link")
 
 
 def test_all_or_none(tmp_path: Path) -> None:
@@ -545,11 +563,13 @@ def test_a_result_is_whole(
     shutil.copytree(chain_result.parent, tmp_path, dirs_exist_ok=True)
     (tmp_path / name).unlink()
     (tmp_path / name).mkdir()
-    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    content_by_path = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     words = ["solve", str(DEMOS / "chain.toml"), *SMALL, "--set", "excitation.frequency=7.9"]
     assert main([*words, "--output", str(tmp_path)]) == 2
     assert name in capsys.readouterr().err
-    assert before == {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    assert content_by_path == {
+        path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()
+    }
 
 
 def test_mesh_file_is_whole(paper_scene: fc.Scene, tmp_path: Path) -> None:
@@ -562,8 +582,8 @@ def test_mesh_file_is_whole(paper_scene: fc.Scene, tmp_path: Path) -> None:
 
 def test_full_output(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     """The table cannot be printed, or there is nowhere to print it."""
-    with open("/dev/full", "w") as full:
-        for output in (full, None):
+    with open("/dev/full", "w") as full_device:
+        for output in (full_device, None):
             monkeypatch.setattr(sys, "stdout", output)
             assert main(["check", str(DEMOS / "chain.toml"), "--quiet"]) == 1
         monkeypatch.undo()
@@ -622,11 +642,11 @@ class Pool:
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> Pool:
     """The only OpenBLAS, of a user who has said nothing, on 8 processors."""
-    found = Pool(8)
-    monkeypatch.setattr(threads, "_load_openblas_libraries", lambda modules: [(found, 8)])
+    loaded_pool = Pool(8)
+    monkeypatch.setattr(threads, "_load_openblas_libraries", lambda modules: [(loaded_pool, 8)])
     for name in threads.THREAD_COUNT_VARIABLES:
         monkeypatch.delenv(name, raising=False)
-    return found
+    return loaded_pool
 
 
 def test_one_thread_of_openblas(pool: Pool) -> None:
@@ -731,9 +751,9 @@ def run(program: str, chosen: dict[str, str] | None = None) -> str:
     """What a program prints in a process of its own, with these settings of threads alone."""
     settings = dict.fromkeys(threads.THREAD_COUNT_VARIABLES)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT, cwd=ROOT,
         env=environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | (chosen or {}),
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()

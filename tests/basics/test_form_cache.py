@@ -40,9 +40,9 @@ def assemble(comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     space = compat.function_space(mesh, 1, vectors=False)
     form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * ufl.dx
     matrix = compat.assembled_petsc_matrix(form)
-    ones = matrix.createVecRight()
-    ones.set(1.0)
-    return float((matrix * ones).sum())
+    ones_vector = matrix.createVecRight()
+    ones_vector.set(1.0)
+    return float((matrix * ones_vector).sum())
 
 
 def compiling(words: list[str], folder: Path, number: int) -> subprocess.Popen[str]:
@@ -65,11 +65,11 @@ def interrupt(program: subprocess.Popen[str], folder: Path, number: int) -> tupl
         time.sleep(0.01)
     compiler, caller = map(int, mark.read_text().split())
     os.kill(caller, number)
-    said = program.communicate(timeout=LIMIT)[1]
+    messages = program.communicate(timeout=LIMIT)[1]
     while is_running(compiler):
         assert time.monotonic() < until
         time.sleep(0.01)
-    return program.returncode, said
+    return program.returncode, messages
 
 
 @pytest.fixture
@@ -106,33 +106,33 @@ def test_an_interrupt_from_the_terminal(tmp_path: Path) -> None:
     """A sweep finishes what it has begun: its compiler is not interrupted."""
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
     compiler = tmp_path / "cc"
-    once = f"mkdir {tmp_path}/once && kill -INT -$PPID"
-    compiler.write_text(f'#!/bin/sh\n{once}\nexec gcc "$@"\n')
+    interrupting_command = f"mkdir {tmp_path}/once && kill -INT -$PPID"
+    compiler.write_text(f'#!/bin/sh\n{interrupting_command}\nexec gcc "$@"\n')
     compiler.chmod(0o755)
     changes = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "CC": str(compiler)}
     words = [sys.executable, "-m", "fenics_crack", "sweep", str(tmp_path / "plate.toml"), *SMALL]
-    done = subprocess.run(
+    process = subprocess.run(
         [*words, "--output", str(tmp_path / "out")], env=environment() | changes, timeout=LIMIT,
         start_new_session=True, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 3 and "the same command goes on" in done.stderr
+    assert process.returncode == 3 and "the same command goes on" in process.stderr
 
 
 def test_a_damaged_form(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One with a part of its library and one without its source are compiled again; of whole ones
     nothing is written."""
     assemble(MPI.COMM_SELF)
-    whole = {*cache.iterdir()}
+    original_files = {*cache.iterdir()}
     assemble(MPI.COMM_SELF)
-    assert {*cache.iterdir()} == whole
+    assert {*cache.iterdir()} == original_files
     copy = shutil.copytree(cache, cache.parent / "copy")  # this process has mapped the others
     monkeypatch.setattr(compat, "_CACHE_FOLDER", copy)
-    first, *others = sorted(copy.glob("*/"))
-    os.truncate(next(first.glob("*.so")), 8192)
-    for other in others:
-        next(other.glob("*.c")).unlink()
+    first_form, *other_forms = sorted(copy.glob("*/"))
+    os.truncate(next(first_form.glob("*.so")), 8192)
+    for other_form in other_forms:
+        next(other_form.glob("*.c")).unlink()
     assert assemble(MPI.COMM_SELF) == pytest.approx(1.0)
-    assert len({*copy.iterdir()}) == 1.5 * len(whole)
+    assert len({*copy.iterdir()}) == 1.5 * len(original_files)
 
 
 def test_what_others_leave(cache: Path) -> None:
@@ -142,13 +142,13 @@ def test_what_others_leave(cache: Path) -> None:
     for source in [*cache.glob("*/*.c")]:
         shutil.copy(source, cache)
         shutil.rmtree(source.parent)
-    before = {*cache.iterdir()}
+    earlier_files = {*cache.iterdir()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CC", "false")
         with pytest.raises(Exception, match=r"exit (code|status) 1"):
             assemble(MPI.COMM_SELF)
         assert os.environ["CC"] == "false"
-    assert {*cache.iterdir()} == before
+    assert {*cache.iterdir()} == earlier_files
     assert assemble(MPI.COMM_SELF) == pytest.approx(1.0)
 
 
@@ -190,9 +190,9 @@ def test_a_planted_library(tmp_path: Path, mode: int) -> None:
         for record in kept.rglob("*.txt") if mode == 0o777 else ():
             record.write_text(record.read_text().replace(digest, file_sha256(planted)))
     kept.chmod(mode)
-    done = subprocess.run(words, env=changes, timeout=LIMIT, capture_output=True, text=True)
-    assert done.returncode == 0 and not (tmp_path / "RAN").exists()
-    assert len(done.stderr.splitlines()) == (mode == 0o777)
+    process = subprocess.run(words, env=changes, timeout=LIMIT, capture_output=True, text=True)
+    assert process.returncode == 0 and not (tmp_path / "RAN").exists()
+    assert len(process.stderr.splitlines()) == (mode == 0o777)
 
 
 @pytest.mark.nightly
@@ -207,8 +207,8 @@ def test_a_cache_of_the_users_settings(tmp_path: Path) -> None:
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
     words = [sys.executable, "-m", "fenics_crack", "modes", str(tmp_path / "plate.toml"), *SMALL]
     changes = {"XDG_CONFIG_HOME": str(tmp_path)}
-    done = subprocess.run(
+    process = subprocess.run(
         words, env=environment() | changes, capture_output=True, text=True, timeout=LIMIT
     )
-    [line] = done.stderr.splitlines()
-    assert done.returncode == 2 and "cache_dir" in line and not [*tmp_path.glob("cache/*")]
+    [line] = process.stderr.splitlines()
+    assert process.returncode == 2 and "cache_dir" in line and not [*tmp_path.glob("cache/*")]

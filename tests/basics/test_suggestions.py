@@ -44,11 +44,13 @@ SHARED = [
 @pytest.mark.parametrize("function", [*SHARED, fc.Structure.from_matrices])
 def test_a_communicator_is_one(function: Any) -> None:
     """Changes of a scene in its place end in no other library."""
-    needed = inspect.signature(function).parameters.values()
-    given = {one.name: None for one in needed if one.default is one.empty}
+    parameters = inspect.signature(function).parameters.values()
+    arguments = {
+        parameter.name: None for parameter in parameters if parameter.default is parameter.empty
+    }
     for wrong in ({"contact.stiffness": 1e9}, MPI.COMM_NULL):
         with pytest.raises(fc.InputError) as caught:
-            function(**given, comm=wrong)
+            function(**arguments, comm=wrong)
         assert caught.value.key == "comm" and caught.value.value is wrong
 
 
@@ -76,23 +78,23 @@ def test_a_run_stands_for_its_result() -> None:
     scene = fc.Scene.from_mapping(TINY)
     run, modes = fc.solve(scene), fc.modes(scene, 2)
     call: Any = fc  # a Run is no result to mypy
-    same = fc.floquet(run.structure, run.result).multipliers
-    assert np.array_equal(call.floquet(run.structure, run).multipliers, same)
+    multipliers = fc.floquet(run.structure, run.result).multipliers
+    assert np.array_equal(call.floquet(run.structure, run).multipliers, multipliers)
     problem = {"structure": run.structure, "omega": 2000.0, "contact": run.contact}
-    near = call.solve_harmonic_balance(**problem, harmonics=3, initial=run)
-    assert near.converged and near.iterations <= 1
+    restarted_solution = call.solve_harmonic_balance(**problem, harmonics=3, initial=run)
+    assert restarted_solution.converged and restarted_solution.iterations <= 1
     history = call.integrate_events(**problem, periods=1, initial=run)
-    first = history.displacement([run.watched_dof])[0, 0]
+    first_displacement = history.displacement([run.watched_dof])[0, 0]
     start = run.result.displacement(np.zeros(1), [run.watched_dof])[0, 0]
-    assert first == pytest.approx(start, rel=1e-9)
+    assert first_displacement == pytest.approx(start, rel=1e-9)
     assert call.draw_spectrum(run).axes and call.draw_modes(modes).axes
     with pytest.raises(fc.InputError, match=r"^curve = 'Run': must be a ResponseCurve$"):
         call.draw_curve(run)
     curve = fc.curve(scene.replace({"curve.start": 1900.0, "curve.stop": 2000.0}))
-    (line, *_), (other, *_) = (
+    (line, *_), (other_line, *_) = (
         figure.axes[0].lines for figure in (call.draw_curve(curve), fc.draw_curve(curve.result))
     )
-    assert np.array_equal(line.get_xydata(), other.get_xydata(), equal_nan=True)
+    assert np.array_equal(line.get_xydata(), other_line.get_xydata(), equal_nan=True)
 
 
 def test_what_annotations_allow() -> None:
@@ -106,9 +108,9 @@ def test_what_annotations_allow() -> None:
         def __fspath__(self) -> str:
             return "missing.h5"
 
-    own = object.__new__(Mine)
-    vars(own).update(vars(structure))
-    fc.solve_harmonic_balance(own, 0.5, fc.UnilateralPenalty(1.0), harmonics=1, initial=None)
+    own_object = object.__new__(Mine)
+    vars(own_object).update(vars(structure))
+    fc.solve_harmonic_balance(own_object, 0.5, fc.UnilateralPenalty(1.0), harmonics=1, initial=None)
     with pytest.raises(fc.InputError, match="a file that exists"):
         fc.load_run(Place())
 
@@ -128,9 +130,9 @@ def test_a_wrong_call_leads_on(function: Any, given: dict[str, Any], right: str)
     """To the nearest argument, to the key of the scene, to another function."""
     with pytest.raises(TypeError) as caught:
         function(**given)
-    asked = re.search(r"did you mean (.*?)\? ", str(caught.value))
-    first = asked[1].split(" or ")[0]
-    assert first in (right, f'scene.replace({{"{right}": ...}})')
+    suggestions = re.search(r"did you mean (.*?)\? ", str(caught.value))
+    first_suggestion = suggestions[1].split(" or ")[0]
+    assert first_suggestion in (right, f'scene.replace({{"{right}": ...}})')
 
 
 def test_a_misspelt_option_of_a_picture_leads_on() -> None:

@@ -60,10 +60,10 @@ def test_other_laws_read_back(tmp_path: Path, law: list[str], run_command: RunCo
     """Also no penetration, and the smoothed law."""
     changes = [*law, "harmonic_balance.error=false"]
     run_command("solve", PAPER, "--quiet", "--output", tmp_path, sets=changes)
-    read = fc.load_run(tmp_path / "solution.h5")
-    assert isinstance(read.result, fc.PeriodicSolution) and read.result.converged
-    time = np.linspace(0.0, read.result.period, 200)
-    assert read.result.contact_force(time).max() > 1.0
+    run = fc.load_run(tmp_path / "solution.h5")
+    assert isinstance(run.result, fc.PeriodicSolution) and run.result.converged
+    time = np.linspace(0.0, run.result.period, 200)
+    assert run.result.contact_force(time).max() > 1.0
 
 
 FREE = "reduction.method=free_interface"
@@ -105,16 +105,18 @@ def test_harmonics_that_nothing_damps(
     words = [command, PAPER, *(() if command == "check" else ("--output", tmp_path))]
     sets = ["contact.stiffness=1e9", "damping.ratio=0.01", *changes]
     sets += ["contact.friction_error=false"] * ("contact=none" not in changes)
-    said = [row for row in run_command(*words, sets=sets).err.splitlines() if "H w =" in row]
-    assert len(said) == bool(expected) and expected in "".join(said)
+    warning_rows = [
+        row for row in run_command(*words, sets=sets).err.splitlines() if "H w =" in row
+    ]
+    assert len(warning_rows) == bool(expected) and expected in "".join(warning_rows)
     if line in QUIET:
         assert "H w =" not in run_command(*words, "--quiet", sets=sets).err
 
 
 def checked(run_command: RunCommand, path: Path, *changes: str) -> tuple[dict[str, Any], str]:
     """Return what ``check`` finds of a scene, by its names, and its remarks."""
-    said = run_command("check", path, "--format", "json", sets=changes)
-    return {row["what"]: row["value"] for row in json.loads(said.out)}, said.err
+    process = run_command("check", path, "--format", "json", sets=changes)
+    return {row["what"]: row["value"] for row in json.loads(process.out)}, process.err
 
 
 @pytest.mark.parametrize(
@@ -168,19 +170,21 @@ def test_check_proposes_a_curve_through_the_resonance(
     in the scene's unit, around the resonance. Once it is copied nothing is proposed."""
     path = tmp_path / "plate.toml"
     run_command("new", path, "--quiet", *kind)
-    other = [*COARSE, "geometry.height=0.28", "excitation.point=[0.1, 0.28]"]
+    height_options = [*COARSE, "geometry.height=0.28", "excitation.point=[0.1, 0.28]"]
     names = [f"proposed curve.{end} [{unit}]" for end in ("start", "stop")]
-    rows, told = checked(run_command, path, *other, f"curve.start={low}")
+    rows, messages = checked(run_command, path, *height_options, f"curve.start={low}")
     ends = [rows[name] for name in names]
     assert ends[0] < rows[middle] < ends[1] < 1.25 * ends[0]
-    assert "remark: curve.start" in told and f"{ends[0]:g}" in told
+    assert "remark: curve.start" in messages and f"{ends[0]:g}" in messages
     parameter = rows["proposed curve.parameter"]
-    rows, told = checked(run_command, path, *other, "curve=none")
-    assert ends == [rows[name] for name in names] and "curve.start" not in told
+    rows, messages = checked(run_command, path, *height_options, "curve=none")
+    assert ends == [rows[name] for name in names] and "curve.start" not in messages
     assert parameter == rows["proposed curve.parameter"]
-    copied = [f"curve.start={ends[0]}", f"curve.stop={ends[1]}"]
-    rows, told = checked(run_command, path, *other, *copied)
-    assert not [name for name in rows if name.startswith("proposed")] and "curve.start" not in told
+    copied_options = [f"curve.start={ends[0]}", f"curve.stop={ends[1]}"]
+    rows, messages = checked(run_command, path, *height_options, *copied_options)
+    assert (
+        not [name for name in rows if name.startswith("proposed")] and "curve.start" not in messages
+    )
 
 
 @pytest.mark.nightly
@@ -194,10 +198,10 @@ def test_the_sweep_of_a_new_scene_meets_its_tolerance(
 ) -> None:
     """The cases of the template whose errors by harmonics, and by modes, are the largest."""
     run_command("new", tmp_path / "plate.toml", "--quiet", *kind)
-    over = f"sweep.over={{'{key}' = [{value}], 'crack.length' = [0.02, 0.03]}}"
-    run_command("sweep", tmp_path / "plate.toml", "--output", tmp_path, sets=[over])
-    found = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert found.errors.sum(axis=0).max() < found.scene.given("harmonic_balance").tolerance
+    axis_option = f"sweep.over={{'{key}' = [{value}], 'crack.length' = [0.02, 0.03]}}"
+    run_command("sweep", tmp_path / "plate.toml", "--output", tmp_path, sets=[axis_option])
+    sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert sweep.errors.sum(axis=0).max() < sweep.scene.given("harmonic_balance").tolerance
 
 
 def test_new_scene_of_a_name_too_long(run_command: RunCommand) -> None:
@@ -207,11 +211,17 @@ def test_new_scene_of_a_name_too_long(run_command: RunCommand) -> None:
 
 def test_nothing_else_is_printed(plate: Path) -> None:
     """Neither gmsh nor PETSc nor FFCx says a word; a file as standard error gets no progress."""
-    done = run(plate.parent, "solve", plate.name, *(f"--set={change}" for change in COARSE))
-    told = [line for line in done.stderr.splitlines() if not line.startswith("  ")]  # signs of life
-    assert told[0].startswith("output/plate/solution.h5")
-    assert len(told) == 2 and told[1].startswith("solved; at ") and "estimated error" in told[1]
-    assert done.stdout.count("\n---") == 1 and "\r" not in done.stderr
+    process = run(plate.parent, "solve", plate.name, *(f"--set={change}" for change in COARSE))
+    message_lines = [
+        line for line in process.stderr.splitlines() if not line.startswith("  ")
+    ]  # signs of life
+    assert message_lines[0].startswith("output/plate/solution.h5")
+    assert (
+        len(message_lines) == 2
+        and message_lines[1].startswith("solved; at ")
+        and "estimated error" in message_lines[1]
+    )
+    assert process.stdout.count("\n---") == 1 and "\r" not in process.stderr
 
 
 SPY = """
@@ -244,31 +254,42 @@ def test_one_process_looks_for_no_network(
     """MPI starts in a fifth of the time; what the user has set stays, and nothing is left behind
     for programs that are started from here."""
     surroundings = {k: v for k, v in ENVIRONMENT.items() if not k.startswith("OMPI_MCA_")} | given
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", SPY], cwd=tmp_path, env=surroundings, capture_output=True, text=True
     )
-    assert done.stdout.split("\n")[:2] == [f"pml = {told[0]}", f"then {told[1]}"]
+    assert process.stdout.split("\n")[:2] == [f"pml = {told[0]}", f"then {told[1]}"]
 
 
 def test_new_scene_resonates_as_it_breathes(plate: Path, run_command: RunCommand) -> None:
     """Half of each period open, half closed: at 2 f_open f_tied / (f_open + f_tied)."""
     rows, _ = checked(run_command, plate, *COARSE)
-    first = "first natural frequency, crack faces {} [Hz]"
-    opened, tied = (rows[first.format(state)] for state in ("open", "bonded"))
-    breathing = 2.0 * opened * tied / (opened + tied)
-    assert rows["resonance at the load [Hz]"] == pytest.approx(breathing, rel=1e-3)
+    row_name = "first natural frequency, crack faces {} [Hz]"
+    open_frequency, bonded_frequency = (
+        rows[row_name.format(state)] for state in ("open", "bonded")
+    )
+    bilinear_frequency = (
+        2.0 * open_frequency * bonded_frequency / (open_frequency + bonded_frequency)
+    )
+    assert rows["resonance at the load [Hz]"] == pytest.approx(bilinear_frequency, rel=1e-3)
     vibration = rows["vibration there"]
     left_out = "error due to the modes and the friction not included; proportional to the load"
     assert re.search(rf"error due to the harmonics .* %, the mesh .* %; {left_out}$", vibration)
-    [stated] = re.findall("[0-9.]+", rows["error of the resonance at the load due to the mesh"])
-    true = abs(831.8 / rows["resonance at the load [Hz]"] - 1.0)  # of the mesh that new writes
-    assert 0.2 < 100.0 * true / float(stated) < 1.6
+    [stated_percent] = re.findall(
+        "[0-9.]+", rows["error of the resonance at the load due to the mesh"]
+    )
+    true_error = abs(
+        831.8 / rows["resonance at the load [Hz]"] - 1.0
+    )  # of the mesh that new writes
+    assert 0.2 < 100.0 * true_error / float(stated_percent) < 1.6
 
 
 def test_not_converged_says_so(tmp_path: Path, run_command: RunCommand) -> None:
     """Exit code 3 where a motion has not settled; the files are there."""
-    short, words = "no change", ["integrate", PAPER, "--output", tmp_path]
-    for periods, said in ((2, "not settled"), (1, f"1 of 1 periods: one period shows {short}")):
+    no_change_text, words = "no change", ["integrate", PAPER, "--output", tmp_path]
+    for periods, said in (
+        (2, "not settled"),
+        (1, f"1 of 1 periods: one period shows {no_change_text}"),
+    ):
         changes = [f"integration.periods={periods}", "integration.method=events"]
         assert said in run_command(*words, sets=changes, code=3).err
     assert (tmp_path / "integration.h5").exists()
@@ -276,16 +297,16 @@ def test_not_converged_says_so(tmp_path: Path, run_command: RunCommand) -> None:
 
 def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
     """Every command is listed and explained."""
-    said = {}
+    texts = {}
     commands = ("new", "check", "modes", "solve", "curve", "integrate", "sweep", "plot")
     for words in (["--help"], ["--version"], *([command, "--help"] for command in commands)):
-        with pytest.raises(SystemExit) as left:
+        with pytest.raises(SystemExit) as exit_info:
             main(words)
-        assert left.value.code == 0
-        said[words[0]] = capsys.readouterr().out
-    assert said["--version"].strip() == f"fenics-crack {fc.__version__}"
+        assert exit_info.value.code == 0
+        texts[words[0]] = capsys.readouterr().out
+    assert texts["--version"].strip() == f"fenics-crack {fc.__version__}"
     for command in commands:
-        assert f"\n    {command}" in said["--help"] and "usage: fenics-crack" in said[command]
+        assert f"\n    {command}" in texts["--help"] and "usage: fenics-crack" in texts[command]
 
 
 @pytest.mark.mpi
@@ -294,17 +315,21 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
 )
 def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str]) -> None:
     """Help, version and the error of an unknown word are printed once."""
-    done = run(tmp_path, *words, ranks=2)
-    said = done.stdout + done.stderr
-    assert said.count("usage: fenics-crack") + said.count(f"fenics-crack {fc.__version__}") == 1
-    assert (done.returncode == 0) == (words != ["nothing"])
+    process = run(tmp_path, *words, ranks=2)
+    printed_text = process.stdout + process.stderr
+    assert (
+        printed_text.count("usage: fenics-crack")
+        + printed_text.count(f"fenics-crack {fc.__version__}")
+        == 1
+    )
+    assert (process.returncode == 0) == (words != ["nothing"])
 
 
 @pytest.mark.mpi
 def test_bad_input_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """One line for each key, from one rank, and both ranks end."""
-    wrong = ["--set", "crack.length=-1.0", "--set", "material.young=none"]
-    codes, lines = on_ranks(run_program, ["solve", str(PAPER), *wrong])
+    wrong_options = ["--set", "crack.length=-1.0", "--set", "material.young=none"]
+    codes, lines = on_ranks(run_program, ["solve", str(PAPER), *wrong_options])
     assert codes == [2, 2] and len(lines) == 2
     assert sum("crack.length = -1.0: must be a finite number > 0" in one for one in lines) == 1
     assert sum("material.young is missing: must be a finite" in one for one in lines) == 1
@@ -316,18 +341,26 @@ def test_bad_input_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
 def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
     """SIGUSR1 goes to the ranks, which end by themselves, with the tables of what was found. At
     SIGINT mpirun soon kills them, and its code is its own; the cases stay."""
-    over = "sweep.over={'excitation.frequency' = {start = 7.0, stop = 12.0, count = 600}}"
-    words = ["sweep", str(ROOT / "demos" / "chain.toml"), "--set", over, "--output", str(tmp_path)]
-    held = HELD.format(cases=1, go=str(tmp_path / "go"))
-    source = f"{held}import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
+    axis_option = "sweep.over={'excitation.frequency' = {start = 7.0, stop = 12.0, count = 600}}"
+    words = [
+        "sweep",
+        str(ROOT / "demos" / "chain.toml"),
+        "--set",
+        axis_option,
+        "--output",
+        str(tmp_path),
+    ]
+    waiting_program = HELD.format(cases=1, go=str(tmp_path / "go"))
+    main_program = "import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
+    source = waiting_program + main_program
     program = subprocess.Popen(
         [*launcher(2), sys.executable, "-c", source, *words], env=ENVIRONMENT,
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    path, done = tmp_path / "sweep.h5", 0
-    while program.poll() is None and not done:
+    path, n_done = tmp_path / "sweep.h5", 0
+    while program.poll() is None and not n_done:
         time.sleep(0.1)
-        done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
+        n_done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
     program.send_signal(number)
     (tmp_path / "go").touch()
     code = program.wait(LIMIT)
@@ -341,14 +374,14 @@ def test_a_failed_run_leaves_older_results(tmp_path: Path, monkeypatch: pytest.M
     """A file is replaced only when the new one is complete."""
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
     assert main(words) == 0
-    before = (tmp_path / "modes.h5").read_bytes()
+    earlier_content = (tmp_path / "modes.h5").read_bytes()
 
     def replace(old: str, new: str) -> None:
         raise OSError(errno.ENOSPC, "the disk is full")
 
     monkeypatch.setattr(os, "replace", replace)
     assert main([*words, "--count", "3"]) == 1
-    assert (tmp_path / "modes.h5").read_bytes() == before
+    assert (tmp_path / "modes.h5").read_bytes() == earlier_content
     names = {path.name for path in tmp_path.iterdir()}
     assert names - {"before"} == {"modes.csv", "modes.h5", "modes.json"}
 
@@ -372,20 +405,25 @@ def test_a_largest_response_is_one_peak_or_still_rising(
     """The table, the sentence, the page and Python have the same place and size of a peak; what is
     largest at the end of the range, which a resonance lies beyond, is none."""
     chain = ["curve", str(ROOT / "demos" / "chain.toml"), "--set", f"curve.stop={stop}"]
-    said, run = run_command(*chain, "--output", tmp_path).err, fc.load_run(tmp_path / "curve.h5")
+    messages, run = (
+        run_command(*chain, "--output", tmp_path).err,
+        fc.load_run(tmp_path / "curve.h5"),
+    )
     peak = run.peak()
     assert peak.at_end == at_end
     points = {row["point"]: row for row in json.loads((tmp_path / "curve.json").read_text())}
-    [(name, largest)] = [(n, row) for n, row in points.items() if n.startswith("largest")]
-    assert ("still rising" in name) == ("still rising" in said) == at_end
-    assert largest["frequency [Hz]"] == pytest.approx(peak.frequency, rel=1e-9)
-    assert largest["amplitude [m]"] == pytest.approx(peak.amplitude, rel=1e-9)
-    assert largest["over_open"] * largest["frequency_open [Hz]"] == pytest.approx(peak.frequency)
+    [(name, largest_rows)] = [(n, row) for n, row in points.items() if n.startswith("largest")]
+    assert ("still rising" in name) == ("still rising" in messages) == at_end
+    assert largest_rows["frequency [Hz]"] == pytest.approx(peak.frequency, rel=1e-9)
+    assert largest_rows["amplitude [m]"] == pytest.approx(peak.amplitude, rel=1e-9)
+    assert largest_rows["over_open"] * largest_rows["frequency_open [Hz]"] == pytest.approx(
+        peak.frequency
+    )
     if at_end:
-        assert largest["frequency [Hz]"] == pytest.approx(stop)
+        assert largest_rows["frequency [Hz]"] == pytest.approx(stop)
     else:
         assert np.abs(run.result.omega / peak.omega - 1.0).min() > 1e-8  # between two points
-    assert f"{peak.frequency:.6g} Hz" in said
+    assert f"{peak.frequency:.6g} Hz" in messages
     assert main(["report", str(tmp_path / "curve.h5"), "--quiet"]) == 0
     assert f"{peak.frequency:.6g} Hz" in (tmp_path / "report.html").read_text()
 
@@ -394,8 +432,8 @@ def test_points_of_a_curve(results: Path) -> None:
     """The columns that the curve itself writes, and the indicators of the load's dof."""
     run = fc.load_run(results / "curve.h5")
     rows = table(results / "curve.csv")
-    own = run.result.table().columns
-    assert len(rows) == len(run.result) and list(rows[0])[: len(own)] == own
+    columns = run.result.table().columns
+    assert len(rows) == len(run.result) and list(rows[0])[: len(columns)] == columns
     indicators = [
         "amplitude [m]", "mean [m]", "harmonic_1 [m]", "harmonic_2 [m]", "harmonic_3 [m]",
         "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "largest_order", "mean_shift",
@@ -406,10 +444,13 @@ def test_points_of_a_curve(results: Path) -> None:
         "over_open", "over_tied", "over_bilinear",
     ]  # fmt: skip
     assert list(rows[0])[-len(indicators) :] == indicators
-    found = run.result.indicators(run.watched_dof)
-    over_open = run.result.omega / fc.solve_modes(run.structure, 1).omega[0]
-    exact = {"amplitude [m]": found.amplitude, "closed_share": found.closed_share}
-    for name, values in (exact | {"over_open": over_open}).items():
+    curve_indicators = run.result.indicators(run.watched_dof)
+    frequency_ratio = run.result.omega / fc.solve_modes(run.structure, 1).omega[0]
+    exact = {
+        "amplitude [m]": curve_indicators.amplitude,
+        "closed_share": curve_indicators.closed_share,
+    }
+    for name, values in (exact | {"over_open": frequency_ratio}).items():
         np.testing.assert_allclose([float(row[name]) for row in rows], values, rtol=1e-9)
 
 
@@ -428,25 +469,25 @@ def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
 def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     """A result whose mesh file has changed is refused."""
     mesh, paths = tmp_path / "plate.msh", [tmp_path / "solution.h5", tmp_path / "sweep.h5"]
-    drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
-    fc.write_msh(drawn, mesh)
+    drawn_scene = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
+    fc.write_msh(drawn_scene, mesh)
     of_mesh = dict.fromkeys(("geometry.width", "geometry.height", "mesh.columns", "mesh.rows"))
     of_mesh |= {"crack.edge": None, "crack.height": None, "crack.length": None}
     of_mesh |= {"mesh.layout": "file", "mesh.file": str(mesh), "curve": None}
-    scene = drawn.replace(of_mesh)
+    scene = drawn_scene.replace(of_mesh)
     fc.solve(scene, MPI.COMM_SELF).save(paths[0])
     assert isinstance(fc.load_run(paths[0]).result, fc.PeriodicSolution)
     scene = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
-    swept = fc.run_sweep(scene, paths[1])
-    assert swept.solution(0).converged
-    for read in (fc.load_run, lambda path: fc.load(path, swept.solution(0).structure)):
+    sweep = fc.run_sweep(scene, paths[1])
+    assert sweep.solution(0).converged
+    for reader in (fc.load_run, lambda path: fc.load(path, sweep.solution(0).structure)):
         with pytest.raises(fc.InputError, match=r"sweep is read by .* SweepResult\.load"):
-            read(paths[1])
-    fc.write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
+            reader(paths[1])
+    fc.write_msh(drawn_scene.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         fc.load_run(paths[0])
     with pytest.raises(fc.InputError, match="it has changed or gone"):
-        swept.solution(0)
+        sweep.solution(0)
     with pytest.raises(fc.InputError, match="changed or gone"):  # neither does the sweep go on
         fc.run_sweep(scene, paths[1])
 
@@ -470,8 +511,8 @@ def test_plot_on_two_ranks(
 def test_reader_that_closes_its_pipe(tmp_path: Path) -> None:
     """Neither a message from PETSc nor a traceback."""
     command = " ".join([*PROGRAM, "modes", str(PAPER), "--output", str(tmp_path)])
-    done = subprocess.run(
+    process = subprocess.run(
         f"{command} --verbose | true", shell=True, env=ENVIRONMENT, capture_output=True, text=True
     )
-    assert "PETSC" not in done.stderr and "Traceback" not in done.stderr
+    assert "PETSC" not in process.stderr and "Traceback" not in process.stderr
     assert (tmp_path / "modes.h5").exists()

@@ -78,8 +78,8 @@ def test_an_unknown_error_is_not_what_was_asked_for(
     assert not any(row.get("error [%]") for row in rows.values())
     scene = fc.Scene.load(two_masses, FEW)
     assert "unknown" in str(fc.solve(scene)) and "estimated error" not in str(fc.solve(scene))
-    many = FEW | {"harmonic_balance.harmonics": 60}
-    assert run(command, two_masses, tmp_path, many) == 0
+    many_harmonics = FEW | {"harmonic_balance.harmonics": 60}
+    assert run(command, two_masses, tmp_path, many_harmonics) == 0
     rows = rows_of(tmp_path / "solution.json")
     assert "unknown_error" not in rows and rows["amplitude"]["error [%]"] < 1.0
 
@@ -100,25 +100,25 @@ def test_a_sweep_with_remarks_ends_well(
 def test_another_motion_attracts_from_rest(two_masses: Path, tmp_path: Path) -> None:
     """The steady motion that never meets the stop is stable; from rest it is met, and the motion
     settles to one of twice the period, as a march in time finds it."""
-    away = {"structure.clearance": 1.02 * amplitude_without_stop(BESIDE)}
-    assert run("solve", two_masses, tmp_path, away) == 0
+    distant_settings = {"structure.clearance": 1.02 * amplitude_without_stop(BESIDE)}
+    assert run("solve", two_masses, tmp_path, distant_settings) == 0
     rows = rows_of(tmp_path / "solution.json")
     assert rows["verdict"]["value"] == "stable" and rows["closed_share"]["value"] == 0.0
-    amplitude, seen = (rows[name]["value"] for name in ("amplitude", "rest_amplitude"))
+    amplitude, rest_amplitude = (rows[name]["value"] for name in ("amplitude", "rest_amplitude"))
     assert amplitude == pytest.approx(amplitude_without_stop(BESIDE), rel=1e-5)
-    assert 2.0 * amplitude < seen < 3.0 * amplitude
-    scene = fc.Scene.load(two_masses, away | {"integration.periods": 400})
-    marched = fc.integrate(scene).result
-    sizes = np.ptp(marched.by_period(marched.displacement([1])[:, 0]), axis=1) / 2.0
+    assert 2.0 * amplitude < rest_amplitude < 3.0 * amplitude
+    scene = fc.Scene.load(two_masses, distant_settings | {"integration.periods": 400})
+    marched_history = fc.integrate(scene).result
+    sizes = np.ptp(marched_history.by_period(marched_history.displacement([1])[:, 0]), axis=1) / 2.0
     assert sizes[0] == pytest.approx(sizes[2], rel=1e-2) != pytest.approx(sizes[1], rel=1e-2)
-    assert seen == pytest.approx(marched.indicators(1).amplitude, rel=1e-2)
+    assert rest_amplitude == pytest.approx(marched_history.indicators(1).amplitude, rel=1e-2)
     # Twice as far away nothing is met from rest either, and nothing is said.
     assert run("solve", two_masses, tmp_path, {"structure.clearance": 1.0}) == 0
     assert "rest_amplitude" not in rows_of(tmp_path / "solution.json")
     # What is saved is what is reported.
-    assert run("solve", two_masses, tmp_path, away) == 0
-    loaded = fc.load_run(tmp_path / "solution.h5")
-    assert loaded.result.stability.rest_amplitude == seen
+    assert run("solve", two_masses, tmp_path, distant_settings) == 0
+    stored_run = fc.load_run(tmp_path / "solution.h5")
+    assert stored_run.result.stability.rest_amplitude == rest_amplitude
 
 
 @pytest.mark.nightly
@@ -126,17 +126,17 @@ def test_a_crack_that_a_mean_load_holds_open(tmp_path: Path) -> None:
     """Is no breathing one, in the file, in Python and on the page; the remark of ``check`` comes
     with it."""
     scene = DEMOS.parent / "benchmarks" / "plate.toml"
-    held = {
+    mean_load_settings = {
         "excitation.force_mean": "[1400.0, 0.0]", "excitation.frequency": 500.0,
         "mesh.size": 0.05, "reduction.modes": 8,
     }  # fmt: skip
-    assert run("solve", scene, tmp_path, held) == 0
+    assert run("solve", scene, tmp_path, mean_load_settings) == 0
     rows = rows_of(tmp_path / "solution.json")
     assert rows["closed_share"]["value"] == 0.0
     assert "excitation.force_mean" in rows["remarks"]["value"]
-    loaded = fc.load_run(tmp_path / "solution.h5")
-    assert not loaded.result.breathes
-    assert [remark.key for remark in loaded.remarks] == ["excitation.force_mean"]
+    stored_run = fc.load_run(tmp_path / "solution.h5")
+    assert not stored_run.result.breathes
+    assert [remark.key for remark in stored_run.remarks] == ["excitation.force_mean"]
     assert main(["report", str(tmp_path / "solution.h5"), "--quiet"]) == 0
     page = (tmp_path / "report.html").read_text()
     assert "Breathing crack" not in page and "No warnings" not in page
@@ -149,17 +149,17 @@ def test_no_error_is_asked_for(
     """error = false: plain harmonic balance, neither error nor stability, in Python and in the
     program; with a tolerance it is refused."""
     scene = paper_scene.replace({"contact.stiffness": 1e9})
-    plain = scene.replace({"harmonic_balance.error": False})
-    out, err = run_command("solve", plain, "--output", tmp_path / "out")
+    plain_scene = scene.replace({"harmonic_balance.error": False})
+    out, err = run_command("solve", plain_scene, "--output", tmp_path / "out")
     assert "error [%]" not in out and "verdict" not in out
-    closing = err.strip().splitlines()[-1]
-    assert "its error is not estimated (harmonic_balance.error = false)" in closing
-    run = fc.solve(plain, MPI.COMM_SELF)
+    last_line = err.strip().splitlines()[-1]
+    assert "its error is not estimated (harmonic_balance.error = false)" in last_line
+    run = fc.solve(plain_scene, MPI.COMM_SELF)
     assert run.errors is None and run.result.stability is None
     assert not run.result.report.estimated and run.result.converged
-    refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
+    tolerance_settings = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
     with pytest.raises(fc.InputError, match=r"harmonic_balance\.error = False"):
-        scene.replace(refused | {"harmonic_balance.error": False})
+        scene.replace(tolerance_settings | {"harmonic_balance.error": False})
 
 
 def test_one_sentence_holds_the_answer(
@@ -167,19 +167,19 @@ def test_one_sentence_holds_the_answer(
 ) -> None:
     """The terminal, the JSON, Python and the page end with it: amplitude, error, crack, verdict."""
     scene = paper_scene.replace({"contact.stiffness": 1e9})
-    closing = run_command("solve", scene, "--output", tmp_path).err.splitlines()[-1]
+    last_line = run_command("solve", scene, "--output", tmp_path).err.splitlines()[-1]
     rows = rows_of(tmp_path / "solution.json")
-    assert rows["conclusion"]["value"] == closing
+    assert rows["conclusion"]["value"] == last_line
     run = fc.load_run(tmp_path / "solution.h5")
     size, opening = (fc_quantity(rows[name]["value"]) for name in ("amplitude", "opening"))
-    assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in closing
+    assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in last_line
     error = format_error(run.stated.stated("opening")[0])
-    said = f"; the crack opens by {opening}, estimated error {error}, and is closed for "
-    assert said in closing
-    assert f"; {rows['verdict']['value']}; " in f"{closing}; "
-    assert closing.startswith(str(run).partition(": ")[2])
+    expected_end = f"; the crack opens by {opening}, estimated error {error}, and is closed for "
+    assert expected_end in last_line
+    assert f"; {rows['verdict']['value']}; " in f"{last_line}; "
+    assert last_line.startswith(str(run).partition(": ")[2])
     assert main(["report", str(tmp_path), "--quiet"]) == 0
-    assert closing.removeprefix("solved") in (tmp_path / "report.html").read_text()
+    assert last_line.removeprefix("solved") in (tmp_path / "report.html").read_text()
 
 
 def fc_quantity(metres: float) -> str:

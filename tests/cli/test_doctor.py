@@ -84,18 +84,18 @@ def test_a_fault_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     """In one line, with what to do."""
     check, break_it, remedy = BROKEN[name]
     break_it(monkeypatch, tmp_path)
-    [(_, finding, is_fault)] = doctor.run_checks({check: doctor.CHECKS_BY_NAME[check]})
-    assert is_fault and remedy in finding and "\n" not in finding
+    [(_, fault_text, is_fault)] = doctor.run_checks({check: doctor.CHECKS_BY_NAME[check]})
+    assert is_fault and remedy in fault_text and "\n" not in fault_text
 
 
 def said(program: str, **variables: str) -> str:
     """What a program says on standard error, which no mpirun has started."""
     environment = no_rank() | {"PYTHONPATH": f"{ROOT}", "OMP_NUM_THREADS": "1"} | variables
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT,
         env=environment,
     )  # fmt: skip
-    return done.stderr.strip()
+    return process.stderr.strip()
 
 
 def test_the_mpirun_of_another_mpi_is_refused() -> None:

@@ -56,20 +56,22 @@ def test_new_writes_a_scene(kinds: list[str], here: Path) -> None:
 def test_every_command_runs_on_what_new_wrote(here: Path) -> None:
     """A blade with probes and measurements takes all of them."""
     assert main(["new", "own.toml", *(f"--{kind}" for kind in KINDS), "--quiet"]) == 0
-    few = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
-    words = sets(*COARSE, *few, "integration.periods=3", "integration.settle=10.0")
+    few_options = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
+    words = sets(*COARSE, *few_options, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "campbell", "solve", "curve", "integrate", "sweep", "timing"):
-        more = ["--speeds", "0", "3000", "2", "--count", "1"] if command == "campbell" else []
-        assert main([command, "own.toml", *words, *more, "--quiet"]) == 0, command
+        more_options = (
+            ["--speeds", "0", "3000", "2", "--count", "1"] if command == "campbell" else []
+        )
+        assert main([command, "own.toml", *words, *more_options, "--quiet"]) == 0, command
 
 
 @pytest.mark.nightly
 def test_the_crack_of_the_sample_is_found(here: Path, run_command: RunCommand) -> None:
     """From the measurements that new wrote."""
     assert main(["new", "plain.toml", "--identify", "--quiet"]) == 0
-    coarse = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
+    coarse_options = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
     *_, row = run_command(
-        "identify", "plain.toml", "plain_measured.csv", *coarse, "--quiet"
+        "identify", "plain.toml", "plain_measured.csv", *coarse_options, "--quiet"
     ).out.splitlines()
     assert float(row.split()[1]) == pytest.approx(0.025, rel=0.05)
 
@@ -82,21 +84,29 @@ def test_commands_run_on_the_solid_that_new_wrote(here: Path, run_command: RunCo
         in run_command("new", "own.toml", "--solid", "--blade", code=2).err
     )
     assert main(["new", "own.toml", "--solid", "--quiet"]) == 0
-    few = ["sweep.over={'crack.depth' = [0.002, 0.003]}", "curve.stop=604.0", "mesh.size=0.015"]
-    few += ["mesh.lip_elements=1", "reduction.modes=6"]
-    words = sets(*few, "integration.periods=3", "integration.settle=10.0")
+    few_options = [
+        "sweep.over={'crack.depth' = [0.002, 0.003]}",
+        "curve.stop=604.0",
+        "mesh.size=0.015",
+    ]
+    few_options += ["mesh.lip_elements=1", "reduction.modes=6"]
+    words = sets(*few_options, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "solve", "curve", "integrate", "sweep"):
-        more = sets(f"mesh.error={'true' if command == 'solve' else 'false'}")
-        more += ["--count", "2"] if command == "modes" else []
-        assert main([command, "own.toml", *words, *more, "--quiet"]) == 0, command
+        more_options = sets(f"mesh.error={'true' if command == 'solve' else 'false'}")
+        more_options += ["--count", "2"] if command == "modes" else []
+        assert main([command, "own.toml", *words, *more_options, "--quiet"]) == 0, command
     results = [f"output/own/{name}.h5" for name in ("modes", "solution")]
     for result in results:
         assert main(["plot", result, "--quiet"]) == 0, result
     assert main(["report", results[0], "--quiet"]) == 0
     rows = np.genfromtxt("output/own/modes.csv", delimiter=",", names=True)
     assert rows[rows.dtype.names[2]][0] == pytest.approx(616.0, rel=0.03)  # Hz, on a coarse mesh
-    drawn = {path.name for path in Path("output/own").glob("*.*")}
-    assert {"modes.png", "solution_contact_map.png", "solution_breathing_crack.gif"} <= drawn
+    picture_names = {path.name for path in Path("output/own").glob("*.*")}
+    assert {
+        "modes.png",
+        "solution_contact_map.png",
+        "solution_breathing_crack.gif",
+    } <= picture_names
 
 
 @pytest.mark.drawn(2)
@@ -110,14 +120,20 @@ def test_lines_to_paste(command: str, gone: str, here: Path, run_command: RunCom
     parts = Path("own.toml").read_text().split("\n\n")
     text = "\n\n".join(part for part in parts if not part.startswith(f"[{gone}"))
     Path("own.toml").write_text(text)
-    told, _, lines = run_command(command, "own.toml", "--quiet", code=2).err.partition(
+    message, _, lines = run_command(command, "own.toml", "--quiet", code=2).err.partition(
         "for example:\n\n"
     )
-    assert told.startswith(f"fenics-crack: {gone} is missing: ") and told.count("\n") == 1
+    assert message.startswith(f"fenics-crack: {gone} is missing: ") and message.count("\n") == 1
     Path("own.toml").write_text(f"{text}\n{lines}")
-    coarse = [change for change in COARSE if not change.startswith(("curve", gone))]
-    short = {"curve": ["curve.stop=780.5"], "sweep": ["sweep.over={'crack.length' = [0.02]}"]}
-    assert main([command, "own.toml", *sets(*coarse, *short.get(gone, [])), "--quiet"]) == 0
+    coarse_options = [change for change in COARSE if not change.startswith(("curve", gone))]
+    short_options = {
+        "curve": ["curve.stop=780.5"],
+        "sweep": ["sweep.over={'crack.length' = [0.02]}"],
+    }
+    assert (
+        main([command, "own.toml", *sets(*coarse_options, *short_options.get(gone, [])), "--quiet"])
+        == 0
+    )
 
 
 WRONG = {
@@ -142,11 +158,11 @@ def test_every_wrong_key_is_shown_at_once(
     """In all tables, by a line each with a proposal; Python raises the first."""
     assert main(["new", "own.toml", "--quiet"]) == 0
     text = Path("own.toml").read_text().partition("\n[output]")[0].replace("law = ", "# law = ")
-    for right, (wrong, _) in WRONG.items():
-        assert text.count(right) == 1, right
-        text = text.replace(right, f"{wrong}  # " if "\n" not in wrong else wrong)
+    for right_key, (wrong_key, _) in WRONG.items():
+        assert text.count(right_key) == 1, right_key
+        text = text.replace(right_key, f"{wrong_key}  # " if "\n" not in wrong_key else wrong_key)
     Path("own.toml").write_text(text)
-    said = (
+    message = (
         run_command(command, "own.toml", code=2)
         .err.partition("for example:\n\n[contact]")[0]
         .splitlines()
@@ -155,18 +171,18 @@ def test_every_wrong_key_is_shown_at_once(
         "fenics-crack: " + re.escape(line).replace(r"\.\*", ".*") for _, line in WRONG.values()
     ]
     for pattern in patterns:
-        assert sum(bool(re.match(pattern, line)) for line in said) == 1, (pattern, said)
-    assert len(said) == len(WRONG)
+        assert sum(bool(re.match(pattern, line)) for line in message) == 1, (pattern, message)
+    assert len(message) == len(WRONG)
     with pytest.raises(fc.InputError) as error:
         fc.Scene.load("own.toml")
-    assert f"fenics-crack: {error.value}" == said[0]
+    assert f"fenics-crack: {error.value}" == message[0]
 
 
 def test_tables_to_paste_make_a_scene(here: Path, run_command: RunCommand) -> None:
     """Of an empty file all are missing; what is shown is one that can be solved."""
     Path("own.toml").touch()
-    said, _, lines = run_command("check", "own.toml", code=2).err.partition("for example:\n\n")
-    assert said.count(" is missing: must be given: a table\n") == said.count("\n") == 5
+    message, _, lines = run_command("check", "own.toml", code=2).err.partition("for example:\n\n")
+    assert message.count(" is missing: must be given: a table\n") == message.count("\n") == 5
     Path("own.toml").write_text(lines)
     assert main(["check", "own.toml", *sets("mesh.size=0.05", "mesh.error=false"), "--quiet"]) == 0
 
@@ -198,11 +214,11 @@ def test_the_curve_to_paste_is_of_this_scene(
     """Around its resonance nearest to the load's frequency, in its unit; it runs, and has a peak
     inside."""
     assert main(["new", "own.toml", "--quiet", *kind]) == 0
-    given = [change for change in COARSE if not change.startswith("curve")]
-    scene = fc.Scene.load("own.toml").replace(parse_changes([*given, *changes, "curve=none"]))
+    options = [change for change in COARSE if not change.startswith("curve")]
+    scene = fc.Scene.load("own.toml").replace(parse_changes([*options, *changes, "curve=none"]))
     Path("own.toml").write_text(scene.as_toml())
-    said, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
-    assert said.startswith(
+    message, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
+    assert message.startswith(
         "fenics-crack: curve is missing: must be given for this command: a table"
     )
     Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
@@ -217,17 +233,17 @@ def test_the_curve_to_paste_is_of_this_scene(
 def test_commands_to_paste_quote_their_paths(here: Path, run_command: RunCommand) -> None:
     """A shell takes each as the words of a call that runs; also those in the scene itself."""
     name = "my 'plate' $x.toml"
-    said = run_command("new", name, "--identify").err.splitlines()
-    assert shlex.split(said[0].partition("now: ")[2])[1:] == ["check", name]
+    proposal_lines = run_command("new", name, "--identify").err.splitlines()
+    assert shlex.split(proposal_lines[0].partition("now: ")[2])[1:] == ["check", name]
     rows = "my 'plate' $x_measured.csv"
-    assert shlex.split(said[1].partition("then: ")[2])[1:] == ["identify", name, rows]
+    assert shlex.split(proposal_lines[1].partition("then: ")[2])[1:] == ["identify", name, rows]
     text = Path(name).read_text()
     assert f"check  {shlex.quote(name)} " in text
     assert f"identify {shlex.quote(name)} {shlex.quote(rows)}\n" in text
     [line] = [
-        one
-        for one in run_command("modes", name, "--count", "1", *sets(*COARSE)).err.splitlines()
-        if "pictures: " in one
+        mode_line
+        for mode_line in run_command("modes", name, "--count", "1", *sets(*COARSE)).err.splitlines()
+        if "pictures: " in mode_line
     ]
     program, *words = shlex.split(line.partition("pictures: ")[2])
     assert program == "fenics-crack" and main([*words, "--quiet"]) == 0
@@ -235,9 +251,9 @@ def test_commands_to_paste_quote_their_paths(here: Path, run_command: RunCommand
 
 def omega(folder: Path) -> float:
     """The first natural frequency in a folder's modes, by the table and by the file."""
-    first = float(json.loads((folder / "modes.json").read_text())[0]["omega [rad/s]"])
-    assert fc.load_run(folder / "modes.h5").result.omega[0] == pytest.approx(first)
-    return first
+    first_omega = float(json.loads((folder / "modes.json").read_text())[0]["omega [rad/s]"])
+    assert fc.load_run(folder / "modes.h5").result.omega[0] == pytest.approx(first_omega)
+    return first_omega
 
 
 def test_another_result_is_kept_as_the_one_before(here: Path) -> None:
@@ -293,15 +309,15 @@ def test_wrong_words(
     """A command or an option that there is not."""
     with pytest.raises(SystemExit):
         main(words)
-    said = capsys.readouterr().err
-    assert said.rstrip().endswith(question) if question else "did you mean" not in said
+    messages = capsys.readouterr().err
+    assert messages.rstrip().endswith(question) if question else "did you mean" not in messages
 
 
 def completion(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
     pytest.importorskip("shtab")
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as exit_info:
         main(["--completion", shell])
-    assert left.value.code == 0
+    assert exit_info.value.code == 0
     return capsys.readouterr().out
 
 
@@ -323,21 +339,21 @@ def test_bash_completes(
     words = ["fenics-crack", *typed]
     ask = f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(typed)}; "
     ask += f"_shtab_fenics_crack fenics-crack {words[-1]!r} {words[-2]!r}; echo ${{COMPREPLY[@]}}"
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", "-c", completion("bash", capsys) + ask],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=True,
     )
-    assert done.stdout.split() == offered and not done.stderr
+    assert process.stdout.split() == offered and not process.stderr
 
 
 def known(kind: str, scene: fc.Scene, key: str) -> list[str]:
     """What a refusal says is known."""
-    with pytest.raises(fc.InputError) as refused:
+    with pytest.raises(fc.InputError) as error_info:
         scene.replace({key: 1.0})
-    return refused.value.allowed.partition(f"known {kind}: ")[2].split(", ")
+    return error_info.value.allowed.partition(f"known {kind}: ")[2].split(", ")
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])

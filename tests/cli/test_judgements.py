@@ -76,23 +76,26 @@ def test_advice_is_by_the_largest_part(
     unknown = ErrorReport(**(ZERO | {part: 1.5}))
     [text] = describe_large_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
     assert "unknown at 800 Hz, its estimate for" in text and advice in text
-    small = ErrorReport(**(ZERO | {part: 0.02}))
-    assert not [*describe_large_error(scene, small, harmonics)]
+    small_report = ErrorReport(**(ZERO | {part: 0.02}))
+    assert not [*describe_large_error(scene, small_report, harmonics)]
 
 
 def test_undecided_stretches_of_a_curve() -> None:
     """The longest first, also at the ends; none of what is not judged."""
-    left = np.array([True, False, True, True, True, False, True])
-    curve: Any = SimpleNamespace(undecided=left)
-    found = _find_undecided_ranges(curve)
-    assert found == [(2, 4), (0, 0), (6, 6)]
+    undecided_mask = np.array([True, False, True, True, True, False, True])
+    curve: Any = SimpleNamespace(undecided=undecided_mask)
+    ranges = _find_undecided_ranges(curve)
+    assert ranges == [(2, 4), (0, 0), (6, 6)]
     curve.undecided = None
     assert _find_undecided_ranges(curve) == []
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
     """No advice to choose a tolerance where there is one, nor to damp what is damped."""
-    undecided, run = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan), SimpleNamespace()
+    undecided_verdict, run = (
+        fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan),
+        SimpleNamespace(),
+    )
     run.structure = None
     for multiplier, way in (
         (1.5, "of another size"), (-1.5, "two periods of the load"),
@@ -101,12 +104,13 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
         unstable = fc.Stability(np.array([multiplier + 0j]), "unstable", 0.0)
         [told] = describe_instability(scene, run, unstable)
         assert way in told
-    told = replace(undecided, reason="no exact orbit was found next to it")
+    told = replace(undecided_verdict, reason="no exact orbit was found next to it")
     words = "the stability of the orbit is undecided"
     because = f"{words} (no exact orbit was found next to it)"
-    advised = f"{because}; --set harmonic_balance.tolerance=1e-2 may decide it"
+    advice = f"{because}; --set harmonic_balance.tolerance=1e-2 may decide it"
     for given, one, said in (
-        (scene, undecided, words), (scene, told, because), (scene.replace(FIXED), told, advised)
+        (scene, undecided_verdict, words), (scene, told, because),
+        (scene.replace(FIXED), told, advice),
     ):  # fmt: skip
         assert [*describe_instability(given, run, one)] == [said]
 
@@ -119,11 +123,13 @@ def test_five_bifurcations_at_most() -> None:
     curve = SimpleNamespace(bifurcations=14 * [SimpleNamespace(kind="fold")], multipliers=1)
     curve.verdicts = np.array(["stable", "unstable"])
     run: Any = SimpleNamespace(result=curve)
-    shown, hidden = shorten_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
-    assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (9, 10, 11, 12, 13)]
+    shown_points, hidden = shorten_special_points(
+        run, Table(("point", "omega", "amplitude [m]"), rows)
+    )
+    assert [row[0] for row in shown_points.rows[3:]] == [f"fold {n}" for n in (9, 10, 11, 12, 13)]
     assert hidden == 13
-    few = Table(("point", "omega", "amplitude [m]"), rows[:4])
-    assert shorten_special_points(run, few) == (few, 0)
+    few_points = Table(("point", "omega", "amplitude [m]"), rows[:4])
+    assert shorten_special_points(run, few_points) == (few_points, 0)
 
 
 def swept(scene: fc.Scene, path: Path) -> SweepResult:
@@ -153,18 +159,18 @@ def test_sweep_fits_on_one_screen(
     scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """31 x 6 cases in at most 40 lines of 120 columns, with the largest response of each length."""
-    found = swept(scene, tmp_path / "sweep.h5")
-    monkeypatch.setattr(result, "run_sweep", lambda *given, **options: found)
-    out, err = run_command("sweep", found.scene, "--output", tmp_path, code=3)
+    sweep = swept(scene, tmp_path / "sweep.h5")
+    monkeypatch.setattr(result, "run_sweep", lambda *given, **options: sweep)
+    out, err = run_command("sweep", sweep.scene, "--output", tmp_path, code=3)
     lines = (out + err).splitlines()
     assert sum(1 + (len(line) - 1) // 120 for line in lines) <= 40
     assert all(len(line) <= 120 for line in out.splitlines())
-    peaks = np.nanargmax(found["response"], axis=0)
+    peaks = np.nanargmax(sweep["response"], axis=0)
     table = [line.split() for line in out.splitlines()[2:]]
     assert len(table) == 6
-    frequencies = found.axes[0].values
+    frequencies = sweep.axes[0].values
     for row in table:
-        length = found.axes[1].values.index(float(row[1]))
+        length = sweep.axes[1].values.index(float(row[1]))
         assert float(row[0]) == frequencies[peaks[length]]
         assert row[2] == "converged"
     assert "cases: 182 converged, 4 failed; the table has the largest responses over" in err
@@ -180,40 +186,42 @@ def test_sweep_of_few_modes(
     """Loads at natural frequencies that two modes do not have, and at one where twenty are few: the
     cases are told as solve tells the largest of them, and marked in pictures; none is whose error
     was not asked for."""
-    few = {"reduction.modes": 2, "reduction.method": "massless"}
+    few_modes = {"reduction.modes": 2, "reduction.method": "massless"}
     axes = {"reduction.modes": [2, 20], "excitation.frequency": [800.0, 3205.0, 4232.0]}
-    swept, lines = scene.replace(FIXED | few | {"sweep.over": axes}), []
+    swept_scene, lines = scene.replace(FIXED | few_modes | {"sweep.over": axes}), []
     for command, sets, code in (("solve", ["excitation.frequency=4232.0"], 4), ("sweep", [], 0)):
-        err = run_command(command, swept, "--output", tmp_path, sets=sets, code=code).err
+        err = run_command(command, swept_scene, "--output", tmp_path, sets=sets, code=code).err
         lines += [
             line.partition("warning: ")[2] for line in err.split("\n") if "more modes" in line
         ]
-    where = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
-    assert "for truncated modes" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
-    found = SweepResult.load(tmp_path / "sweep.h5")
-    assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
-    asked = swept.replace({"harmonic_balance.tolerance": 0.01})
-    told, depends = describe_sweep_warnings(replace(found, scene=asked))
+    place_text = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
+    assert "for truncated modes" in lines[0] and lines[1:] == [f"{place_text}: {lines[0]}"]
+    sweep = SweepResult.load(tmp_path / "sweep.h5")
+    assert sweep.inexact.tolist() == [[False, True, True], [False, False, True]]
+    tolerance_scene = swept_scene.replace({"harmonic_balance.tolerance": 0.01})
+    sentence, depends = describe_sweep_warnings(replace(sweep, scene=tolerance_scene))
     assert "whose verdict depends on truncated modes" in depends
-    assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
-    drawn = Mock(wraps=plot.draw_response)
-    monkeypatch.setattr(plot, "draw_response", drawn)
+    assert sentence.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
+    drawing_mock = Mock(wraps=plot.draw_response)
+    monkeypatch.setattr(plot, "draw_response", drawing_mock)
     run_command("plot", tmp_path / "sweep.h5", "--output", tmp_path, "--quiet")
-    marked = [call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawn.call_args_list]
-    assert marked and all(rings == [False, True, True] for rings in marked)
-    unasked = fc.run_sweep(swept, judged=False)
-    assert not unasked.inexact.any() and not [*describe_sweep_warnings(unasked)]
+    marked_cases = [
+        call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawing_mock.call_args_list
+    ]
+    assert marked_cases and all(rings == [False, True, True] for rings in marked_cases)
+    unjudged_sweep = fc.run_sweep(swept_scene, judged=False)
+    assert not unjudged_sweep.inexact.any() and not [*describe_sweep_warnings(unjudged_sweep)]
 
 
 def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
     """All cases undecided: a line instead of a column."""
-    found = swept(scene, tmp_path / "sweep.h5")
-    found.columns["verdict"][:] = "undecided"
-    assert "verdict" not in shorten_sweep_table(found)[0].columns
-    found.columns["status"][:] = "full Newton steps; undecided: no exact orbit was found"
-    told = [*describe_sweep_warnings(found)]
-    assert "the stability is undecided in all cases" in told
-    assert [text for text in told if text.startswith("182 cases")] == [
+    sweep = swept(scene, tmp_path / "sweep.h5")
+    sweep.columns["verdict"][:] = "undecided"
+    assert "verdict" not in shorten_sweep_table(sweep)[0].columns
+    sweep.columns["status"][:] = "full Newton steps; undecided: no exact orbit was found"
+    warnings = [*describe_sweep_warnings(sweep)]
+    assert "the stability is undecided in all cases" in warnings
+    assert [text for text in warnings if text.startswith("182 cases")] == [
         "182 cases undecided, the first at frequency = 480.0, length = 0.01: no exact orbit was "
         "found"
     ]
@@ -222,13 +230,13 @@ def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path
 def test_a_peak_between_two_frequencies(scene: fc.Scene, tmp_path: Path) -> None:
     """An oscillator at steps of 16 Hz: told where its peak is narrower, not of one that is wider,
     nor of an antiresonance, where the phase comes back."""
-    found = swept(scene, tmp_path / "sweep.h5")
+    sweep = swept(scene, tmp_path / "sweep.h5")
     frequency = np.linspace(480.0, 960.0, 31)[:, None]
-    found.columns["omega"][:] = 2.0 * np.pi * frequency
+    sweep.columns["omega"][:] = 2.0 * np.pi * frequency
     for damping, power, told in ((0.001, -1, 1), (0.03, -1, 0), (0.001, 1, 0)):
         wave = (1.0 - (frequency / 729.0) ** 2 + 2j * damping * frequency / 729.0) ** power
-        found.columns["sine_1"][:], found.columns["cosine_1"][:] = wave.real, wave.imag
-        texts = describe_skipped_peak(found)
+        sweep.columns["sine_1"][:], sweep.columns["cosine_1"][:] = wave.real, wave.imag
+        texts = describe_skipped_peak(sweep)
         assert len(texts) == told
         for text in texts:
             assert "between 720 and 736 Hz, length = 0.01, and at 5 other places, the" in text
@@ -261,25 +269,25 @@ def test_large_is_what_rotates(scene: fc.Scene, tmp_path: Path, run_command: Run
     sides = {"geometry.width": 0.004, "geometry.height": 0.1, "crack.height": 0.02}
     size = {"crack.length": 0.001, "mesh.size": 0.004, "mesh.lip_elements": 2, "mesh.error": False}
     load = {"excitation.point": [0.004, 0.1], "excitation.frequency": 340.0, "sweep": None}
-    few = FIXED | {"harmonic_balance.harmonics": 3, "reduction.modes": 5, "curve": None}
-    blade = scene.replace(sides | size | load | few)
+    few_settings = FIXED | {"harmonic_balance.harmonics": 3, "reduction.modes": 5, "curve": None}
+    blade = scene.replace(sides | size | load | few_settings)
     unit = 10.0 / fc.solve(blade).amplitude()
     for share, warns in ((0.02, False), (0.2, True)):
         force = [f"excitation.force_sin=[{unit * share * 0.1}, 0.0]"]
         for command in (["check", blade], ["solve", blade, "--output", tmp_path / "out"]):
-            said = run_command(*command, sets=force).err
-            assert ("beyond small displacements" in said) == warns, command
+            messages = run_command(*command, sets=force).err
+            assert ("beyond small displacements" in messages) == warns, command
 
 
 def test_errors_without_the_mesh_are_told_of_every_number(
     tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Also where the amplitude is not among those that are asked for."""
-    chosen = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
-    chosen += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
-    told = run_command("solve", PAPER, "--output", tmp_path, sets=chosen)
-    assert "harmonic ratio 2/1" in told.out and "half peak-to-peak" not in told.out
-    assert "error due to the mesh not included: mesh.error = false" in told.err
+    options = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
+    options += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
+    process = run_command("solve", PAPER, "--output", tmp_path, sets=options)
+    assert "harmonic ratio 2/1" in process.out and "half peak-to-peak" not in process.out
+    assert "error due to the mesh not included: mesh.error = false" in process.err
 
 
 @pytest.mark.nightly
@@ -288,17 +296,22 @@ def test_a_steady_load_moves_nothing(
 ) -> None:
     """Whether it opens the crack or closes it: amplitude and harmonics are 0, not rounding, and the
     file is read again, though all gaps of closed lips are rounding."""
-    folder, still = tmp_path / "out", {"excitation.force_sin": [0.0, 0.0], "mesh.error": False}
+    folder, mean_settings = (
+        tmp_path / "out",
+        {"excitation.force_sin": [0.0, 0.0], "mesh.error": False},
+    )
     for force, closed in ((1400.0, 0.0), (-1400.0, 1.0)):
-        held = scene.replace(still | {"excitation.force_mean": [force, 0.0]})
-        told = run_command("solve", held, "--output", folder).err
-        assert "nothing vibrates" in told and "estimated error" not in told
+        held_scene = scene.replace(mean_settings | {"excitation.force_mean": [force, 0.0]})
+        messages = run_command("solve", held_scene, "--output", folder).err
+        assert "nothing vibrates" in messages and "estimated error" not in messages
         run = fc.load_run(folder / "solution.h5")
-        found = run.result.indicators(run.watched_dof)
-        assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
-        assert found.closed_share == closed and abs(found.mean) > 1e-6
+        indicators = run.result.indicators(run.watched_dof)
+        assert indicators.amplitude == indicators.harmonic_1 == indicators.harmonic_2 == 0.0
+        assert indicators.closed_share == closed and abs(indicators.mean) > 1e-6
         assert ("opening" in fc.solve(run.scene).errors.values) == (closed == 0.0)
-        assert "nothing vibrates" in run_command("curve", held, "--output", folder, code=2).err
+        assert (
+            "nothing vibrates" in run_command("curve", held_scene, "--output", folder, code=2).err
+        )
 
 
 @pytest.mark.nightly
@@ -306,18 +319,20 @@ def test_a_motion_of_closed_lips_settles(
     scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Their gaps are rounding, of which nothing repeats: the displacement of the load does."""
-    pressed = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
-    pressed |= {"output.quantities": ["amplitude"]}
-    told = run_command("integrate", scene.replace(pressed), "--output", tmp_path)
-    assert "not settled" not in told.err and "distance from the settled motion" in told.out
-    found = fc.load_run(tmp_path / "integration.h5")
-    longer = {"integration.settle": 1e-10, "integration.periods": 2000}
-    exact = fc.integrate(found.scene.replace(longer))
-    last, limit = (one.by_period(one.displacement()[:, 0])[-1] for one in (found, exact))
-    moving = np.linalg.norm(limit - limit.mean())
-    assert abs(limit.mean()) * len(limit) ** 0.5 > moving  # and counts as much
-    away = np.linalg.norm(last - limit) / (2.0**0.5 * moving)
-    assert found.distance == pytest.approx(away, rel=0.02)
+    pressed_settings = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
+    pressed_settings |= {"output.quantities": ["amplitude"]}
+    process = run_command("integrate", scene.replace(pressed_settings), "--output", tmp_path)
+    assert "not settled" not in process.err and "distance from the settled motion" in process.out
+    run = fc.load_run(tmp_path / "integration.h5")
+    longer_settings = {"integration.settle": 1e-10, "integration.periods": 2000}
+    exact = fc.integrate(run.scene.replace(longer_settings))
+    last_period, limit = (
+        history.by_period(history.displacement()[:, 0])[-1] for history in (run, exact)
+    )
+    vibration_size = np.linalg.norm(limit - limit.mean())
+    assert abs(limit.mean()) * len(limit) ** 0.5 > vibration_size  # and counts as much
+    distance = np.linalg.norm(last_period - limit) / (2.0**0.5 * vibration_size)
+    assert run.distance == pytest.approx(distance, rel=0.02)
 
 
 # --- pictures of sweeps ---------------------------------------------------------------------------
@@ -325,23 +340,23 @@ def test_a_motion_of_closed_lips_settles(
 
 def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two axes: few values of the second make lines, many a map, some both; words on the axes."""
-    drawn = Mock()
-    monkeypatch.setattr(plot, "draw_map", drawn.draw_map)
-    monkeypatch.setattr(plot, "draw_response", drawn.draw_response)
-    for count, expected in (
+    plot_mock = Mock()
+    monkeypatch.setattr(plot, "draw_map", plot_mock.draw_map)
+    monkeypatch.setattr(plot, "draw_response", plot_mock.draw_response)
+    for count, expected_calls in (
         (3, ["draw_response"]),
         (5, ["draw_response", "draw_map"]),
         (8, ["draw_map"]),
     ):
-        drawn.reset_mock()
+        plot_mock.reset_mock()
         lengths = tuple(0.02 + 0.002 * n for n in range(count))
         axes = Axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)), Axis("crack.length", lengths)
         values, doubtful = np.ones((4, count)), np.zeros((4, count), bool)
         words = "largest opening", "m"
         pictures.draw_swept(axes, values, doubtful, words, tmp_path.joinpath, "a")
-        assert [call[0] for call in drawn.mock_calls] == expected
-    assert drawn.draw_map.call_args.kwargs["x_label"] == "load frequency [Hz]"
-    assert drawn.draw_map.call_args.kwargs["y_label"] == "crack length [mm]"
+        assert [call[0] for call in plot_mock.mock_calls] == expected_calls
+    assert plot_mock.draw_map.call_args.kwargs["x_label"] == "load frequency [Hz]"
+    assert plot_mock.draw_map.call_args.kwargs["y_label"] == "crack length [mm]"
 
 
 # --- keys and values in words ---------------------------------------------------------------------
@@ -357,8 +372,8 @@ def test_what_differs(paper_scene: fc.Scene) -> None:
         "excitation.force_sin = 5 N",
         "excitation.force_sin = 20 N",
     ]
-    closed = paper_scene.replace({"crack.clearance": -2e-7})
-    assert describe_differences([paper_scene.replace({"crack.clearance": 0.0}), closed]) == [
+    closed_scene = paper_scene.replace({"crack.clearance": -2e-7})
+    assert describe_differences([paper_scene.replace({"crack.clearance": 0.0}), closed_scene]) == [
         "crack.clearance = 0 m",
         "crack.clearance = -200 nm",
     ]
@@ -367,15 +382,18 @@ def test_what_differs(paper_scene: fc.Scene) -> None:
 
 def test_hertz_and_ranges(paper_scene: fc.Scene) -> None:
     """A frequency in Hz stands for both twins; ranges count where nothing else differs."""
-    one, two = (
+    first_scene, two = (
         paper_scene.replace({"excitation.frequency": f, "curve.start": f, "curve.stop": 9.0})
         for f in (300.0, 310.0)
     )
-    assert describe_differences([one, two]) == [
+    assert describe_differences([first_scene, two]) == [
         "excitation.frequency = 300 Hz",
         "excitation.frequency = 310 Hz",
     ]
-    ranges = [paper_scene.replace({"curve.start": at, "curve.stop": 9.0}) for at in (1.0, 2.0)]
+    ranges = [
+        paper_scene.replace({"curve.start": frequency, "curve.stop": 9.0})
+        for frequency in (1.0, 2.0)
+    ]
     assert describe_differences(ranges) == ["curve.start = 1", "curve.start = 2"]
 
 
@@ -402,17 +420,19 @@ def test_a_larger_harmonic_that_is_left_out(
     """At a seventh of the resonance six harmonics call the second one the largest: the seventh of
     the exact orbit is told, and the error stated is that; with nine there is no more to tell."""
     slow = {"excitation.frequency": 119.0, "mesh.error": False, "curve": None}
-    told, orders, seen = [], [], []
+    told, orders, amplitude_rows = [], [], []
     for harmonics in (6, 9):
-        one = scene.replace(FIXED | slow | {"harmonic_balance.harmonics": harmonics})
-        shown = run_command("solve", one, "--output", tmp_path, "--format", "json")
-        told.append("harmonic 7, which the solution leaves out, is the largest of" in shown.err)
-        rows = {row["name"]: row for row in json.loads(shown.out)}
+        changed_scene = scene.replace(FIXED | slow | {"harmonic_balance.harmonics": harmonics})
+        process = run_command("solve", changed_scene, "--output", tmp_path, "--format", "json")
+        told.append("harmonic 7, which the solution leaves out, is the largest of" in process.err)
+        rows = {row["name"]: row for row in json.loads(process.out)}
         orders.append(rows["largest_order"]["value"])
-        seen.append(rows["ratio_largest"])
+        amplitude_rows.append(rows["ratio_largest"])
     assert told == [True, False] and orders == [2.0, 7.0]
-    apart = 100.0 * (seen[1]["value"] / seen[0]["value"] - 1.0)
-    assert apart > 50.0 and seen[0]["error [%]"] == pytest.approx(apart, rel=0.05)
+    difference_percent = 100.0 * (amplitude_rows[1]["value"] / amplitude_rows[0]["value"] - 1.0)
+    assert difference_percent > 50.0 and amplitude_rows[0]["error [%]"] == pytest.approx(
+        difference_percent, rel=0.05
+    )
 
 
 @pytest.mark.nightly
@@ -423,12 +443,12 @@ def test_rounding_is_no_high_harmonic(
     them is the largest."""
     means = [[0.0, 0.0], *([mean, 0.0] for mean in (100.0, -100.0, 200.0, -200.0))]
     slow = {"excitation.frequency": 138.8, "harmonic_balance.harmonics": 8, "curve": None}
-    one = scene.replace(FIXED | slow | {"sweep.over": {"excitation.force_mean": means}})
-    said = run_command("sweep", one, "--output", tmp_path).err
-    found = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert found["largest_order"][0] > 3.0 and np.isnan(found["largest_order"][1:]).all()
-    assert np.all(found["ratio_largest"][1:] < 1e-9)
-    assert "in 1 case the largest higher harmonic is above the third" in said
+    changed_scene = scene.replace(FIXED | slow | {"sweep.over": {"excitation.force_mean": means}})
+    messages = run_command("sweep", changed_scene, "--output", tmp_path).err
+    sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert sweep["largest_order"][0] > 3.0 and np.isnan(sweep["largest_order"][1:]).all()
+    assert np.all(sweep["ratio_largest"][1:] < 1e-9)
+    assert "in 1 case the largest higher harmonic is above the third" in messages
 
 
 # --- what ends a command, and what it says meanwhile ----------------------------------------------
@@ -454,8 +474,10 @@ def test_hint_to_damp_more_modes(
     run_command: RunCommand,
 ) -> None:
     """Of an undecided orbit, where there are modes without damping."""
-    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
-    monkeypatch.setattr("fenics_crack.study.solve.floquet", lambda structure, solution: undecided)
+    undecided_verdict = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
+    monkeypatch.setattr(
+        "fenics_crack.study.solve.floquet", lambda structure, solution: undecided_verdict
+    )
     sets = ["contact.stiffness=1e9", "mesh.error=false", *changes.split()]
     answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
     assert (
@@ -471,12 +493,12 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     (tmp_path / "curve.h5").write_bytes(b"complete")
     progress = Mock(side_effect=[0.5, 0.5, 0.5, KeyboardInterrupt])
     monkeypatch.setattr(fc.Continuation, "progress", progress)
-    said = run_command("curve", PAPER, "--verbose", "--output", tmp_path, sets=RANGE, code=3)
+    process = run_command("curve", PAPER, "--verbose", "--output", tmp_path, sets=RANGE, code=3)
     assert (tmp_path / "curve.h5").read_bytes() == b"complete"
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
-    assert "largest so far" in said.out and "grows up to where the curve ended" in said.err
-    assert "the largest response" not in said.err
-    assert "was interrupted; its errors and stability were not examined" in said.err
+    assert "largest so far" in process.out and "grows up to where the curve ended" in process.err
+    assert "the largest response" not in process.err
+    assert "was interrupted; its errors and stability were not examined" in process.err
 
 
 def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
@@ -493,10 +515,13 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
 
     wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._record", record)
     changes = [*RANGE, "harmonic_balance.tolerance=0.05"]
-    said = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
-    assert "was interrupted; its errors were not examined" in said
-    assert re.search(r"(\d) stable of \1 points", said)
-    assert "; curve interrupted; " in f"; {said.splitlines()[-1]}" and "estimated error" not in said
+    messages = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
+    assert "was interrupted; its errors were not examined" in messages
+    assert re.search(r"(\d) stable of \1 points", messages)
+    assert (
+        "; curve interrupted; " in f"; {messages.splitlines()[-1]}"
+        and "estimated error" not in messages
+    )
 
 
 def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -514,8 +539,8 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
     assert (tmp_path / "solution.h5").read_bytes() == b"older"
-    found = fc.load_run(tmp_path / "solution_interrupted.h5")
-    assert found.result.converged and found.stated is None
+    run = fc.load_run(tmp_path / "solution_interrupted.h5")
+    assert run.result.converged and run.stated is None
 
 
 @pytest.mark.drawn(1)
@@ -540,19 +565,19 @@ def test_signs_of_life_say_how_far(
     capsys: pytest.CaptureFixture,
 ) -> None:
     """On what is no terminal, a line each: work that takes less waits for it."""
-    shown = threading.Event()
+    shown_event = threading.Event()
 
     class Held(list[Callable[[], str]]):
         """What is reached is asked for once before its work ends."""
 
         def pop(self, *_: Any) -> Callable[[], str]:
-            assert shown.wait(LIMIT)
+            assert shown_event.wait(LIMIT)
             return super().pop()
 
     def write(wrapped: Callable[..., None], lines: StageLines, text: str) -> None:
         wrapped(lines, text)
         if re.search(said, text):
-            shown.set()
+            shown_event.set()
 
     monkeypatch.setattr("fenics_crack.basics.progress.MESSAGE_INTERVAL", 0.01)
     monkeypatch.setattr("fenics_crack.basics.progress._progress_functions", Held())
@@ -569,7 +594,7 @@ def test_a_result_is_kept_where_another_one_is_stopped(
     """While it is written; the earlier one is whole in its folder."""
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
     assert main(words) == 0
-    first = (tmp_path / "modes.h5").read_bytes()
+    first_content = (tmp_path / "modes.h5").read_bytes()
     monkeypatch.setattr("fenics_crack.runs.run.Run.save", Mock(side_effect=KeyboardInterrupt))
     assert main([*words, "--set", "material.young=2e11"]) == 130
-    assert (tmp_path / "before" / "modes.h5").read_bytes() == first
+    assert (tmp_path / "before" / "modes.h5").read_bytes() == first_content

@@ -36,13 +36,13 @@ def test_slip(
     slip: str, changes: str, answer: str, plate: Path, capsys: pytest.CaptureFixture
 ) -> None:
     """An error ends the command; a remark names the key that was changed, in one line."""
-    given = re.findall(r"`([^`]+)`", changes)
-    changed = (word for key in given for word in ("--set", key))
-    code = main(["check", str(plate), "--fresh", *COARSE, *changed])
-    said = capsys.readouterr().err.splitlines()
+    pairs = re.findall(r"`([^`]+)`", changes)
+    options = (word for key in pairs for word in ("--set", key))
+    code = main(["check", str(plate), "--fresh", *COARSE, *options])
+    message_lines = capsys.readouterr().err.splitlines()
     is_error = answer.startswith("error: ")
     assert code == (2 if is_error else 0), slip
     parts = [re.escape(part) for part in answer.removeprefix("error: ").split(" ... ")]
-    assert any(re.search(".*".join(parts), line) for line in said), said
-    assert len(said) == 1, said
-    assert any(key.partition("=")[0].split(".")[0] in said[0] for key in given)
+    assert any(re.search(".*".join(parts), line) for line in message_lines), message_lines
+    assert len(message_lines) == 1, message_lines
+    assert any(key.partition("=")[0].split(".")[0] in message_lines[0] for key in pairs)

@@ -41,9 +41,9 @@ def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
     dofs = [study.structure.find_dof((0.1, y), axis) for y in (0.1, 0.0625) for axis in "xy"]
     assert [w.dof for w in study.watched] == dofs
     assert [w.distance for w in study.watched] == [0.0, 0.0, 0.002, 0.002]
-    (alone,) = prepare(scene.replace({"output": None}), MPI.COMM_SELF).watched
-    assert (alone.name, alone.dof) == ("", dofs[0])
-    assert alone.words == "x displacement at (0.1, 0.1) m"
+    (default_point,) = prepare(scene.replace({"output": None}), MPI.COMM_SELF).watched
+    assert (default_point.name, default_point.dof) == ("", dofs[0])
+    assert default_point.words == "x displacement at (0.1, 0.1) m"
 
 
 @pytest.mark.parametrize(
@@ -70,8 +70,8 @@ def test_points_that_cannot_be_watched(scene: fc.Scene, point: Any, words: str) 
 )  # fmt: skip
 def test_output_refuses(paper_scene: fc.Scene, key: str, value: Any) -> None:
     """Unknown quantities, names with dots, and what is no point; it says what is known."""
-    known = "some of amplitude, mean, .*" if key == "quantities" else "a table of points"
-    with pytest.raises(fc.InputError, match=rf"output.{key} = .*: must be .*{known}"):
+    expected_text = "some of amplitude, mean, .*" if key == "quantities" else "a table of points"
+    with pytest.raises(fc.InputError, match=rf"output.{key} = .*: must be .*{expected_text}"):
         paper_scene.replace({f"output.{key}": value})
 
 
@@ -86,14 +86,18 @@ def test_solution(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> N
     assert shown.count("harmonic ratio 2/1") == 4
     assert "natural frequency, crack open, mode 1" in shown
     assert "half peak-to-peak" not in shown and "Hz" not in shown
-    away = "watched at the nearest node, at a distance of: side 2 mm; not part of the stated errors"
-    assert away in notes
+    expected_remark = (
+        "watched at the nearest node, at a distance of: side 2 mm; not part of the stated errors"
+    )
+    assert expected_remark in notes
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     solution = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
     plate = solution.structure
-    found = solution.indicators(plate.find_dof((0.1, 0.0625), "y"))
+    indicators = solution.indicators(plate.find_dof((0.1, 0.0625), "y"))
     for name in ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift"):
-        assert rows[f"side.uy.{name}"]["value"] == pytest.approx(getattr(found, name), rel=1e-9)
+        assert rows[f"side.uy.{name}"]["value"] == pytest.approx(
+            getattr(indicators, name), rel=1e-9
+        )
     assert rows["amplitude" if "amplitude" in rows else "tip.ux.amplitude"]["unit"] == "m"
     is_open = fc.solve_modes(plate, 1).omega[0]
     assert rows["omega_open"]["value"] == pytest.approx(is_open)
@@ -114,10 +118,14 @@ def test_curve(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None
     """A column for each point and direction; the special points have what is chosen, in Hz."""
     scene = scene.replace({"excitation.frequency": 300.0, "curve.start": 1500.0,
                            "curve.stop": 1550.0})  # fmt: skip
-    told = run_command("curve", scene, "--output", tmp_path, sets=["curve.stability=false"]).out
-    shown = [word.strip() for word in told.splitlines()[0].split("  ") if word.strip()]
-    assert shown == ["point", "frequency [Hz]", *(f"{n}.u{a}.ratio_2_1" for n in ("tip", "side")
-                     for a in "xy"), "frequency_open [Hz]"]  # fmt: skip
+    printed_text = run_command(
+        "curve", scene, "--output", tmp_path, sets=["curve.stability=false"]
+    ).out
+    header_words = [
+        word.strip() for word in printed_text.splitlines()[0].split("  ") if word.strip()
+    ]
+    ratios = [f"{n}.u{a}.ratio_2_1" for n in ("tip", "side") for a in "xy"]
+    assert header_words == ["point", "frequency [Hz]", *ratios, "frequency_open [Hz]"]
     with open(tmp_path / "curve.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     curve = fc.load_run(tmp_path / "curve.h5", MPI.COMM_SELF).result
@@ -131,7 +139,7 @@ def test_motion_in_time_has_the_same_indicators(
     """Exact from event to event, its last period: ratios and mean as with 30 harmonics."""
     changes = {"integration.method": "events", "integration.settle": 1e-6}
     scene = scene.replace(changes | {"harmonic_balance.harmonics": 30, "output.quantities": None})
-    solved, exact = (
+    solution_values, exact = (
         {row["name"]: row["value"] for row in json.loads(run_command(*words).out)}
         for words in (
             [command, scene, "--output", tmp_path, "--format", "json"]
@@ -140,7 +148,7 @@ def test_motion_in_time_has_the_same_indicators(
     )
     for quantity in ("amplitude", "harmonic_1", "ratio_2_1", "mean_shift"):
         for name in (f"tip.ux.{quantity}", f"side.uy.{quantity}"):
-            assert solved[name] == pytest.approx(exact[name], rel=2e-3)
+            assert solution_values[name] == pytest.approx(exact[name], rel=2e-3)
 
 
 def test_a_verdict_that_is_left_out_is_told(
@@ -148,21 +156,21 @@ def test_a_verdict_that_is_left_out_is_told(
 ) -> None:
     """Of lips that have mass and may not overlap."""
     rigid = {"contact.law": "unilateral", "contact.stiffness": None, "reduction.method": "off"}
-    small = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
-    words = ["solve", scene.replace(rigid | small), "--output", tmp_path]
-    told = run_command(*words)
-    assert "the stability is not assessed" in told.err and "verdict" not in told.out
-    told = run_command(*words, sets=["reduction.method=massless", "reduction.modes=6"])
-    assert "not assessed" not in told.err and "verdict" in told.out
+    small_settings = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
+    words = ["solve", scene.replace(rigid | small_settings), "--output", tmp_path]
+    printed_text = run_command(*words)
+    assert "the stability is not assessed" in printed_text.err and "verdict" not in printed_text.out
+    printed_text = run_command(*words, sets=["reduction.method=massless", "reduction.modes=6"])
+    assert "not assessed" not in printed_text.err and "verdict" in printed_text.out
 
 
 def test_a_crack_of_a_mesh_file_that_stays_open(tmp_path: Path, run_command: RunCommand) -> None:
     """Without contact there is nothing to judge; what needs it asks for contact, not a crack."""
     scene = fc.Scene.load(DEMOS / "inclined_crack.toml", {"contact": None})
-    told = run_command("solve", scene, "--output", tmp_path)
-    assert "not assessed" not in told.err and "verdict" not in told.out
-    missing = "contact is missing: must be given for this command: a table"
-    assert missing in run_command("integrate", scene, "--output", tmp_path, code=2).err
+    process = run_command("solve", scene, "--output", tmp_path)
+    assert "not assessed" not in process.err and "verdict" not in process.out
+    expected_message = "contact is missing: must be given for this command: a table"
+    assert expected_message in run_command("integrate", scene, "--output", tmp_path, code=2).err
 
 
 @pytest.mark.parametrize(("mean", "shown"), [(1e-17, "0"), (-2e-9, "-2e-09")])
@@ -186,8 +194,8 @@ def test_rounding_is_printed_as_zero(
     for first in (f"mean displacement {shown} m", f"mean displacement over harmonic 1 {mean:g} -"):
         assert any(line.startswith(first) for line in lines)
     rows = json.loads((tmp_path / "solution.json").read_text())
-    [kept] = [row["value"] for row in rows if row["name"] == "mean"]
-    assert kept == pytest.approx(mean, rel=1e-12)
+    [mean_value] = [row["value"] for row in rows if row["name"] == "mean"]
+    assert mean_value == pytest.approx(mean, rel=1e-12)
     start = run_command("curve", *words).out.splitlines()[2].split()
     assert start == ["start", "0.6", "1", shown, f"{mean:g}"]
 
@@ -215,20 +223,22 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
 ) -> None:
     """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
     still varies, those of ``fc.attractors``. And of the largest response of a curve."""
-    said = run_command("solve", leaning, "--output", tmp_path).err
+    messages = run_command("solve", leaning, "--output", tmp_path).err
     run = fc.load_run(tmp_path / "solution.h5")
-    [found] = fc.attractors(run.structure, run.result)
-    sizes = [f"{1e3 * size:.4g} mm" for size in np.sort(found.amplitudes(run.watched_dof))[[0, -1]]]
-    still = "; the motion still varies after 1000 periods, between"
-    told = f"{still} {' and '.join(sizes)} half peak-to-peak"
-    assert told in said
+    [attractor] = fc.attractors(run.structure, run.result)
+    sizes = [
+        f"{1e3 * size:.4g} mm" for size in np.sort(attractor.amplitudes(run.watched_dof))[[0, -1]]
+    ]
+    settling_text = "; the motion still varies after 1000 periods, between"
+    expected_text = f"{settling_text} {' and '.join(sizes)} half peak-to-peak"
+    assert expected_text in messages
     run_command("report", tmp_path / "solution.h5", "--quiet")
-    assert told in (tmp_path / "report.html").read_text()
+    assert expected_text in (tmp_path / "report.html").read_text()
     # To where two periods of the load are one.
-    said = run_command("curve", leaning, "--output", tmp_path).err
+    messages = run_command("curve", leaning, "--output", tmp_path).err
     curve = fc.load_run(tmp_path / "curve.h5")
-    last = curve.result.solution(len(curve.result) - 1)
-    [doubled] = fc.attractors(curve.structure, last)
-    sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
-    told = f"response is unstable; the motion settles to between {sizes[0]} and "
-    assert f"{told}{sizes[1]} half" in said
+    last_solution = curve.result.solution(len(curve.result) - 1)
+    [doubled_motion] = fc.attractors(curve.structure, last_solution)
+    sizes = [f"{size:.4g} m" for size in np.sort(doubled_motion.amplitudes(curve.watched_dof))]
+    expected_text = f"response is unstable; the motion settles to between {sizes[0]} and "
+    assert f"{expected_text}{sizes[1]} half" in messages

@@ -17,15 +17,20 @@ NIGHTLY = pytest.mark.nightly
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Solutions under two loads, curves with two dampings."""
     folder = tmp_path_factory.mktemp("results")
-    common = ["--set=contact.stiffness=1e7", "--set=damping.ratio=0.05", "--quiet"]
-    common += ["--set=contact.friction_error=false"]
+    common_options = ["--set=contact.stiffness=1e7", "--set=damping.ratio=0.05", "--quiet"]
+    common_options += ["--set=contact.friction_error=false"]
     for load in LOADS:
-        here = ["--set", f"excitation.force_sin=[{load},0]", "--output", f"{folder}/{load:g}"]
-        assert main(["solve", SCENE, *common, *here]) == 0
+        run_options = [
+            "--set",
+            f"excitation.force_sin=[{load},0]",
+            "--output",
+            f"{folder}/{load:g}",
+        ]
+        assert main(["solve", SCENE, *common_options, *run_options]) == 0
     for ratio in (0.05, 0.1):
-        here = ["--set", f"damping.ratio={ratio}", "--output", f"{folder}/{ratio}"]
+        run_options = ["--set", f"damping.ratio={ratio}", "--output", f"{folder}/{ratio}"]
         span = ["--set", "curve.start=2000", "--set", "curve.stop=2100"]
-        assert main(["curve", SCENE, *common, *span, *here]) in (0, 3)
+        assert main(["curve", SCENE, *common_options, *span, *run_options]) in (0, 3)
     return folder
 
 
@@ -43,29 +48,32 @@ def test_a_scene_that_sweeps_over_one_of_its_loads(results: Path, tmp_path: Path
 def test_curves(results: Path, tmp_path: Path) -> None:
     """One picture, by labels that are given or by what differs between the scenes."""
     files = [str(results / ratio / "curve.h5") for ratio in ("0.05", "0.1")]
-    given = ["5 %", "10 %"]
-    own = [f"damping.ratio = {ratio}" for ratio in ("0.05", "0.1")]
-    for labels, shown in (([], own), ([w for name in given for w in ("--label", name)], given)):
+    given_labels = ["5 %", "10 %"]
+    own_labels = [f"damping.ratio = {ratio}" for ratio in ("0.05", "0.1")]
+    for labels, shown_labels in (
+        ([], own_labels),
+        ([w for name in given_labels for w in ("--label", name)], given_labels),
+    ):
         words = [*files, *labels, "--output", str(tmp_path / str(len(labels))), "--pictures", "svg"]
         assert main(["plot", *words, "--quiet"]) == 0
-        [drawn] = (tmp_path / str(len(labels))).iterdir()
-        text = drawn.read_text()
-        assert drawn.name == "overlay_curve.svg"
-        assert all(f"<!-- {label} -->" in text for label in shown)
+        [picture_path] = (tmp_path / str(len(labels))).iterdir()
+        text = picture_path.read_text()
+        assert picture_path.name == "overlay_curve.svg"
+        assert all(f"<!-- {label} -->" in text for label in shown_labels)
 
 
 def test_what_cannot_be_laid_over(results: Path, tmp_path: Path, run_command: RunCommand) -> None:
     """One line says why."""
     solution = str(results / f"{LOADS[0]:g}" / "solution.h5")
-    one, two = (str(results / ratio / "curve.h5") for ratio in ("0.05", "0.1"))
-    for words, expected in (
-        ([one, solution], "result = "),
-        ([one, two, "--label", "a"], "--label = "),
-        ([one, one], "result = "),
-        ([one, SCENE], "path = "),
+    first_path, two = (str(results / ratio / "curve.h5") for ratio in ("0.05", "0.1"))
+    for words, expected_message in (
+        ([first_path, solution], "result = "),
+        ([first_path, two, "--label", "a"], "--label = "),
+        ([first_path, first_path], "result = "),
+        ([first_path, SCENE], "path = "),
     ):
         assert run_command("plot", *words, "--output", tmp_path, code=2).err.startswith(
-            f"fenics-crack: {expected}"
+            f"fenics-crack: {expected_message}"
         )
     assert not list(tmp_path.iterdir())
 
@@ -79,16 +87,23 @@ def test_mesh_with_a_load_of_many_harmonics(
 ) -> None:
     """By ``plot``, and by ``report`` of a result."""
     scene, wave = str(DEMOS / f"{name}.toml"), tmp_path / "wave.csv"
-    more = ",0" if name.startswith("solid") else ""
+    third_component = ",0" if name.startswith("solid") else ""
     rows = ("0,5,0", "0.5,5,0", "0.5,-5,0", "1,-5,0")
-    wave.write_text(f"t,fx,fy{more and ',fz'}\n" + "".join(f"{row}{more}\n" for row in rows))
-    changes = {"excitation.harmonics": [{"order": 3, "cos": [1.0] + [0.0] * (1 + len(more) // 2)}]}
+    wave.write_text(
+        f"t,fx,fy{third_component and ',fz'}\n"
+        + "".join(f"{row}{third_component}\n" for row in rows)
+    )
+    changes = {
+        "excitation.harmonics": [
+            {"order": 3, "cos": [1.0] + [0.0] * (1 + len(third_component) // 2)}
+        ]
+    }
     changes |= {"excitation.wave": str(wave), "harmonic_balance.harmonics": None}
-    loaded = fc.Scene.load(scene, changes)
-    run_command("plot", loaded, "--output", tmp_path, "--quiet")
+    loaded_scene = fc.Scene.load(scene, changes)
+    run_command("plot", loaded_scene, "--output", tmp_path, "--quiet")
     assert (tmp_path / "mesh.png").exists()
     if scene == SCENE:
-        run_command("modes", loaded, "--output", tmp_path, "--quiet")
+        run_command("modes", loaded_scene, "--output", tmp_path, "--quiet")
         run_command("report", tmp_path / "modes.h5", "--quiet")
 
 

@@ -80,18 +80,18 @@ def test_animation(
     with Image.open(path) as picture:
         assert picture.n_frames == 10 and picture.size == (640, 740)
         assert picture.info["loop"] == 0 and picture.info["duration"] == 300
-        said = picture.info["comment"].decode("latin-1").rpartition("×")[2]
-        assert float(said) == pytest.approx(magnification, rel=5e-3)
+        comment = picture.info["comment"].decode("latin-1").rpartition("×")[2]
+        assert float(comment) == pytest.approx(magnification, rel=5e-3)
     assert path.stat().st_size < 1e6
     gap = breathing.gap(time)[:, 0]
-    apart, touching = int(gap.argmin()), int(gap.argmax())
-    assert gap[apart] < 0.0 < gap[touching]
-    shown = [pixels(path, frame)[PLATE] for frame in (apart, touching)]
-    assert np.mean(np.any(shown[0] != shown[1], axis=2)) > 0.05
-    assert share(shown[0], ORANGE) == 0.0 < share(shown[1], ORANGE)
-    for picture in shown:
+    open_frame, closed_frame = int(gap.argmin()), int(gap.argmax())
+    assert gap[open_frame] < 0.0 < gap[closed_frame]
+    plate_pixels = [pixels(path, frame)[PLATE] for frame in (open_frame, closed_frame)]
+    assert np.mean(np.any(plate_pixels[0] != plate_pixels[1], axis=2)) > 0.05
+    assert share(plate_pixels[0], ORANGE) == 0.0 < share(plate_pixels[1], ORANGE)
+    for picture in plate_pixels:
         assert 0.05 < share(picture, (255, 255, 255)) < 0.8
-    assert colours(shown[0]) > 20
+    assert colours(plate_pixels[0]) > 20
 
 
 def test_animation_of_twice_the_period_without_a_crack(
@@ -100,9 +100,9 @@ def test_animation_of_twice_the_period_without_a_crack(
     """A plate without lips and pairs is drawn too, and a reduced structure as the whole one."""
     plate = fc.build_structure(small_scene.replace({"crack": None, "contact": None}))
     fc.animate_period(fc.solve_linear(plate, 2000.0), tmp_path / "plain.gif", frames=2)
-    cracked = fc.reduce_structure(fc.build_structure(small_scene))
+    cracked_structure = fc.reduce_structure(fc.build_structure(small_scene))
     twice = fc.solve_harmonic_balance(
-        cracked, 2000.0, fc.UnilateralPenalty(1e9), harmonics=6, subharmonic=2
+        cracked_structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=6, subharmonic=2
     )
     fc.animate_period(twice, tmp_path / "twice.gif", frames=2)
     for name in ("plain", "twice"):
@@ -138,10 +138,15 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     """With one panel or two, of plates and of matrices, with twice the load's period or without."""
     dof = breathing.structure.find_dof((0.1, 0.1), "x")
     orbit = period_two_orbit(6)
-    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
+    free_linear_solution = fc.solve_linear(
+        fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
+    )
     sizes = {"gap": (1050, 1020), "dof": (1050, 1020), "two": (1050, 1020), "free": (1050, 690)}
     for (name, size), solution, given in zip(
-        sizes.items(), (breathing, breathing, orbit, free), (None, dof, 0, 0), strict=True
+        sizes.items(),
+        (breathing, breathing, orbit, free_linear_solution),
+        (None, dof, 0, 0),
+        strict=True,
     ):
         fc.draw_spectrum(solution, given, path=tmp_path / f"{name}.png", title="Harmonics")
         assert_drawn(tmp_path / f"{name}.png", size)
@@ -152,18 +157,20 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     assert share(contact, ORANGE) > 10.0 * share(pixels(tmp_path / "free orbit.png"), ORANGE)
     for draw in (fc.draw_spectrum, fc.draw_orbits):
         with pytest.raises(fc.InputError, match="dof"):
-            draw(free)
+            draw(free_linear_solution)
 
 
 def test_rigid_lips_do_not_pass_through_each_other() -> None:
     """Nor in the picture of the orbit, though harmonics round off the kinks of the gap: lips
     without mass rest where they touch, and part with the velocity of the exact orbit."""
-    many = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 100}
-    run = fc.solve(fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(many), MPI.COMM_SELF)
+    many_harmonics = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 100}
+    run = fc.solve(
+        fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(many_harmonics), MPI.COMM_SELF
+    )
     opening, speed = fc.draw_orbits(run.result).axes[0].lines[0].get_data()
-    touching = opening > -1e-9 * np.ptp(opening)
-    assert opening.max() < 1e-9 * np.ptp(opening) and 0.1 < touching.mean() < 0.9
-    assert np.median(np.abs(speed[touching])) < 1e-6 * speed.max()
+    is_touching = opening > -1e-9 * np.ptp(opening)
+    assert opening.max() < 1e-9 * np.ptp(opening) and 0.1 < is_touching.mean() < 0.9
+    assert np.median(np.abs(speed[is_touching])) < 1e-6 * speed.max()
     time, pair = np.linspace(0.0, run.result.period, 4001), run.structure.first_watched_pair
     exact = np.gradient(fc.shoot(run.structure, run.result).gap_at(time)[:, pair], time)
     assert speed.max() == pytest.approx(exact.max(), rel=0.02)
@@ -176,18 +183,18 @@ def test_map(tmp_path: Path) -> None:
     """Cells without a value are grey; colours are logarithmic over large ranges."""
     x, y = np.linspace(1500.0, 4000.0, 8), np.linspace(0.02, 0.06, 5)
     words = {"title": "t", "x_label": "x", "y_label": "y", "value_label": "v [m]"}
-    rising = np.outer(np.ones(5), np.arange(1.0, 9.0))
-    steep, holes = 10.0**rising, rising.copy()
+    rising_values = np.outer(np.ones(5), np.arange(1.0, 9.0))
+    steep, holes = 10.0**rising_values, rising_values.copy()
     holes[1:3, 2] = np.nan
-    for name, values in (("map", rising), ("map holes", holes), ("map steep", steep)):
+    for name, values in (("map", rising_values), ("map holes", holes), ("map steep", steep)):
         fc.draw_map(x, y, values, path=tmp_path / f"{name}.png", **words)
         assert_drawn(tmp_path / f"{name}.png", (1050, 630))
     grey = (0xB5, 0xB5, 0xB5)
-    plain, pierced, logarithmic = (
+    plain_pixels, pierced_pixels, logarithmic = (
         pixels(tmp_path / f"{name}.png") for name in ("map", "map holes", "map steep")
     )
-    assert share(plain, grey) < 0.001
-    assert share(pierced, grey) > 0.01
+    assert share(plain_pixels, grey) < 0.001
+    assert share(pierced_pixels, grey) > 0.01
     # On a linear scale seven of the eight columns would be darkest.
     assert share(logarithmic, (68, 1, 84)) < 0.15
 
@@ -203,9 +210,9 @@ def test_map(tmp_path: Path) -> None:
 )
 def test_map_refuses(key: str, change: dict[str, np.ndarray]) -> None:
     """Axes that do not rise, other shapes, and nothing but nan."""
-    given = {"x": np.arange(3.0), "y": np.arange(2.0), "values": np.ones((2, 3))} | change
+    map_arguments = {"x": np.arange(3.0), "y": np.arange(2.0), "values": np.ones((2, 3))} | change
     with pytest.raises(fc.InputError, match=key):
-        fc.draw_map(**given, x_label="x", y_label="y", value_label="v")
+        fc.draw_map(**map_arguments, x_label="x", y_label="y", value_label="v")
 
 
 # --- several ranks --------------------------------------------------------------------------------
@@ -226,28 +233,34 @@ def test_two_ranks_write_the_same(
     """Series, script, numbers of every node and pictures, though the nodes are in another order."""
     folder = tmp_path / "crack"
     magnification = write_on_ranks(small_scene, str(folder), MPI.COMM_SELF)
-    alone = tmp_path / "alone"
-    shutil.move(folder, alone)
+    single_folder = tmp_path / "alone"
+    shutil.move(folder, single_folder)
     assert on_ranks(write_on_ranks, small_scene, str(folder)) == pytest.approx(magnification)
-    assert (folder / "crack.pvd").read_text() == (alone / "crack.pvd").read_text()
-    scripts = [(place / "crack_paraview.py").read_text() for place in (folder, alone)]
+    assert (folder / "crack.pvd").read_text() == (single_folder / "crack.pvd").read_text()
+    scripts = [(place / "crack_paraview.py").read_text() for place in (folder, single_folder)]
     scripts = [[line for line in text.split("\n") if "Rescale" not in line] for text in scripts]
     assert scripts[0] == scripts[1]  # but for the rounded end of the colours
     for frame in range(4):
-        one, two = (
-            pyvista.read(place / "crack" / f"frame_{frame:04d}.vtu") for place in (alone, folder)
+        first_grid, two = (
+            pyvista.read(place / "crack" / f"frame_{frame:04d}.vtu")
+            for place in (single_folder, folder)
         )
-        assert one.n_points == two.n_points == 85 and one.n_cells == two.n_cells == 16
-        assert set(one.celltypes) == set(two.celltypes) == {70}  # nine nodes
-        assert set(one.point_data) == set(two.point_data)
+        assert first_grid.n_points == two.n_points == 85 and first_grid.n_cells == two.n_cells == 16
+        assert set(first_grid.celltypes) == set(two.celltypes) == {70}  # nine nodes
+        assert set(first_grid.point_data) == set(two.point_data)
         # Where the lips touch, their nodes are told apart by their stresses.
-        scale = np.abs(one["stress"]).max()
-        keys = [np.column_stack([grid.points, 0.1 * grid["stress"] / scale]) for grid in (one, two)]
+        scale = np.abs(first_grid["stress"]).max()
+        keys = [
+            np.column_stack([grid.points, 0.1 * grid["stress"] / scale])
+            for grid in (first_grid, two)
+        ]
         distance, partner = cKDTree(keys[1]).query(keys[0])
-        assert distance.max() < 1e-6 and len(set(partner)) == one.n_points
-        for name in one.point_data:
-            size = max(float(np.abs(one[name]).max()), 1e-300)
-            assert np.abs(one[name] - two[name][partner]).max() <= 1e-6 * size, name
+        assert distance.max() < 1e-6 and len(set(partner)) == first_grid.n_points
+        for name in first_grid.point_data:
+            size = max(float(np.abs(first_grid[name]).max()), 1e-300)
+            assert np.abs(first_grid[name] - two[name][partner]).max() <= 1e-6 * size, name
     for frame in range(4):
-        first, second = (pixels(place / "crack.gif", frame) for place in (folder, alone))
-        assert np.mean(np.any(first != second, axis=2)) < 0.01, frame
+        first_pixels, second = (
+            pixels(place / "crack.gif", frame) for place in (folder, single_folder)
+        )
+        assert np.mean(np.any(first_pixels != second, axis=2)) < 0.01, frame

@@ -65,9 +65,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "curve.stability": "false", "contact.friction_error": "false",
         "sweep.over": "{'excitation.omega' = [1900.0, 2000.0, 2100.0]}",
     }  # fmt: skip
-    common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    common_options = [
+        word for key, value in changes.items() for word in ("--set", f"{key}={value}")
+    ]
     for command in COMMANDS:
-        assert main([command, SCENE, *common, "--output", str(folder), "--quiet"]) in (0, 3)
+        assert main([command, SCENE, *common_options, "--output", str(folder), "--quiet"]) in (0, 3)
     files = [str(folder / f"{name}.h5") for name in reversed(FILES)]
     assert main(["report", *files, "--output", str(folder / "page.html"), "--quiet"]) == 0
     return folder
@@ -109,13 +111,16 @@ def test_vector_graphics(folder: Path, tmp_path: Path, kind: str, begin: bytes) 
         assert main(["plot", *words, "--pictures", kind, "--quiet"]) == 0
     twice = 2 * [str(folder / "curve.h5")]
     shutil.copy(twice[0], tmp_path / "again.h5")
-    both = [twice[0], str(tmp_path / "again.h5"), "--output", str(tmp_path / "both")]
-    assert main(["plot", *both, "--pictures", kind, "--quiet"]) == 0
+    both_words = [twice[0], str(tmp_path / "again.h5"), "--output", str(tmp_path / "both")]
+    assert main(["plot", *both_words, "--pictures", kind, "--quiet"]) == 0
     assert main(["plot", SCENE, "--output", str(tmp_path), "--pictures", kind, "--quiet"]) == 0
     assert not [*tmp_path.rglob("*.png")] and len([*tmp_path.rglob("*.gif")]) == 1
-    made = [*tmp_path.rglob(f"*.{kind}")]
-    assert len(made) >= 15 and {path.parent.name for path in made} >= {*FILES, "both"}
-    for path in made:
+    written_files = [*tmp_path.rglob(f"*.{kind}")]
+    assert len(written_files) >= 15 and {path.parent.name for path in written_files} >= {
+        *FILES,
+        "both",
+    }
+    for path in written_files:
         content = path.read_bytes()
         assert content.startswith(begin) and b"/Type3" not in content
 
@@ -138,16 +143,16 @@ def test_pictures_decode(page: Page) -> None:
 def test_the_numbers_stand_there(page: Page, folder: Path) -> None:
     """Those of the tables that the commands wrote, and the verdict."""
     solution = json.loads((folder / "solution.json").read_text())
-    found = {row["quantity"]: row["value"] for row in solution}
+    value_by_quantity = {row["quantity"]: row["value"] for row in solution}
     sizes = {"n": 1e-9, "µ": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6}
     for name, unit in (("largest opening", "m"), ("largest contact force of a pair", "N")):
-        said = re.findall(rf"([\d.]+) ([nµmkM]?){unit}\b", page.words)
-        values = [float(number) * sizes[prefix] for number, prefix in said]
-        assert pytest.approx(found[name], rel=1e-3) in values
+        number_texts = re.findall(rf"([\d.]+) ([nµmkM]?){unit}\b", page.words)
+        values = [float(number) * sizes[prefix] for number, prefix in number_texts]
+        assert pytest.approx(value_by_quantity[name], rel=1e-3) in values
     for row in json.loads((folder / "modes.json").read_text()):
         assert f"{row['frequency [Hz]']:.6g}" in page.words
-    assert found["conclusion"] in page.words.replace("Solved", "solved")
-    assert f"; {found['verdict']}" in found["conclusion"]
+    assert value_by_quantity["conclusion"] in page.words.replace("Solved", "solved")
+    assert f"; {value_by_quantity['verdict']}" in value_by_quantity["conclusion"]
     assert "Sweep complete; the largest response is " in page.words
     assert "young = " in page.words  # the scene
     for key, value in (
@@ -175,9 +180,9 @@ def test_results_of_one_kind_are_told_apart(folder: Path, tmp_path: Path) -> Non
     assert main(["modes", SCENE, *words]) == 0
     files = [str(folder / "modes.h5"), str(tmp_path / "modes.h5")]
     assert main(["report", *files, "--quiet", "--output", str(tmp_path / "two.html")]) == 0
-    both = Page((tmp_path / "two.html").read_text("utf-8"))
-    assert "material.young = 70 GPa" in both.words
-    assert sum(tag == "section" for tag, _ in both.tags) == 5
+    page = Page((tmp_path / "two.html").read_text("utf-8"))
+    assert "material.young = 70 GPa" in page.words
+    assert sum(tag == "section" for tag, _ in page.tags) == 5
 
 
 def test_matrices_without_a_mesh(tmp_path: Path) -> None:
@@ -191,22 +196,24 @@ def test_matrices_without_a_mesh(tmp_path: Path) -> None:
         assert main(words) == 0
     files = [str(tmp_path / f"{name}.h5") for name in ("modes", "solution")]
     assert main(["report", *files, "--quiet"]) == 0
-    made = Page((tmp_path / "report.html").read_text("utf-8"))
-    assert "Mode shapes" not in made.words and "No warnings and no remarks." in made.words
-    assert sum(tag == "img" for tag, _ in made.tags) == 3
-    assert "<b> & <i>" in made.words and not {"b", "i"} & {tag for tag, _ in made.tags}
-    assert not made.open
+    page = Page((tmp_path / "report.html").read_text("utf-8"))
+    assert "Mode shapes" not in page.words and "No warnings and no remarks." in page.words
+    assert sum(tag == "img" for tag, _ in page.tags) == 3
+    assert "<b> & <i>" in page.words and not {"b", "i"} & {tag for tag, _ in page.tags}
+    assert not page.open
 
 
 def test_it_refuses(folder: Path, tmp_path: Path, run_command: RunCommand) -> None:
     """One line names what is wrong."""
     solution = str(folder / "solution.h5")
-    for words, expected in (
+    for words, expected_message in (
         ([solution, "--output", str(tmp_path / "a.pdf")], "--output = "),
         ([str(tmp_path / "none.h5")], "path = "),
         ([SCENE], "path = "),
     ):
-        assert run_command("report", *words, code=2).err.startswith(f"fenics-crack: {expected}")
+        assert run_command("report", *words, code=2).err.startswith(
+            f"fenics-crack: {expected_message}"
+        )
 
 
 @pytest.mark.nightly
@@ -215,23 +222,25 @@ def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
     """A curve of them is drawn beside the plate without its crack, which has none; a page begins
     with what is asked for."""
     scene = str(ROOT / "benchmarks" / "plate.toml")
-    asked = "K_max", "K_II_max", "reaction_force"
+    quantities = "K_max", "K_II_max", "reaction_force"
     changes = {
-        "output.quantities": json.dumps(asked), "mesh.size": "0.05", "reduction.modes": "8",
+        "output.quantities": json.dumps(quantities), "mesh.size": "0.05", "reduction.modes": "8",
         "harmonic_balance.tolerance": "none", "harmonic_balance.harmonics": "5",
         "curve.start": "790", "curve.stop": "792", "curve.stability": "false",
     }  # fmt: skip
-    common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    common_options = [
+        word for key, value in changes.items() for word in ("--set", f"{key}={value}")
+    ]
     for command in ("curve", "solve"):
-        assert main([command, scene, *common, "--output", str(tmp_path), "--quiet"]) == 0
+        assert main([command, scene, *common_options, "--output", str(tmp_path), "--quiet"]) == 0
     files = [str(tmp_path / name) for name in ("curve.h5", "solution.h5")]
     assert main(["plot", files[0]]) == 0
     assert main(["report", *files, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
     words = Page((tmp_path / "page.html").read_text()).words
-    first = words[words.index("Requested by the scene") :]
-    first = first[: first.index("In numbers")]
+    requested_words = words[words.index("Requested by the scene") :]
+    requested_words = requested_words[: requested_words.index("In numbers")]
     for name in ("largest stress intensity K_I", "K_II, of either sign", "force of the clamp"):
-        assert name in first
+        assert name in requested_words
 
 
 def test_every_kind_is_known_by_one_table() -> None:
@@ -259,14 +268,14 @@ def test_a_folder(tmp_path: Path, run_command: RunCommand) -> None:
     words has no picture, and the page says why."""
     scene = fc.Scene.load(SCENE, {"contact.stiffness": 1e7, "harmonic_balance.harmonics": 5})
     fc.modes(scene, 2).save(tmp_path / "modes.h5")
-    over = {"sweep.over": {"crack.edge": ["left", "right"]}}
-    fc.run_sweep(scene.replace(over), tmp_path / "sweep.h5")
-    fc.run_sweep(scene.replace(over), tmp_path / "growth_1.h5", judged=False)
+    sweep_axes = {"sweep.over": {"crack.edge": ["left", "right"]}}
+    fc.run_sweep(scene.replace(sweep_axes), tmp_path / "sweep.h5")
+    fc.run_sweep(scene.replace(sweep_axes), tmp_path / "growth_1.h5", judged=False)
     assert "left out, as parts of other results: " in run_command("report", tmp_path).err
     page = Page((tmp_path / "report.html").read_text("utf-8"))
     assert sum(tag == "section" for tag, _ in page.tags) == 5
     assert "no picture: sweep.over = " in page.words.lower()
     assert main(["report", str(tmp_path / "growth_1.h5"), "--quiet"]) == 0
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    assert "must be a folder with results" in run_command("plot", empty, code=2).err
+    empty_folder = tmp_path / "empty"
+    empty_folder.mkdir()
+    assert "must be a folder with results" in run_command("plot", empty_folder, code=2).err

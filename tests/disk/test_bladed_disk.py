@@ -35,16 +35,16 @@ def written(scene: fc.Scene, folder: Path) -> str:
 
 def test_blades(run: fc.Run[fc.PeriodicSolution]) -> None:
     """The watched blade's numbers are those of the solution; mistuning is that of the scene."""
-    found = fc.blades(run)
-    assert found.amplitude[0] == pytest.approx(run.result.amplitude(run.watched_dof), rel=1e-12)
-    assert found.cracked == (1,)
-    assert found.mistuning == pytest.approx(np.random.default_rng(3).normal(0.0, 0.01, 6))
-    assert found.second[0] > 5.0 * found.second[3]
-    table = found.table()
+    blades = fc.blades(run)
+    assert blades.amplitude[0] == pytest.approx(run.result.amplitude(run.watched_dof), rel=1e-12)
+    assert blades.cracked == (1,)
+    assert blades.mistuning == pytest.approx(np.random.default_rng(3).normal(0.0, 0.01, 6))
+    assert blades.second[0] > 5.0 * blades.second[3]
+    table = blades.table()
     assert len(table.rows) == 6 and table.columns[1] == "amplitude [m]"
     # Far below all resonances the blades follow their loads, 2 x 60 degrees apart.
-    still = fc.blades(fc.solve(run.scene.replace({"excitation.frequency": 60.0})))
-    steps = np.degrees(np.diff(still.phase)) % 360.0
+    slow_blades = fc.blades(fc.solve(run.scene.replace({"excitation.frequency": 60.0})))
+    steps = np.degrees(np.diff(slow_blades.phase)) % 360.0
     assert steps == pytest.approx(120.0, abs=1.0)
 
 
@@ -53,53 +53,64 @@ def test_blades_of_a_curve() -> None:
     keys = {"parameter": "frequency", "start": 1250.0, "stop": 1290.0, "stability": False}
     scene = ring(**{f"curve__{key}": value for key, value in keys.items()})
     curve = fc.curve(scene.replace(BRIEF))
-    found, dof = fc.blades(curve), curve.watched_dof
-    assert found.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
-    assert found.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
+    blades, dof = fc.blades(curve), curve.watched_dof
+    assert blades.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
+    assert blades.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
 
 
 def test_results_come_back(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     """Solutions and modes of a wheel from their files."""
     run.save(tmp_path / "solution.h5")
-    again = fc.load_run(tmp_path / "solution.h5")
-    assert fc.blades(again).amplitude == pytest.approx(fc.blades(run).amplitude, rel=1e-9)
+    stored_run = fc.load_run(tmp_path / "solution.h5")
+    assert fc.blades(stored_run).amplitude == pytest.approx(fc.blades(run).amplitude, rel=1e-9)
     modes = fc.modes(run.scene, 3)
     modes.save(tmp_path / "modes.h5")
-    found = fc.load_run(tmp_path / "modes.h5").result
-    assert found.shapes == pytest.approx(modes.result.shapes, abs=1e-9)
+    stored_modes = fc.load_run(tmp_path / "modes.h5").result
+    assert stored_modes.shapes == pytest.approx(modes.result.shapes, abs=1e-9)
 
 
 def test_nodal_diameters() -> None:
     """Engine orders fold at N/2."""
-    found = fc.nodal_diameters(ring(excitation__order=10))
-    assert found.omega.shape == (4, 3) and found.excited == 2
-    assert found.to_dict()["engine_orders"] == ["6", "1 5 7", "2 4 8", "3 9"]
-    assert np.all(np.diff(found.omega, axis=1) > 0.0)
+    diagram = fc.nodal_diameters(ring(excitation__order=10))
+    assert diagram.omega.shape == (4, 3) and diagram.excited == 2
+    assert diagram.to_dict()["engine_orders"] == ["6", "1 5 7", "2 4 8", "3 9"]
+    assert np.all(np.diff(diagram.omega, axis=1) > 0.0)
 
 
 def test_amplification() -> None:
     """Never above Whitehead's bound; of no mistuning 1; the same as solutions of the pattern."""
     scene = ring(excitation__frequency=1390.0).replace(BRIEF)
-    found = fc.amplification(scene, 4, 0.01, seed=5)
-    assert 1.0 < found.factor.max() <= found.bound == pytest.approx(0.5 * (1.0 + np.sqrt(6.0)))
+    amplification = fc.amplification(scene, 4, 0.01, seed=5)
+    assert (
+        1.0
+        < amplification.factor.max()
+        <= amplification.bound
+        == pytest.approx(0.5 * (1.0 + np.sqrt(6.0)))
+    )
     assert fc.amplification(scene, 2, 0.0).factor == pytest.approx(1.0, abs=1e-3)
-    place = int(np.argmax(found.factor))
-    same = {"disk.deviation": 0.01, "disk.seed": found.to_dict()["seed"][place], "disk.cracked": []}
-    same["excitation.omega"] = found.omega[place]
-    blades = fc.blades(fc.solve(scene.replace(same)))
-    assert int(np.argmax(blades.amplitude)) + 1 == found.blade[place]
-    assert blades.amplitude.max() == pytest.approx(found.factor[place] * found.tuned, rel=1e-4)
+    place = int(np.argmax(amplification.factor))
+    pattern_settings = {
+        "disk.deviation": 0.01,
+        "disk.seed": amplification.to_dict()["seed"][place],
+        "disk.cracked": [],
+    }
+    pattern_settings["excitation.omega"] = amplification.omega[place]
+    blades = fc.blades(fc.solve(scene.replace(pattern_settings)))
+    assert int(np.argmax(blades.amplitude)) + 1 == amplification.blade[place]
+    assert blades.amplitude.max() == pytest.approx(
+        amplification.factor[place] * amplification.tuned, rel=1e-4
+    )
 
 
 def test_patterns_are_swept(tmp_path: Path) -> None:
     """Cases of a sweep over the seed are solutions of their own patterns."""
-    over = {"disk.seed": [1, 2]}
-    scene = ring(**PATTERN, excitation__frequency=1270.0, sweep__over=over).replace(BRIEF)
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5", verdicts=False, judged=False)
-    alone = fc.solve(scene.replace({"disk.seed": 2, "sweep": None}))
-    size = alone.result.amplitude(alone.watched_dof)
-    assert found["response"][1] == pytest.approx(size, rel=1e-3)
-    assert abs(found["response"][0] - size) > 0.01 * size
+    sweep_axes = {"disk.seed": [1, 2]}
+    scene = ring(**PATTERN, excitation__frequency=1270.0, sweep__over=sweep_axes).replace(BRIEF)
+    sweep = fc.run_sweep(scene, tmp_path / "sweep.h5", verdicts=False, judged=False)
+    single_run = fc.solve(scene.replace({"disk.seed": 2, "sweep": None}))
+    size = single_run.result.amplitude(single_run.watched_dof)
+    assert sweep["response"][1] == pytest.approx(size, rel=1e-3)
+    assert abs(sweep["response"][0] - size) > 0.01 * size
 
 
 def test_tips_are_timed() -> None:
@@ -110,16 +121,16 @@ def test_tips_are_timed() -> None:
     scene = ring(**PATTERN, excitation__frequency=1380.0, **changes).replace(BRIEF)
     arrivals, run = fc.arrivals_of_blades(scene)
     wheel = run.structure.whole
-    for blade, seen in arrivals.items():
-        fit = fc.fit_order(seen, [2], harmonics=2)
+    for blade, blade_arrivals in arrivals.items():
+        fit = fc.fit_order(blade_arrivals, [2], harmonics=2)
         shares = find_tip_factors(scene.given("tip_timing"), run, blade)
         assert {wheel.blade_of(dof)[0] for dof in shares} == {blade}
         rows = run.structure.values_at(run.result.displacement_coefficients, [*shares])
         a, b = (rows[row] @ np.array([*shares.values()]) for row in (1, 2))
         assert abs(fit.amplitudes[0] - np.hypot(a, b)) < 3.0 * fit.amplitude_errors[0]
         # The first harmonic over the rotor's angle, from the blade's place at the mark.
-        turned = complex(fit.coefficients[1], -fit.coefficients[2])
-        assert abs(turned - complex(a, -b)) < 4.0 * fit.amplitude_errors[0]
+        coefficient = complex(fit.coefficients[1], -fit.coefficients[2])
+        assert abs(coefficient - complex(a, -b)) < 4.0 * fit.amplitude_errors[0]
 
 
 def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,14 +140,23 @@ def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     scene = ring(**PATTERN, excitation__frequency=1380.0, **changes).replace(BRIEF)
     file = written(scene, tmp_path)
     tables = []
-    for more in ([], [str(tmp_path / "first" / "arrivals.csv")]):
-        folder = tmp_path / ("again" if more else "first")
-        words = ["timing", file, *more, "--output", str(folder), "--format", "json", "--quiet"]
+    for more_options in ([], [str(tmp_path / "first" / "arrivals.csv")]):
+        folder = tmp_path / ("again" if more_options else "first")
+        words = [
+            "timing",
+            file,
+            *more_options,
+            "--output",
+            str(folder),
+            "--format",
+            "json",
+            "--quiet",
+        ]
         assert main(words) == 0
         tables.append(json.loads(capsys.readouterr().out))
     assert [row["blade"] for row in tables[0]] == [1, 2, 3, 4, 5, 6]
-    for first, again in zip(*tables, strict=True):
-        assert again["amplitude [m]"] == pytest.approx(first["amplitude [m]"], rel=1e-6)
+    for first_row, second_row in zip(*tables, strict=True):
+        assert second_row["amplitude [m]"] == pytest.approx(first_row["amplitude [m]"], rel=1e-6)
 
 
 @pytest.mark.usefixtures("not_drawn")
@@ -144,15 +164,27 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The scene of new --disk is checked and solved; its diameters are printed and drawn."""
     file = str(tmp_path / "disk.toml")
     assert main(["new", file, "--disk"]) == 0
-    coarse = ["--set", "mesh.size=0.012", "--set", "mesh.error=false", "--set", "disk.sectors=6"]
-    coarse += ["--set", "mesh.lip_elements=4", "--output", str(tmp_path / "out")]
-    coarse += ["--set", "harmonic_balance.error=false", "--set", "harmonic_balance.harmonics=5"]
-    coarse += ["--set", "harmonic_balance.tolerance=none"]
-    assert main(["disk", file, *coarse, "--patterns", "2"]) == 0
-    said = capsys.readouterr()
-    assert "nodal diameter 2" in said.err and "Whitehead" in said.err
+    coarse_options = [
+        "--set",
+        "mesh.size=0.012",
+        "--set",
+        "mesh.error=false",
+        "--set",
+        "disk.sectors=6",
+    ]
+    coarse_options += ["--set", "mesh.lip_elements=4", "--output", str(tmp_path / "out")]
+    coarse_options += [
+        "--set",
+        "harmonic_balance.error=false",
+        "--set",
+        "harmonic_balance.harmonics=5",
+    ]
+    coarse_options += ["--set", "harmonic_balance.tolerance=none"]
+    assert main(["disk", file, *coarse_options, "--patterns", "2"]) == 0
+    output = capsys.readouterr()
+    assert "nodal diameter 2" in output.err and "Whitehead" in output.err
     assert {"disk.png", "amplification.png"} <= {f.name for f in (tmp_path / "out").iterdir()}
-    assert main(["solve", file, *coarse]) in (0, 4)
+    assert main(["solve", file, *coarse_options]) in (0, 4)
     assert "blade" in capsys.readouterr().err
     assert main(["plot", str(tmp_path / "out" / "solution.h5")]) == 0
     assert (tmp_path / "out" / "solution_wheel.png").exists()
@@ -167,11 +199,11 @@ def test_new_scene_is_right_by_itself(tmp_path: Path, capsys: pytest.CaptureFixt
     file = str(tmp_path / "disk.toml")
     assert main(["new", file, "--disk"]) == 0
     assert main(["solve", file, "--output", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().err
-    assert "remark" not in said and "warning" not in said
+    messages = capsys.readouterr().err
+    assert "remark" not in messages and "warning" not in messages
     tolerance = fc.Scene.load(file).harmonic_balance.tolerance
-    stated = re.search(r"half peak-to-peak, estimated error ([0-9.]+) %", said)
-    assert stated and tolerance and float(stated[1]) < 100.0 * tolerance
+    stated_percent = re.search(r"half peak-to-peak, estimated error ([0-9.]+) %", messages)
+    assert stated_percent and tolerance and float(stated_percent[1]) < 100.0 * tolerance
 
 
 @pytest.mark.nightly
@@ -190,8 +222,8 @@ def test_many_elements_along_the_crack(
 def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     """Every picture is made; a solution of a plate is refused."""
     fc.draw_wheel(run.result, path=tmp_path / "wheel.png")
-    found = fc.nodal_diameters(ring(rotation__rpm=3000.0, excitation__frequency=None))
-    figure = fc.draw_nodal_diameters(found, families=2, path=tmp_path / "diameters.png")
+    diagram = fc.nodal_diameters(ring(rotation__rpm=3000.0, excitation__frequency=None))
+    figure = fc.draw_nodal_diameters(diagram, families=2, path=tmp_path / "diameters.png")
     labels = [line.get_label() for line in figure.axes[0].lines]
     assert labels[:2] == ["family 1", "family 2"] and "engine orders at 3000 rpm" in labels
     modes = fc.modes(run.scene, 2).result
@@ -203,8 +235,8 @@ def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_solid_wheel_is_drawn(tmp_path: Path) -> None:
     """In colours, from a corner."""
-    found = fc.solve(fc.Scene.from_mapping(SOLID))
-    fc.draw_wheel(found.result, path=tmp_path / "wheel.png")
+    run = fc.solve(fc.Scene.from_mapping(SOLID))
+    fc.draw_wheel(run.result, path=tmp_path / "wheel.png")
     assert (tmp_path / "wheel.png").stat().st_size > 10_000
 
 
@@ -215,21 +247,23 @@ def test_sector_file(tmp_path: Path) -> None:
     fc.write_msh(scene, tmp_path / "sector.msh")
     text = (tmp_path / "sector.msh").read_text(errors="surrogateescape")
     names = ("left", "edge"), ("right", "far"), ("rim_left", "left"), ("rim_right", "right")
-    for old, new in names:
-        text = text.replace(f'"{old}"', f'"{new}"')
+    for old_name, new_name in names:
+        text = text.replace(f'"{old_name}"', f'"{new_name}"')
     named_file = tmp_path / "named.msh"
     named_file.write_text(text, errors="surrogateescape")
-    gone = dict.fromkeys(
+    removed_settings = dict.fromkeys(
         (
             "geometry.width", "geometry.height", "mesh.size", "mesh.lip_elements",
             "disk.inner_radius", "disk.outer_radius", "crack",
         )
     )  # fmt: skip
-    named = {"mesh.layout": "file", "mesh.file": str(named_file)}
-    file = scene.replace(gone | named | {"disk.center": [0.006, -0.1]})
-    own, other = (fc.nodal_diameters(one).omega for one in (scene, file))
-    assert other == pytest.approx(own, rel=1e-9)
-    sizes = [fc.blades(fc.solve(one)).amplitude for one in (scene, file)]
+    file_settings = {"mesh.layout": "file", "mesh.file": str(named_file)}
+    file = scene.replace(removed_settings | file_settings | {"disk.center": [0.006, -0.1]})
+    own_omega, other_omega = (
+        fc.nodal_diameters(sector_scene).omega for sector_scene in (scene, file)
+    )
+    assert other_omega == pytest.approx(own_omega, rel=1e-9)
+    sizes = [fc.blades(fc.solve(sector_scene)).amplitude for sector_scene in (scene, file)]
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-6)
     with pytest.raises(fc.InputError, match="360/7 degrees"):
         fc.build_structure(file.replace({"disk.sectors": 7}))
@@ -279,9 +313,9 @@ def test_refused_later() -> None:
     """What a disk has no Campbell diagram, growth, tips or modes for."""
     with pytest.raises(fc.InputError, match=r"families = 9999: must be at most \d+, half of a sec"):
         fc.solve(ring(disk__families=9999))
-    turning = ring(rotation__rpm=3000.0, excitation__frequency=None)
+    rotor_scene = ring(rotation__rpm=3000.0, excitation__frequency=None)
     for call, words in (
-        (lambda: fc.campbell(turning, [100.0, 200.0]), "nodal_diameters has its frequencies"),
+        (lambda: fc.campbell(rotor_scene, [100.0, 200.0]), "nodal_diameters has its frequencies"),
         (lambda: ring(output__quantities=["K_max"]), r"with \[disk\]"),
         (
             lambda: fc.draw_wheel(fc.solve(fc.Scene.load(ROOT / "demos/paper_plate.toml")).result),
@@ -294,9 +328,12 @@ def test_refused_later() -> None:
 
 def test_at_rest() -> None:
     """The same frequency and phases without rotation."""
-    turning = ring(rotation__rpm=3000.0, excitation__frequency=None)
-    still = turning.at_rest()
-    assert still.excitation.omega == turning.excitation.omega and still.excitation.order == 2
+    rotor_scene = ring(rotation__rpm=3000.0, excitation__frequency=None)
+    resting_scene = rotor_scene.at_rest()
+    assert (
+        resting_scene.excitation.omega == rotor_scene.excitation.omega
+        and resting_scene.excitation.order == 2
+    )
 
 
 def test_scene_is_written_and_read() -> None:
@@ -304,7 +341,7 @@ def test_scene_is_written_and_read() -> None:
     for pattern in (PATTERN, {"disk__mistuning": [0.01, 0.0, -0.01, 0.0, 0.02, 0.0]}):
         scene = ring(**pattern)
         assert fc.Scene.from_text(scene.as_toml()) == scene
-    mistuned = ring(**PATTERN).replace({"disk.seed": 9}).given("disk")
-    assert (mistuned.deviation, mistuned.seed) == (0.01, 9)
+    disk_table = ring(**PATTERN).replace({"disk.seed": 9}).given("disk")
+    assert (disk_table.deviation, disk_table.seed) == (0.01, 9)
     with pytest.raises(fc.InputError, match=r"disk\.seed = 9: not allowed with disk.mistuning"):
         ring(**pattern, disk__seed=9)

@@ -45,10 +45,10 @@ def test_modes_are_those_of_the_whole_wheel(sectors: int, cells: str, tmp_path: 
         scene = scene.replace(grid(2, 12))
     wheel = wheel_of(scene)
     write_whole(wheel, tmp_path / "whole.msh")
-    whole = fc.build_structure(whole_scene(scene, tmp_path / "whole.msh"))
-    assert whole.n_dofs == wheel.n_dofs
-    own = of_wheel(wheel.cyclic_modes(10))[:30]
-    assert own == pytest.approx(fc.solve_modes(whole, 30).omega, rel=1e-10)
+    whole_structure = fc.build_structure(whole_scene(scene, tmp_path / "whole.msh"))
+    assert whole_structure.n_dofs == wheel.n_dofs
+    sector_omega = of_wheel(wheel.cyclic_modes(10))[:30]
+    assert sector_omega == pytest.approx(fc.solve_modes(whole_structure, 30).omega, rel=1e-10)
 
 
 @pytest.mark.nightly
@@ -60,15 +60,15 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     wheel = wheel_of(scene)
     write_whole(wheel, tmp_path / "whole.msh")
     plane = whole_scene(scene, tmp_path / "whole.msh")
-    turning = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
+    rotor_scene = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
     center = np.append(wheel.sector.center, 0.0)
     axis = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
     monkeypatch.setattr(Scene, "axis", axis)
-    whole = fc.build_structure(turning)
-    still = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
-    own = of_wheel(wheel.cyclic_modes(6))[:12]
-    assert own == pytest.approx(fc.solve_modes(whole, 12).omega, rel=1e-8)
-    assert np.all(own[:6] > 1.0005 * still[:6])
+    whole_structure = fc.build_structure(rotor_scene)
+    sector_omega_at_rest = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
+    sector_omega = of_wheel(wheel.cyclic_modes(6))[:12]
+    assert sector_omega == pytest.approx(fc.solve_modes(whole_structure, 12).omega, rel=1e-8)
+    assert np.all(sector_omega[:6] > 1.0005 * sector_omega_at_rest[:6])
 
 
 @pytest.mark.parametrize("given", [RING, pytest.param(SOLID, marks=pytest.mark.nightly)])
@@ -79,41 +79,44 @@ def test_coordinates_are_those_of_the_whole_matrices(given: dict[str, object]) -
     if scene.dimension == 2:
         scene = ring(disk__sectors=4)
     wheel = wheel_of(scene).mistuned(np.linspace(-0.02, 0.03, scene.given("disk").sectors))
-    few = WheelStructure(wheel, 2)
-    basis = few.expand(np.eye(few.n_dofs)).T
+    two_family_wheel = WheelStructure(wheel, 2)
+    basis = two_family_wheel.expand(np.eye(two_family_wheel.n_dofs)).T
     for name, limit in (("mass", 1e-9), ("stiffness", 1e-9)):
-        own, whole = csr(getattr(few, name)).toarray(), csr(getattr(wheel, name))
-        found = basis.T @ (whole @ basis)
-        size = np.sqrt(np.outer(np.diag(found), np.diag(found)))
-        assert np.abs((own - found) / size).max() < limit
-    assert few.gap.toarray() == pytest.approx((wheel.gap.T @ basis).T, abs=1e-9)
-    size = np.abs(few.force).max()
-    assert few.force == pytest.approx(wheel.force @ basis, abs=1e-9 * size)
+        reduced_matrix, whole_matrix = (
+            csr(getattr(two_family_wheel, name)).toarray(),
+            csr(getattr(wheel, name)),
+        )
+        projected_matrix = basis.T @ (whole_matrix @ basis)
+        size = np.sqrt(np.outer(np.diag(projected_matrix), np.diag(projected_matrix)))
+        assert np.abs((reduced_matrix - projected_matrix) / size).max() < limit
+    assert two_family_wheel.gap.toarray() == pytest.approx((wheel.gap.T @ basis).T, abs=1e-9)
+    size = np.abs(two_family_wheel.force).max()
+    assert two_family_wheel.force == pytest.approx(wheel.force @ basis, abs=1e-9 * size)
 
 
 def test_equal_mistuning_scales_all_frequencies() -> None:
     """By sqrt(1 + delta), with the crack open, too."""
     wheel = wheel_of(ring(disk__families=2))
-    tuned = fc.reduce_wheel(wheel)
-    other = fc.reduce_wheel(wheel.mistuned(0.03))
-    assert other.omega == pytest.approx(np.sqrt(1.03) * tuned.omega, rel=1e-8)
+    tuned_wheel = fc.reduce_wheel(wheel)
+    mistuned_wheel = fc.reduce_wheel(wheel.mistuned(0.03))
+    assert mistuned_wheel.omega == pytest.approx(np.sqrt(1.03) * tuned_wheel.omega, rel=1e-8)
 
 
 def test_ring_of_twelve_blades() -> None:
     """Frequencies and peak of a tuned wheel that an independent prototype computed, on blocks that
     are as coarse at the corners between blade and rim."""
     wheel = wheel_of(fc.Scene.from_mapping(RING).replace({"disk.cracked": []} | grid(3, 20)))
-    lowest = of_wheel(wheel.cyclic_modes(1))[:4] / (2.0 * np.pi)
-    assert lowest == pytest.approx([1365.457, 1375.865, 1375.865, 1380.345], rel=1e-3)
-    reduced = fc.reduce_wheel(wheel)
+    lowest_frequencies = of_wheel(wheel.cyclic_modes(1))[:4] / (2.0 * np.pi)
+    assert lowest_frequencies == pytest.approx([1365.457, 1375.865, 1375.865, 1380.345], rel=1e-3)
+    reduced_wheel = fc.reduce_wheel(wheel)
     tips = wheel.dofs_of_blades(wheel.watched_dof)
     omega = 2.0 * np.pi * np.linspace(1380.0, 1384.0, 81)
-    sizes = np.array([np.abs(_response(reduced, one, tips)) for one in omega])
+    sizes = np.array([np.abs(_response(reduced_wheel, frequency, tips)) for frequency in omega])
     top = int(np.argmax(sizes.max(axis=1)))
     assert omega[top] / (2.0 * np.pi) == pytest.approx(1381.8, rel=1e-3)
     assert sizes[top].max() == pytest.approx(82.24e-6, rel=1e-2)
     assert np.ptp(sizes[top]) < 1e-8 * sizes[top].max()
-    angles = np.angle(_response(reduced, omega[top], tips))
+    angles = np.angle(_response(reduced_wheel, omega[top], tips))
     steps = np.angle(np.exp(1j * (np.diff(angles) - 2.0 * np.pi * 2 / 12)))
     assert np.abs(steps).max() < 1e-8
 
@@ -121,8 +124,8 @@ def test_ring_of_twelve_blades() -> None:
 def _response(reduced: fc.ReducedStructure, omega: float, dofs: list[int]) -> np.ndarray:
     """Complex amplitudes a - i b of some dofs at one harmonic without contact."""
     rows = fc.solve_linear(reduced, omega, harmonics=1).displacement_coefficients
-    found = reduced.values_at(rows, dofs)
-    return np.asarray(found[1] - 1j * found[2])
+    response_values = reduced.values_at(rows, dofs)
+    return np.asarray(response_values[1] - 1j * response_values[2])
 
 
 @pytest.mark.nightly
@@ -131,14 +134,14 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     """The response of every tip of a tuned wheel is that of one sector with its complex ties."""
     wheel = wheel_of(ring(**without, disk__families=6))
     sector, order, omega = wheel.sector, wheel.order, 2.0 * np.pi * 990.0
-    with sector.factor_stiffness() as still:
-        ties = still.at_diameter(order).tie_matrix.toarray()
+    with sector.factor_stiffness() as stiffness_factor:
+        ties = stiffness_factor.at_diameter(order).tie_matrix.toarray()
     dynamic = (sector.stiffness - omega**2 * sector.mass) @ ties
     force = sector.structure.force
     pull = ties.conj().T @ (force[1] - 1j * force[2])
     exact = ties @ scipy.linalg.solve(ties.conj().T @ dynamic, pull)
-    undamped = fc.reduce_wheel(wheel.damped(None))
-    _, own = wheel.blade_of(wheel.watched_dof)
-    found = _response(undamped, omega, wheel.dofs_of_blades(wheel.watched_dof))
-    turned = np.exp(2j * np.pi * order * np.arange(sector.n_sectors) / sector.n_sectors)
-    assert found == pytest.approx(exact[own] * turned, rel=1e-5)
+    undamped_wheel = fc.reduce_wheel(wheel.damped(None))
+    _, sector_dof = wheel.blade_of(wheel.watched_dof)
+    response = _response(undamped_wheel, omega, wheel.dofs_of_blades(wheel.watched_dof))
+    phase_factors = np.exp(2j * np.pi * order * np.arange(sector.n_sectors) / sector.n_sectors)
+    assert response == pytest.approx(exact[sector_dof] * phase_factors, rel=1e-5)

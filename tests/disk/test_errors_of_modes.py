@@ -45,15 +45,20 @@ def test_true_errors_over_stated_ones(families: int, factor: float, mesh: dict[s
     )  # fmt: skip
     scene = scene.replace({"excitation.omega": factor * resonance(scene)})
     run = fc.solve(scene, MPI.COMM_SELF)
-    finer = {"disk.families": 2 * families, "harmonic_balance.tolerance": 1e-4}
-    exact = fc.solve(scene.replace(finer), MPI.COMM_SELF)
+    finer_settings = {"disk.families": 2 * families, "harmonic_balance.tolerance": 1e-4}
+    exact = fc.solve(scene.replace(finer_settings), MPI.COMM_SELF)
     assert run.errors is not None and not run.errors.absent
-    own, true = (one.result.indicators(one.watched_dof).amplitude for one in (run, exact))
-    assert 0.2 < abs(true / own - 1.0) / run.errors.stated("amplitude")[0] < 1.3
+    own_amplitude, true_amplitude = (
+        compared_run.result.indicators(compared_run.watched_dof).amplitude
+        for compared_run in (run, exact)
+    )
+    assert 0.2 < abs(true_amplitude / own_amplitude - 1.0) / run.errors.stated("amplitude")[0] < 1.3
     time = np.linspace(0.0, run.result.period, 2000, endpoint=False)
-    gap, exact_gap = (one.result.gap(time) for one in (run, exact))
-    off = np.linalg.norm(gap - exact_gap) / size_of_motion(exact_gap + run.structure.clearance)
-    assert 0.1 < off / run.result.report.total < 1.3
+    gap, exact_gap = (compared_run.result.gap(time) for compared_run in (run, exact))
+    gap_error = np.linalg.norm(gap - exact_gap) / size_of_motion(
+        exact_gap + run.structure.clearance
+    )
+    assert 0.1 < gap_error / run.result.report.total < 1.3
 
 
 @pytest.mark.nightly
@@ -67,32 +72,32 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
         damping__ratio=None, damping__stiffness=rate, crack__length=length,
         disk__deviation=0.01, disk__seed=3,
     )  # fmt: skip
-    undamped, omega = ModalCompliance._pair_compliance, resonance(scene)
+    pair_compliance, omega = ModalCompliance._pair_compliance, resonance(scene)
 
     def damped(self: ModalCompliance, receptance: np.ndarray) -> np.ndarray:
-        still = undamped(self, 0.0 * receptance)
+        undamped_compliance = pair_compliance(self, 0.0 * receptance)
         order = np.arange(len(receptance))[:, None, None]
         return (
-            undamped(self, receptance)
-            + still / (1.0 + 1j * rate * self._base_omega * order)
-            - still
+            pair_compliance(self, receptance)
+            + undamped_compliance / (1.0 + 1j * rate * self._base_omega * order)
+            - undamped_compliance
         )
 
     for families in (3, 6):
         study = fc.prepare(scene.replace({"disk.families": families}))
         tip = study.watched[0].dof
-        found = [
+        solutions = [
             fc.solve_harmonic_balance(study.structure, float(w), RIGID, harmonics=20)
             for w in omega * np.linspace(0.998, 1.002, 9)
         ]
-        peak = max(found, key=lambda solution: float(solution.amplitude(tip)))
-        stated = stated_errors(study, peak)
+        peak = max(solutions, key=lambda solution: float(solution.amplitude(tip)))
+        report = stated_errors(study, peak)
         with monkeypatch.context() as patch:
             patch.setattr(ModalCompliance, "_pair_compliance", damped)
             problem = Problem(study.structure, peak.omega, RIGID, 20)
-            true = Solver(problem).solve(peak)
-        own = peak.amplitude(tip)
-        off = float(own / true.amplitude(tip) - 1.0)
-        part = stated.contributions("amplitude")["modes"] / own
-        assert off > 0.02 and 0.25 < off / part < 1.5
-        assert off < 1.5 * peak.report.displacement
+            true_solution = Solver(problem).solve(peak)
+        peak_amplitude = peak.amplitude(tip)
+        amplitude_error = float(peak_amplitude / true_solution.amplitude(tip) - 1.0)
+        part = report.contributions("amplitude")["modes"] / peak_amplitude
+        assert amplitude_error > 0.02 and 0.25 < amplitude_error / part < 1.5
+        assert amplitude_error < 1.5 * peak.report.displacement

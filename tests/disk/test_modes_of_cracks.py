@@ -19,25 +19,25 @@ def test_one_family_and_twelve_modes_have_half_the_error_of_three_families() -> 
         {"mesh.size": 0.012, "disk.deviation": 0.01, "disk.seed": 3}
     )
     wheel = wheel_of(scene)
-    chosen = fc.reduce_wheel(wheel, 1, more=12)
-    structures = fc.reduce_wheel(wheel, 8), fc.reduce_wheel(wheel, 3), chosen
-    omega = float(fc.bilinear_frequencies(chosen).omega_bilinear[0])
-    exact, three, one = (
+    chosen_wheel = fc.reduce_wheel(wheel, 1, more=12)
+    structures = fc.reduce_wheel(wheel, 8), fc.reduce_wheel(wheel, 3), chosen_wheel
+    omega = float(fc.bilinear_frequencies(chosen_wheel).omega_bilinear[0])
+    exact, three, one_family_solution = (
         fc.solve_harmonic_balance(structure, omega, RIGID, harmonics=20) for structure in structures
     )
-    assert one.structure.n_modes == 24  # type: ignore[attr-defined]
+    assert one_family_solution.structure.n_modes == 24  # type: ignore[attr-defined]
     time = np.linspace(0.0, exact.period, 2000, endpoint=False)
     gap, tip = exact.gap(time), exact.amplitude(wheel.watched_dof)
-    moved = size_of_motion(gap + chosen.clearance)
-    (off, tip_off), (own, tip_own) = (
+    motion_size = size_of_motion(gap + chosen_wheel.clearance)
+    (gap_error, tip_off), (one_family_error, tip_own) = (
         (
-            np.linalg.norm(found.gap(time) - gap) / moved,
-            abs(found.amplitude(wheel.watched_dof) / tip - 1.0),
+            np.linalg.norm(solution.gap(time) - gap) / motion_size,
+            abs(solution.amplitude(wheel.watched_dof) / tip - 1.0),
         )
-        for found in (three, one)
+        for solution in (three, one_family_solution)
     )
-    assert own < 0.5 * off and tip_own < 0.5 * tip_off
-    assert own < 1.3 * one.report.reduction
+    assert one_family_error < 0.5 * gap_error and tip_own < 0.5 * tip_off
+    assert one_family_error < 1.3 * one_family_solution.report.reduction
 
 
 def test_more_modes_than_the_basis_has() -> None:

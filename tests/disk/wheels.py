@@ -45,8 +45,8 @@ SOLID: dict[str, Any] = {
 
 def ring(**changes: Any) -> fc.Scene:
     """The ring with few dofs; keys of changes have ``__`` in place of the point."""
-    named = {key.replace("__", "."): value for key, value in changes.items()}
-    return fc.Scene.from_mapping(RING).replace(COARSE | named)
+    dotted_changes = {key.replace("__", "."): value for key, value in changes.items()}
+    return fc.Scene.from_mapping(RING).replace(COARSE | dotted_changes)
 
 
 def wheel_of(scene: fc.Scene) -> Wheel:
@@ -60,27 +60,29 @@ def write_whole(wheel: Wheel, path: Path) -> None:
     nodes = wheel.sector.structure.nodes
     assert nodes is not None and nodes.cells.shape[1] in (6, 9)
     corners = 3 if nodes.cells.shape[1] == 6 else 4
-    used = np.unique(nodes.cells[:, :corners])
+    used_nodes = np.unique(nodes.cells[:, :corners])
     number = np.full(len(nodes.points), -1)
-    number[used] = np.arange(len(used))
+    number[used_nodes] = np.arange(len(used_nodes))
     points, cells = [], []
     for place in range(wheel.sector.n_sectors):
-        moved = wheel.sector.place_points(nodes.points[used], place)
-        cells.append(number[nodes.cells[:, :corners]] + len(used) * place)
-        points.append(moved)
-    every, where = np.concatenate(points), np.concatenate(cells)
-    near = np.round(every / (1e-7 * np.ptp(every)))
-    _, first, same = np.unique(near, axis=0, return_index=True, return_inverse=True)
-    write_plane(every[first], same.reshape(-1)[where], path)
+        moved_points = wheel.sector.place_points(nodes.points[used_nodes], place)
+        cells.append(number[nodes.cells[:, :corners]] + len(used_nodes) * place)
+        points.append(moved_points)
+    all_points, all_cells = np.concatenate(points), np.concatenate(cells)
+    rounded_points = np.round(all_points / (1e-7 * np.ptp(all_points)))
+    _, first_indices, inverse_indices = np.unique(
+        rounded_points, axis=0, return_index=True, return_inverse=True
+    )
+    write_plane(all_points[first_indices], inverse_indices.reshape(-1)[all_cells], path)
 
 
 def write_plane(points: np.ndarray, cells: np.ndarray, path: Path) -> None:
     """Write a plane mesh whose inner circle, of the nodes nearest to the axis, is the clamp."""
     radii = np.linalg.norm(points - points.mean(axis=0), axis=1)
-    inside = radii < radii.min() * (1.0 + 1e-6)
+    is_inner = radii < radii.min() * (1.0 + 1e-6)
     corners = cells.shape[1]
     edges = np.stack([cells, np.roll(cells, -1, axis=1)], axis=2).reshape(-1, 2)
-    held = edges[inside[edges].all(axis=1)]
+    clamped_edges = edges[is_inner[edges].all(axis=1)]
     with keep_interrupt_handler():
         gmsh.initialize(readConfigFiles=False)
         gmsh.option.setNumber("General.Terminal", 0)
@@ -90,7 +92,7 @@ def write_plane(points: np.ndarray, cells: np.ndarray, path: Path) -> None:
         space = np.column_stack([points, np.zeros(len(points))])
         gmsh.model.mesh.addNodes(2, 1, np.arange(1, len(points) + 1), space.ravel())
         gmsh.model.mesh.addElementsByType(1, 2 if corners == 3 else 3, [], (cells + 1).ravel())
-        gmsh.model.mesh.addElementsByType(1, 1, [], (held + 1).ravel())
+        gmsh.model.mesh.addElementsByType(1, 1, [], (clamped_edges + 1).ravel())
         for dimension, tag, name in ((2, 1, "plate"), (1, 2, "clamp")):
             gmsh.model.addPhysicalGroup(dimension, [1], tag)
             gmsh.model.setPhysicalName(dimension, tag, name)

@@ -47,21 +47,23 @@ def test_period_for_paraview(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
         grid = pyvista.read(path.parent / entry.attrib["file"])
         assert grid.n_points == len(structure.nodes.points)
         assert set(grid.celltypes) == {70}  # VTK_LAGRANGE_QUADRILATERAL, nine nodes
-        shown = grid["displacement"]
-        free = structure.nodes.dofs >= 0
-        assert np.allclose(shown[:, :2][free], field[frame][structure.nodes.dofs[free]])
-        assert not np.any(shown[:, :2][~free])
+        displacement = grid["displacement"]
+        is_free = structure.nodes.dofs >= 0
+        assert np.allclose(
+            displacement[:, :2][is_free], field[frame][structure.nodes.dofs[is_free]]
+        )
+        assert not np.any(displacement[:, :2][~is_free])
         assert np.allclose(grid.points[:, :2], structure.nodes.points)
-        warped = grid.warp_by_vector("displacement", factor=magnification).points
-        assert np.allclose(warped - grid.points, magnification * shown, atol=1e-6)
+        warped_points = grid.warp_by_vector("displacement", factor=magnification).points
+        assert np.allclose(warped_points - grid.points, magnification * displacement, atol=1e-6)
         state = grid["contact state"]
         states.append(state)
         assert np.count_nonzero(state >= 0.0) == 2 * structure.n_pairs
         assert np.count_nonzero(state == 1.0) == 2 * np.count_nonzero(gap[frame] > 0.0)
         assert grid["contact force"].sum() == pytest.approx(2.0 * force[frame].sum())
-        apart = -magnification * gap[frame].min()
+        drawn_opening = -magnification * gap[frame].min()
         if gap[frame].max() < 0.0:
-            assert apart > 1e-3  # more than 1 % of the plate: seen in the picture
+            assert drawn_opening > 1e-3  # more than 1 % of the plate: seen in the picture
     assert {-1.0, 0.0, 1.0} == set(np.unique(states))
 
 
@@ -87,8 +89,8 @@ def test_patches_of_a_solid() -> None:
     assert len(
         np.setdiff1d(np.flatnonzero(fields.pressure_weights.any(axis=1)), facets)
     )  # of edges
-    one, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
-    areas = 0.5 * np.linalg.norm(np.cross(one, two), axis=1)
+    first_side, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
+    areas = 0.5 * np.linalg.norm(np.cross(first_side, two), axis=1)
     assert force.max() > 0.0
     for frame in range(8):
         grid = pyvista.wrap(fields.make_frame_grid(frame))
@@ -153,8 +155,8 @@ def test_linear_displacement_has_its_constant_stress(
     stress = nodal_stress(mesh, mesh.points @ gradient.T, scene.material)
     strain = np.array([0.0, gradient[1, 1], gradient[0, 1]])
     u, ku = structure.stiffness.createVecs()
-    free = structure.nodes.dofs >= 0
-    u.array[structure.nodes.dofs[free]] = (mesh.points @ gradient.T)[free]
+    is_free = structure.nodes.dofs >= 0
+    u.array[structure.nodes.dofs[is_free]] = (mesh.points @ gradient.T)[is_free]
     structure.stiffness.mult(u, ku)
     assert scene.geometry.width and scene.geometry.height
     volume = scene.geometry.width * scene.geometry.height * scene.geometry.thickness
@@ -178,8 +180,8 @@ def test_quadratic_displacement(paper_scene: fc.Scene, cells: str) -> None:
         )
         mesh = NodalMesh(fc.build_structure(scene))
         field, gradient = quadratic(mesh.points)
-        found, exact = nodal_stress(mesh, field, scene.material), hooke(scene, gradient)
-        errors.append(np.abs(found - exact).max() / np.abs(exact).max())
+        stress, exact = nodal_stress(mesh, field, scene.material), hooke(scene, gradient)
+        errors.append(np.abs(stress - exact).max() / np.abs(exact).max())
     assert errors[0] < 0.2
     assert 0.8 < log_slope(sizes, errors) < 1.4
 
@@ -204,8 +206,8 @@ def test_stress_in_slim_tetrahedra(paper_scene: fc.Scene, size: float) -> None:
     strain = np.moveaxis(np.array(gradient) + np.swapaxes(gradient, 0, 1), 2, 0) / 2.0
     young, nu = paper_scene.material.young, paper_scene.material.poisson
     volume = np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    full = young / (1.0 + nu) * (strain + nu / (1.0 - 2.0 * nu) * volume)
-    exact = full[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+    expected_stress = young / (1.0 + nu) * (strain + nu / (1.0 - 2.0 * nu) * volume)
+    exact = expected_stress[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
     assert relative(nodal_stress(mesh, field, paper_scene.material), exact) < 1e-9
 
 
@@ -215,17 +217,19 @@ def test_stress_is_not_smeared_across_the_crack(paper_scene: fc.Scene) -> None:
     mesh = NodalMesh(fc.build_structure(scene))
     grid = pyvista.wrap(make_grid_at_rest(mesh))
     centres = grid.cell_centers().points
-    above = (centres[:, 0] < 0.035) & (centres[:, 1] > 0.05)
-    upper = np.zeros(len(mesh.points), dtype=bool)
-    upper[np.concatenate([grid.get_cell(cell).point_ids for cell in np.flatnonzero(above)])] = True
+    is_above = (centres[:, 0] < 0.035) & (centres[:, 1] > 0.05)
+    is_upper = np.zeros(len(mesh.points), dtype=bool)
+    is_upper[
+        np.concatenate([grid.get_cell(cell).point_ids for cell in np.flatnonzero(is_above)])
+    ] = True
     one, two = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[-5.0, 6.0], [0.0, -1.0]])
-    field = np.where(upper[:, None], mesh.points @ one.T, mesh.points @ two.T)
+    field = np.where(is_upper[:, None], mesh.points @ one.T, mesh.points @ two.T)
     stress = nodal_stress(mesh, field, scene.material)
     lips = np.unique(mesh.crack_face_sides)
-    near = lips[mesh.points[lips, 0] < 0.015]
-    assert np.count_nonzero(upper[near]) == np.count_nonzero(~upper[near]) >= 2
-    assert np.allclose(stress[near[upper[near]]], hooke(scene, one), rtol=1e-10)
-    assert np.allclose(stress[near[~upper[near]]], hooke(scene, two), rtol=1e-10)
+    near_lips = lips[mesh.points[lips, 0] < 0.015]
+    assert np.count_nonzero(is_upper[near_lips]) == np.count_nonzero(~is_upper[near_lips]) >= 2
+    assert np.allclose(stress[near_lips[is_upper[near_lips]]], hooke(scene, one), rtol=1e-10)
+    assert np.allclose(stress[near_lips[~is_upper[near_lips]]], hooke(scene, two), rtol=1e-10)
 
 
 @pytest.mark.parametrize(("cells", "order"), KINDS)
@@ -244,8 +248,8 @@ def test_lips_and_boundary_are_found(paper_scene: fc.Scene, cells: str, order: i
 
 def test_von_mises() -> None:
     """Uniaxial stress is itself, shear counts sqrt(3) times, equal biaxial stress is itself."""
-    found = von_mises(np.array([[-2.0, 0.0, 0.0], [0.0, 0.0, 2.0], [2.0, 2.0, 0.0]]))
-    assert np.allclose(found, [2.0, 2.0 * np.sqrt(3.0), 2.0])
+    stresses = von_mises(np.array([[-2.0, 0.0, 0.0], [0.0, 0.0, 2.0], [2.0, 2.0, 0.0]]))
+    assert np.allclose(stresses, [2.0, 2.0 * np.sqrt(3.0), 2.0])
 
 
 def test_stresses_for_paraview(
@@ -269,10 +273,10 @@ def test_stresses_for_paraview(
     displacement = mesh.nodal_vectors(breathing.displacement_field(time))
     pressure = breathing.contact_force(time) / structure.pair_areas
     assert pressure.max() > 0.0
-    for frame, (still, moved) in enumerate(zip(*frames.values(), strict=True)):
+    for frame, (still_frame, moved_frame) in enumerate(zip(*frames.values(), strict=True)):
         stress = nodal_stress(mesh, displacement[frame], paper_scene.material)
-        assert np.array_equal(still.points, moved.points)
-        for grid in (still, moved):
+        assert np.array_equal(still_frame.points, moved_frame.points)
+        for grid in (still_frame, moved_frame):
             assert relative(grid["stress"], stress) < single
             assert relative(grid["von Mises stress"], von_mises(stress)) < single
             array = grid.GetPointData().GetAbstractArray("stress")
@@ -290,7 +294,7 @@ def test_script_for_paraview(
     material = paper_scene.material if with_stress else None
     fc.write_period(breathing, tmp_path / "a period.pvd", frames=2, material=material)
     tree = ast.parse((tmp_path / "a period_paraview.py").read_text())
-    given = {
+    constants = {
         node.targets[0].id: node.value.value
         for node in tree.body
         if isinstance(node, ast.Assign)
@@ -298,11 +302,11 @@ def test_script_for_paraview(
         and isinstance(node.value, ast.Constant)
     }
     frame = pyvista.read(tmp_path / "a period" / "frame_0000.vtu")
-    assert given["field"] == ("von Mises stress" if with_stress else "displacement")
-    assert given["field"] in frame.point_data
+    assert constants["field"] == ("von Mises stress" if with_stress else "displacement")
+    assert constants["field"] in frame.point_data
     words = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
     assert {word for word in words if str(word).endswith(".pvd")} == {"a period.pvd"}
-    assert f"{given['field']} [{'Pa' if with_stress else 'm'}]" in words
+    assert f"{constants['field']} [{'Pa' if with_stress else 'm'}]" in words
     factor = float(frame.field_data["magnification"][0])
     assert f"displacement x {factor:.3g}" in words
     assert {"displacement", float(f"{factor:.9g}")} <= words  # of WarpByVector

@@ -39,7 +39,7 @@ def results(plate: fc.Structure) -> dict[str, Any]:
     curve = fc.continue_frequency(
         masses, 0.8, 1.4, fc.UnilateralPenalty(1.0), harmonics=3, stability=True
     )
-    touching = fc.continue_frequency(
+    touching_curve = fc.continue_frequency(
         oscillator(0.05, 1.0), 0.3, 2.0, fc.UnilateralPenalty(10.0), harmonics=3, stability=True
     )
     linear = fc.solve_linear(masses, 1.0)
@@ -47,7 +47,7 @@ def results(plate: fc.Structure) -> dict[str, Any]:
         linear, 1, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=100.0, order=6, noise=1e-4
     )
     return {
-        "touching": touching,
+        "touching": touching_curve,
         "arrivals": arrivals,
         "fit": fc.fit_order(arrivals),
         "track": fc.track_order(arrivals, 6),
@@ -97,8 +97,8 @@ def test_on_axes_that_are_given(
     count, draw = DRAWN[name]
     figure = Figure()
     panels = figure.subplots(1, count + 1, squeeze=False)[0]
-    given = panels[:count] if count > 1 else panels[0]
-    assert draw(results, axes=given, title="heading") is figure
+    given_axes = panels[:count] if count > 1 else panels[0]
+    assert draw(results, axes=given_axes, title="heading") is figure
     for panel in panels[:count]:
         assert panel.lines or panel.collections
     assert not panels[count].has_data()
@@ -106,7 +106,7 @@ def test_on_axes_that_are_given(
     assert [path.name for path in tmp_path.iterdir()] == ["drawn.png"]
     for call, words in (
         (lambda: draw(results, axes=panels), "axes"),
-        (lambda: draw(results, axes=given, path="again.png"), "path"),
+        (lambda: draw(results, axes=given_axes, path="again.png"), "path"),
         (lambda: draw(results, path=tmp_path / "drawn.xls"), r"^path = '.*drawn\.xls': .*\.png"),
     ):
         with pytest.raises(fc.InputError, match=words):
@@ -133,20 +133,20 @@ def test_on_a_new_figure(
 def test_one_order_shows_its_harmonics(results: dict[str, Any]) -> None:
     """Where no other order was tried there is none to be compared with."""
     fit = fc.fit_order(results["arrivals"], orders=[6])
-    _, lower = fc.draw_tip_fit(fit, results["arrivals"]).axes
-    assert list(lower.get_xticks()) == fit.multiples.tolist()
-    assert lower.get_yscale() == "log" and "order" not in lower.get_xlabel()
-    _, lower = fc.draw_tip_fit(results["fit"], results["arrivals"]).axes
-    assert "engine order" in lower.get_xlabel()
+    _, lower_panel = fc.draw_tip_fit(fit, results["arrivals"]).axes
+    assert list(lower_panel.get_xticks()) == fit.multiples.tolist()
+    assert lower_panel.get_yscale() == "log" and "order" not in lower_panel.get_xlabel()
+    _, lower_panel = fc.draw_tip_fit(results["fit"], results["arrivals"]).axes
+    assert "engine order" in lower_panel.get_xlabel()
 
 
 def test_numbers_are_si_and_read_well() -> None:
     """A second curve on the same axes is drawn to the same scale; the unit follows the larger."""
     axes = Figure(layout="constrained").subplots()
-    for size, unit, shown in ((2e-9, "nm", "1"), (2e-6, "µm", "0.001")):
+    for size, unit, shown_text in ((2e-9, "nm", "1"), (2e-6, "µm", "0.001")):
         fc.draw_waves([wave(size)], quantity="closing", axes=axes)
         assert axes.get_ylabel() == f"closing [{unit}]" and axes.get_xlabel() == "time [ms]"
-        assert axes.yaxis.get_major_formatter()(1e-9) == shown
+        assert axes.yaxis.get_major_formatter()(1e-9) == shown_text
         assert axes.lines[-1].get_ydata().max() == pytest.approx(size)
     axes.figure.canvas.draw()
     labels = [label.get_text() for label in axes.get_yticklabels()]
@@ -162,10 +162,10 @@ def test_a_misspelt_keyword_is_named() -> None:
 
 def test_spectrum_fills_as_many_axes_as_it_is_given() -> None:
     """One without the contact force; two though nothing touches."""
-    apart = fc.solve_linear(two_masses(), 1.0)
+    apart_linear_solution = fc.solve_linear(two_masses(), 1.0)
     for count in (1, 2):
         panels = Figure().subplots(count, squeeze=False)[:, 0]
-        fc.draw_spectrum(apart, axes=panels)
+        fc.draw_spectrum(apart_linear_solution, axes=panels)
         words = [panel.get_ylabel().replace("\n", " ") for panel in panels]
         assert (
             words
@@ -187,15 +187,17 @@ def test_curves_are_told_apart(results: dict[str, Any]) -> None:
 
 def test_many_lines_are_all_drawn(results: dict[str, Any]) -> None:
     """More than there are colours."""
-    many = fc.draw_response(X, {f"case {n}": n * X for n in range(1, 21)}, quantity="amplitude")
+    crowded_figure = fc.draw_response(
+        X, {f"case {n}": n * X for n in range(1, 21)}, quantity="amplitude"
+    )
     laws = fc.draw_laws({f"law {n}": fc.UnilateralPenalty(n) for n in range(1, 9)}, X)
-    behind = {f"curve {n}": (X, n * X) for n in range(1, 6)}
+    background_curves = {f"curve {n}": (X, n * X) for n in range(1, 6)}
     points = {f"point {n}": (X[:1], n * X[:1]) for n in range(1, 5)}
-    curve = fc.draw_curve(results["curve"], 1, behind=behind, points=points)
-    for figure, count in ((many, 20), (laws, 8)):
+    curve = fc.draw_curve(results["curve"], 1, behind=background_curves, points=points)
+    for figure, count in ((crowded_figure, 20), (laws, 8)):
         assert len(figure.axes[0].lines) == count
     labels = {text.get_text() for text in curve.axes[0].get_legend().get_texts()}
-    assert labels >= {*behind, *points}
+    assert labels >= {*background_curves, *points}
     law = fc.UnilateralPenalty(1.0)
     many_harmonics = fc.continue_frequency(two_masses(), 0.8, 0.9, law, harmonics=8)
     assert len(fc.draw_content(many_harmonics, 1, highest=7).axes[0].lines) == 7
@@ -207,8 +209,8 @@ def test_many_lines_are_all_drawn(results: dict[str, Any]) -> None:
 def test_curves_without_values_and_lists() -> None:
     """Curves that are nan everywhere warn of nothing; lists are drawn; no curve is refused."""
     fc.draw_response(X, {"unknown": np.full(5, np.nan)}, quantity="amplitude")
-    how: Any = {"quantity": "amplitude", "doubtful": {"a": [True, False]}}
-    [line, rings] = fc.draw_response([1, 2], {"a": [3, 4]}, **how).axes[0].lines  # type: ignore[arg-type, dict-item]
+    options: Any = {"quantity": "amplitude", "doubtful": {"a": [True, False]}}
+    [line, rings] = fc.draw_response([1, 2], {"a": [3, 4]}, **options).axes[0].lines  # type: ignore[arg-type, dict-item]
     assert len(line.get_xdata()) == 2 and len(rings.get_xdata()) == 1
     with pytest.raises(fc.InputError, match="curves"):
         fc.draw_response(X, {}, quantity="amplitude")
@@ -260,24 +262,26 @@ def legend_of(panel: Any) -> list[str]:
 def test_marks_do_not_pile_up(results: dict[str, Any]) -> None:
     """Of 600 bifurcations at few places those that can be told apart are marked; all count."""
     curve = results["touching"]
-    given = 600 // len(curve.bifurcations)
-    many = replace(curve, bifurcations=given * curve.bifurcations)
-    panel = fc.draw_curve(many, 0).axes[0]
-    marked = [line for line in panel.lines if line.get_marker() in "vsD^"]
-    shown = np.concatenate([np.column_stack(line.get_data()) for line in marked])
-    assert 0 < len(shown) <= len(curve.bifurcations) and len(shown) <= 40
+    n_copies = 600 // len(curve.bifurcations)
+    crowded_curve = replace(curve, bifurcations=n_copies * curve.bifurcations)
+    panel = fc.draw_curve(crowded_curve, 0).axes[0]
+    marker_lines = [line for line in panel.lines if line.get_marker() in "vsD^"]
+    marker_points = np.concatenate([np.column_stack(line.get_data()) for line in marker_lines])
+    assert 0 < len(marker_points) <= len(curve.bifurcations) and len(marker_points) <= 40
     counts = [int(re.findall(r"\((\d+)", word)[0]) for word in legend_of(panel) if "marked" in word]
-    assert sum(counts) == len(many.bifurcations)
+    assert sum(counts) == len(crowded_curve.bifurcations)
 
 
 def test_every_kind_in_the_legend_is_marked(results: dict[str, Any]) -> None:
     """Also a fold beside a doubling, at the same place in the picture."""
     curve = results["touching"]
-    one = curve.bifurcations[0]
-    both = tuple(replace(one, kind=kind) for kind in ("fold", "period_doubling"))
-    panel = fc.draw_curve(replace(curve, bifurcations=both), 0).axes[0]
-    drawn = [line for line in panel.lines if line.get_marker() in "vsD^" and len(line.get_xdata())]
-    assert len(drawn) == 2 and not any("0 marked" in word for word in legend_of(panel))
+    bifurcation = curve.bifurcations[0]
+    both_kinds = tuple(replace(bifurcation, kind=kind) for kind in ("fold", "period_doubling"))
+    panel = fc.draw_curve(replace(curve, bifurcations=both_kinds), 0).axes[0]
+    marker_lines = [
+        line for line in panel.lines if line.get_marker() in "vsD^" and len(line.get_xdata())
+    ]
+    assert len(marker_lines) == 2 and not any("0 marked" in word for word in legend_of(panel))
 
 
 def test_the_largest_response_is_marked(results: dict[str, Any]) -> None:
@@ -289,9 +293,9 @@ def test_the_largest_response_is_marked(results: dict[str, Any]) -> None:
     peak = curve.peak(0)
     assert (x, y) == pytest.approx((peak.omega, peak.amplitude), rel=1e-9)
     [words] = [word for word in legend_of(panel) if word.startswith("largest")]
-    found = re.match(rf"largest: ([\d.]+) (\w?)m at {x:.5g} rad/s", words)
-    factor = {"": 1.0, "m": 1e-3, "µ": 1e-6, "n": 1e-9}[found[2]]
-    assert float(found[1]) * factor == pytest.approx(y, rel=1e-2)
+    match = re.match(rf"largest: ([\d.]+) (\w?)m at {x:.5g} rad/s", words)
+    factor = {"": 1.0, "m": 1e-3, "µ": 1e-6, "n": 1e-9}[match[2]]
+    assert float(match[1]) * factor == pytest.approx(y, rel=1e-2)
     assert not any("largest" in word for word in legend_of(fc.draw_curve(exact_curve(), 0).axes[0]))
 
 
@@ -301,14 +305,18 @@ def test_inexact_parts_are_faint(results: dict[str, Any]) -> None:
     errors = np.where((curve.omega > 1.0) & (curve.omega < 1.1), 0.5, 0.01)
     vars(curve)["displacement_errors"] = errors
     panel = fc.draw_curve(curve, 0).axes[0]
-    drawn = [line for line in panel.lines if len(line.get_xdata()) == len(curve)]
+    curve_lines = [line for line in panel.lines if len(line.get_xdata()) == len(curve)]
     for faint in (True, False):
-        lines = [line for line in drawn if ((line.get_alpha() or 1.0) < 1.0) == faint]
-        seen = np.any([np.isfinite(line.get_ydata()) for line in lines], axis=0)
-        large = errors > 0.05
-        assert np.all(seen[large == faint])
-        inner = large[1:-1] & large[:-2] & large[2:] if not faint else ~large[1:-1] & ~large[:-2]
-        assert not np.any(seen[1:-1][inner])
+        lines = [line for line in curve_lines if ((line.get_alpha() or 1.0) < 1.0) == faint]
+        is_drawn = np.any([np.isfinite(line.get_ydata()) for line in lines], axis=0)
+        is_large = errors > 0.05
+        assert np.all(is_drawn[is_large == faint])
+        is_inner = (
+            is_large[1:-1] & is_large[:-2] & is_large[2:]
+            if not faint
+            else ~is_large[1:-1] & ~is_large[:-2]
+        )
+        assert not np.any(is_drawn[1:-1][is_inner])
     assert any("estimated error above 5 %" in word for word in legend_of(panel))
     assert not any("faint" in word for word in legend_of(fc.draw_curve(exact_curve(), 0).axes[0]))
 
@@ -322,12 +330,12 @@ def exact_curve() -> fc.ResponseCurve:
 def test_errors_along_a_curve(results: dict[str, Any]) -> None:
     """Interpolated: large where the estimates of the single points are, at nearly all of them."""
     curve = results["touching"]
-    alone = (curve.solution(place, search=False) for place in range(len(curve)))
-    every = np.array([found.report.displacement for found in alone])
+    solutions = (curve.solution(place, search=False) for place in range(len(curve)))
+    single_errors = np.array([found.report.displacement for found in solutions])
     found = curve.displacement_errors
-    assert np.mean((found > LARGE) == (every > LARGE)) > 0.95
-    assert np.any(every > LARGE) and np.any(every < LARGE)
-    assert np.isclose(found, every, rtol=1e-9).sum() >= 40
+    assert np.mean((found > LARGE) == (single_errors > LARGE)) > 0.95
+    assert np.any(single_errors > LARGE) and np.any(single_errors < LARGE)
+    assert np.isclose(found, single_errors, rtol=1e-9).sum() >= 40
 
 
 def test_multipliers(results: dict[str, Any]) -> None:
@@ -340,19 +348,19 @@ def test_multipliers(results: dict[str, Any]) -> None:
         for line in panel.lines
         if line.get_marker() in (".", "x") and len(line.get_xdata())
     }
-    found = np.concatenate([*dots.values()])
+    drawn_points = np.concatenate([*dots.values()])
     sizes = np.nan_to_num(np.abs(curve.multipliers), nan=1.0)  # undecided: not known
-    expected = np.column_stack([curve.omega / (2.0 * np.pi), sizes])
-    ordered = (each[np.lexsort(each.T)] for each in (found, expected))
-    assert np.allclose(*ordered)
-    undecided = curve.verdicts == "undecided"
+    expected_points = np.column_stack([curve.omega / (2.0 * np.pi), sizes])
+    sorted_points = (table[np.lexsort(table.T)] for table in (drawn_points, expected_points))
+    assert np.allclose(*sorted_points)
+    is_undecided = curve.verdicts == "undecided"
     crosses = dots["undecided; at 1 where unknown"]
-    assert len(crosses) == undecided.sum() < len(curve)
-    pairs = np.sum(~undecided & (np.abs(curve.multipliers.imag) > 1e-9))
+    assert len(crosses) == is_undecided.sum() < len(curve)
+    pairs = np.sum(~is_undecided & (np.abs(curve.multipliers.imag) > 1e-9))
     assert len(dots.get("a complex pair", [])) == pairs
-    without = replace(curve, multipliers=None)
+    bare_curve = replace(curve, multipliers=None)
     with pytest.raises(fc.InputError, match="stability"):
-        fc.draw_multipliers(without)
+        fc.draw_multipliers(bare_curve)
 
 
 # --- maps, legends, the mesh ----------------------------------------------------------------------
@@ -364,8 +372,8 @@ def test_doubtful_cells_are_hatched() -> None:
     values[0, 3], doubtful[2, 1], doubtful[4, 4], doubtful[0, 3] = np.nan, True, True, True
     words: dict[str, Any] = {"x_label": "x", "y_label": "y", "value_label": "v"}
     panel = fc.draw_map(X, 10.0 * X, values, doubtful=doubtful, **words).axes[0]
-    [hatched] = [one for one in panel.collections if one.get_hatch()]
-    middles = [path.vertices[:4].mean(axis=0) for path in hatched.get_paths()]
+    [hatched_collection] = [one for one in panel.collections if one.get_hatch()]
+    middles = [path.vertices[:4].mean(axis=0) for path in hatched_collection.get_paths()]
     assert np.allclose(sorted(map(tuple, middles)), [(X[1], 10.0 * X[2]), (X[4], 10.0 * X[4])])
     [crosses] = [line for line in panel.lines if len(line.get_xdata())]
     assert np.allclose(crosses.get_xydata(), [(X[3], 10.0 * X[0])])
@@ -390,10 +398,10 @@ def test_legends_hide_nothing() -> None:
     figure.canvas.draw()
     box = panel.get_legend().get_window_extent()
     for line in panel.lines:
-        seen = panel.transData.transform(line.get_xydata())
-        assert not np.any(np.all((seen > box.min) & (seen < box.max), axis=1))
-    inside = figure.bbox
-    assert box.x0 >= inside.x0 and box.y0 >= inside.y0 and box.x1 <= inside.x1
+        pixel_points = panel.transData.transform(line.get_xydata())
+        assert not np.any(np.all((pixel_points > box.min) & (pixel_points < box.max), axis=1))
+    figure_box = figure.bbox
+    assert box.x0 >= figure_box.x0 and box.y0 >= figure_box.y0 and box.x1 <= figure_box.x1
 
 
 def test_long_names_stand_in_lines(tmp_path: Path) -> None:
@@ -402,22 +410,28 @@ def test_long_names_stand_in_lines(tmp_path: Path) -> None:
     waves = [fc.Wave(f"{name} {end}", X, X) for end in ("a", "b")]
     figure = fc.draw_waves(waves, quantity="q", path=tmp_path / "waves.png")
     [panel] = figure.axes
-    seen, inside = panel.get_legend().get_window_extent(), figure.bbox
-    assert seen.x0 >= inside.x0 and seen.x1 <= inside.x1 and seen.y0 >= inside.y0
+    legend_box, figure_box = panel.get_legend().get_window_extent(), figure.bbox
+    assert (
+        legend_box.x0 >= figure_box.x0
+        and legend_box.x1 <= figure_box.x1
+        and legend_box.y0 >= figure_box.y0
+    )
     assert [" ".join(words.split()) for words in legend_of(panel)] == [f"{name} {e}" for e in "ab"]
-    assert panel.get_window_extent().height > 0.3 * inside.height
+    assert panel.get_window_extent().height > 0.3 * figure_box.height
 
 
 def test_mesh(paper_scene: fc.Scene, plate: fc.Structure) -> None:
     """The clamped edge, the lips along the crack, the pairs, and an arrow from the load's point."""
     panel = fc.draw_mesh(plate).axes[0]
     assert legend_of(panel) == ["clamped", "crack faces", "contact pairs (4)", "load"]
-    _, _, clamped, lips = (
+    _, _, clamped_points, lips = (
         np.concatenate(one.get_segments())
         for one in panel.collections
         if isinstance(one, LineCollection)
     )
-    assert np.allclose(clamped[:, 1], 0.0) and np.ptp(clamped[:, 0]) == pytest.approx(0.1)
+    assert np.allclose(clamped_points[:, 1], 0.0) and np.ptp(clamped_points[:, 0]) == pytest.approx(
+        0.1
+    )
     crack = paper_scene.crack
     assert crack is not None and np.allclose(lips[:, 1], crack.height)
     assert lips[:, 0].max() == pytest.approx(crack.length)
@@ -439,6 +453,6 @@ def test_names_of_modes_are_beside_their_plates(results: dict[str, Any]) -> None
     ]
     assert len(plates) == 12
     for panel in figure.axes:
-        low, high = panel.title.get_window_extent().get_points()
+        lower_corner, upper_corner = panel.title.get_window_extent().get_points()
         for points in plates:
-            assert not np.any(np.all((points > low) & (points < high), axis=1))
+            assert not np.any(np.all((points > lower_corner) & (points < upper_corner), axis=1))

@@ -21,18 +21,20 @@ MATERIAL = ["*MATERIAL, NAME=STEEL", "*ELASTIC", "2.1e11, 0.3", "*DENSITY", "785
 
 def lines() -> list[str]:
     """Nodes 1 to 18, row by row; 19 and 20 are the upper lip's copies of 4 and 13."""
-    at = [(SIDE * i, SIDE * j, THICKNESS * k) for k in range(2) for j in range(3) for i in range(3)]
-    at += [at[3], at[12]]
+    points = [
+        (SIDE * i, SIDE * j, THICKNESS * k) for k in range(2) for j in range(3) for i in range(3)
+    ]
+    points += [points[3], points[12]]
     numbers = {4: 19, 13: 20}
     bricks = []
     for j in range(2):
         for i in range(2):
-            below = [1 + i + 3 * j + step for step in (0, 1, 4, 3)]
-            nodes = below + [node + 9 for node in below]
+            lower_nodes = [1 + i + 3 * j + step for step in (0, 1, 4, 3)]
+            nodes = lower_nodes + [node + 9 for node in lower_nodes]
             bricks.append([numbers.get(node, node) if j else node for node in nodes])
     return [
         "*NODE",
-        *(f"{n}, {x:g}, {y:g}, {z:g}" for n, (x, y, z) in enumerate(at, 1)),
+        *(f"{n}, {x:g}, {y:g}, {z:g}" for n, (x, y, z) in enumerate(points, 1)),
         "*ELEMENT, TYPE=C3D8, ELSET=PLATE",
         *(", ".join(map(str, [n, *nodes])) for n, nodes in enumerate(bricks, 1)),
         *MATERIAL, "*SOLID SECTION, ELSET=PLATE, MATERIAL=STEEL",
@@ -47,8 +49,8 @@ def write() -> None:
         step = ["*STEP", f"*FREQUENCY{options}", "6", "*END STEP"]
         (FOLDER / f"{name}.inp").write_text("\n".join([*lines(), *step]) + "\n")
         subprocess.run([str(shutil.which("ccx")), "-i", name], cwd=FOLDER, check=True)
-    for ending in ("sti", "mas", "dof"):
-        (FOLDER / f"matrices.{ending}").rename(FOLDER / f"plate.{ending}")
+    for suffix in ("sti", "mas", "dof"):
+        (FOLDER / f"matrices.{suffix}").rename(FOLDER / f"plate.{suffix}")
     for path in FOLDER.iterdir():
         if path.suffix not in (".sti", ".mas", ".dof", ".inp", ".dat") or path.stem != "plate":
             path.unlink()

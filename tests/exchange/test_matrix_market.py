@@ -39,11 +39,11 @@ def test_as_written_by_scipy(tmp_path: Path, symmetry: str, dense: bool) -> None
     """Dense and sparse, of every symmetry, compressed or not."""
     matrix = KINDS[symmetry].toarray()
     path = tmp_path / "matrix.mtx"
-    written = matrix if dense else sparse.csr_matrix(matrix)
-    scipy.io.mmwrite(path, written, symmetry=symmetry, precision=17)
-    packed = tmp_path / "matrix.mtx.gz"
-    packed.write_bytes(gzip.compress(path.read_bytes()))
-    for file in (path, packed):
+    written_matrix = matrix if dense else sparse.csr_matrix(matrix)
+    scipy.io.mmwrite(path, written_matrix, symmetry=symmetry, precision=17)
+    packed_path = tmp_path / "matrix.mtx.gz"
+    packed_path.write_bytes(gzip.compress(path.read_bytes()))
+    for file in (path, packed_path):
         np.testing.assert_allclose(read(file), matrix, rtol=1e-15)
 
 
@@ -93,9 +93,12 @@ def test_what_a_file_does_not_keep(tmp_path: Path, text: str, reason: str) -> No
 def test_bombs(tmp_path: Path, packed: Callable[[bytes], bytes], kind: str) -> None:
     """What is unpacked is limited by the size of the file."""
     path = tmp_path / ("matrix.mtx" + (".gz" if packed is gzip.compress else ".bz2"))
-    size, most = b"100000000 1" if kind == "announced" else b"2 1", 2**24 + 1
-    body = {"lines": b"0\n" * (most // 2 + 1), "comments": (b"%" * 999 + b"\n") * (most // 999)}
-    body |= {"one line": b"0" * most, "announced": b""}
+    size, max_entries = b"100000000 1" if kind == "announced" else b"2 1", 2**24 + 1
+    body = {
+        "lines": b"0\n" * (max_entries // 2 + 1),
+        "comments": (b"%" * 999 + b"\n") * (max_entries // 999),
+    }
+    body |= {"one line": b"0" * max_entries, "announced": b""}
     path.write_bytes(
         packed(b"%%MatrixMarket matrix array real general\n" + size + b"\n" + body[kind])
     )
@@ -117,8 +120,8 @@ def test_columns_without_an_entry(tmp_path: Path) -> None:
         "sweep": {"over": {"excitation.omega": [0.5, 0.6]}},
     }
     scene = scene_of_matrices(tmp_path, parts, tables)
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
-    assert not found.converged.any() and found.path.stat().st_size < 10**6
+    sweep = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    assert not sweep.converged.any() and sweep.path.stat().st_size < 10**6
 
 
 def test_neither_devices_nor_pipes(tmp_path: Path) -> None:

@@ -56,8 +56,8 @@ def calculix_frequencies() -> np.ndarray:
 
 def frequencies(structure: fc.Structure) -> np.ndarray:
     """With open lips [Hz]."""
-    found: np.ndarray = fc.solve_modes(structure, 6).omega / (2.0 * np.pi)
-    return found
+    hertz: np.ndarray = fc.solve_modes(structure, 6).omega / (2.0 * np.pi)
+    return hertz
 
 
 @pytest.fixture
@@ -87,11 +87,11 @@ def test_pairs_are_found_without_a_word(scene: Scene) -> None:
     assert structure.pair_points == pytest.approx(np.array([[0.0, 0.01, 0.0], [0.0, 0.01, 0.005]]))
     assert structure.pair_areas == pytest.approx([0.5 * 0.01 * 0.005] * 2)
     assert list(structure.watched_pairs) == ["the mouth"]
-    moved = np.zeros((2, structure.n_dofs))
-    moved[0, structure.nodes.dofs[[18, 19], 1]] = -1e-6
-    moved[1, structure.nodes.dofs[[3, 12], 1]] = 1e-6
+    displacements = np.zeros((2, structure.n_dofs))
+    displacements[0, structure.nodes.dofs[[18, 19], 1]] = -1e-6
+    displacements[1, structure.nodes.dofs[[3, 12], 1]] = 1e-6
     # The motion falls by a line from 1 at the mouth to 0 at the front, where psi is 1, too.
-    assert structure.apply_bt(moved) == pytest.approx(np.full((2, 2), 0.5e-6))
+    assert structure.apply_bt(displacements) == pytest.approx(np.full((2, 2), 0.5e-6))
     (dof,) = np.flatnonzero(structure.force[2])
     assert structure.dof_name(int(dof)) == "y displacement at (0, 0.02, 0) m"
 
@@ -118,8 +118,10 @@ def test_from_the_shell(folder: Path, run_command: RunCommand) -> None:
 
 def plate_matrices() -> dict[str, Any]:
     """Stiffness and mass, and node and direction of their rows."""
-    found = {kind: read_matrix(FOLDER / f"plate.{end}", kind) for kind, end in ENDINGS.items()}
-    return {kind: one.matrix for kind, one in found.items()} | {"labels": found["K"].labels}
+    matrices = {kind: read_matrix(FOLDER / f"plate.{end}", kind) for kind, end in ENDINGS.items()}
+    return {kind: matrix.matrix for kind, matrix in matrices.items()} | {
+        "labels": matrices["K"].labels
+    }
 
 
 ENDINGS = {"K": "sti", "M": "mas"}
@@ -127,35 +129,47 @@ ENDINGS = {"K": "sti", "M": "mas"}
 
 def triangle(matrix: Any) -> list[tuple[int, int, float]]:
     """Entries on the diagonal and below."""
-    lower = sparse.tril(matrix).tocoo()
-    return list(zip(lower.row.tolist(), lower.col.tolist(), lower.data.tolist(), strict=True))
+    lower_triangle = sparse.tril(matrix).tocoo()
+    return list(
+        zip(
+            lower_triangle.row.tolist(),
+            lower_triangle.col.tolist(),
+            lower_triangle.data.tolist(),
+            strict=True,
+        )
+    )
 
 
 def write_abaqus(folder: Path) -> dict[str, str]:
     """One triangle of the stiffness and both of the mass, either of which is allowed; what is held
     has 1e36 on the diagonal of the stiffness, and its mass."""
-    given = plate_matrices()
-    labels = given["labels"].tolist()
-    for kind, name, held in (("K", "plate_STIF1.mtx", 1e36), ("M", "plate_MASS1.mtx", 1e-3)):
-        entries = triangle(given[kind])
+    matrices = plate_matrices()
+    labels = matrices["labels"].tolist()
+    for kind, name, diagonal_value in (
+        ("K", "plate_STIF1.mtx", 1e36),
+        ("M", "plate_MASS1.mtx", 1e-3),
+    ):
+        entries = triangle(matrices[kind])
         entries += [(j, i, value) for i, j, value in entries if i != j and kind == "M"]
         lines = ["** ASSEMBLED MATRIX"] + [
             ",".join(map(str, [*labels[i], *labels[j], value])) for i, j, value in entries
         ]
-        lines += [f"{n},{d}, {n},{d}, {held}" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)]
+        lines += [
+            f"{n},{d}, {n},{d}, {diagonal_value}" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)
+        ]
         (folder / name).write_text("\n".join(lines) + "\n")
     return {"stiffness": "plate_STIF1.mtx", "mass": "plate_MASS1.mtx", "model": "plate.inp"}
 
 
 def write_nastran(folder: Path) -> dict[str, str]:
     """One punch file with both matrices, and the bulk data in all three kinds of fields."""
-    given = plate_matrices()
-    labels = given["labels"].tolist()
+    matrices = plate_matrices()
+    labels = matrices["labels"].tolist()
     lines = []
     for name, kind in (("KAAX", "K"), ("MAAX", "M")):
         lines.append(f"DMIG    {name:8}{0:8}{6:8}{2:8}{0:8}{'':8}{len(labels):8}")
         columns: dict[int, list[str]] = {}
-        for i, j, value in triangle(given[kind]):
+        for i, j, value in triangle(matrices[kind]):
             number = f"{value:16.9E}".replace("E", "D")
             columns.setdefault(i, []).append(
                 f"*       {labels[j][0]:16}{labels[j][1]:16}{number:>16}"
@@ -174,8 +188,10 @@ def write_nastran(folder: Path) -> dict[str, str]:
         else:
             bulk += [f"GRID*   {label:16}{'':16}{x:16.9f}{y:16.9f}", f"*       {z:16.9f}"]
     for number, cell in enumerate(model.labels[model.cells_by_vtk_type[12]], 1):
-        first, last = ("".join(f"{n:8}" for n in part) for part in (cell[:6], cell[6:]))
-        bulk += [f"CHEXA   {number:8}{1:8}{first}+", f"+       {last}"]
+        first_fields, last_fields = (
+            "".join(f"{n:8}" for n in part) for part in (cell[:6], cell[6:])
+        )
+        bulk += [f"CHEXA   {number:8}{1:8}{first_fields}+", f"+       {last_fields}"]
     (folder / "plate.bdf").write_text("\n".join([*bulk, "ENDDATA"]) + "\n")
     return {"stiffness": "plate.pch", "mass": "plate.pch", "model": "plate.bdf"}
 
@@ -186,8 +202,10 @@ def write_ansys(folder: Path) -> dict[str, str]:
     model = read_model(FOLDER / "plate.inp")
     lines = ["/PREP7", f"NBLOCK,6,SOLID,{20:9},{20:9}", "(3i9,6e21.13e3)"]
     for label, point in zip(model.labels.tolist(), model.points.tolist(), strict=True):
-        shown = point[: 1 + max(np.flatnonzero(point), default=-1)]  # zeros at the end are left out
-        lines.append(f"{label:9}{0:9}{0:9}" + "".join(f"{x:21.13E}" for x in shown))
+        coordinates = point[
+            : 1 + max(np.flatnonzero(point), default=-1)
+        ]  # zeros at the end are left out
+        lines.append(f"{label:9}{0:9}{0:9}" + "".join(f"{x:21.13E}" for x in coordinates))
     lines += ["N,R5.3,LOC,       -1,", f"EBLOCK,19,SOLID,{4:9},{4:9}", "(19i9)"]
     for number, cell in enumerate(model.labels[model.cells_by_vtk_type[12]].tolist(), 1):
         row = [1, 1, 1, 1, 0, 0, 0, 0, 8, 0, number, *cell]
@@ -198,10 +216,10 @@ def write_ansys(folder: Path) -> dict[str, str]:
 
 def write_market(folder: Path) -> dict[str, str]:
     """Matrix Market files, what HBMAT says of their rows, and a table of the nodes alone."""
-    given = plate_matrices()
+    matrices = plate_matrices()
     for kind in "KM":
-        scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind], symmetry="symmetric", precision=17)
-    rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(given["labels"], 1)]
+        scipy.io.mmwrite(folder / f"{kind}.mtx", matrices[kind], symmetry="symmetric", precision=17)
+    rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(matrices["labels"], 1)]
     rows.reverse()  # their numbers tell which they are
     (folder / "plate.mapping").write_text("\n".join(["  Matrix Eqn    Node   DOF", *rows]) + "\n")
     model = read_model(FOLDER / "plate.inp")
@@ -214,21 +232,27 @@ def write_market(folder: Path) -> dict[str, str]:
 
 def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> list[str]:
     """As OUTPUT4 writes a matrix: "dense", "sparse" or "big" (strings of numbers of any length)."""
-    n, many = len(matrix), 80 // (digits + 7)
+    n, numbers_per_line = len(matrix), 80 // (digits + 7)
     rows = -n if layout == "big" else n
-    lines = [f"{n:8}{rows:8}{6:8}{2:8}{name:8}1P,{many}E{digits + 7}.{digits}"]
+    lines = [f"{n:8}{rows:8}{6:8}{2:8}{name:8}1P,{numbers_per_line}E{digits + 7}.{digits}"]
 
     def numbers(values: np.ndarray) -> list[str]:
         words = [f"{value:{digits + 7}.{digits}E}" for value in values]
-        return ["".join(words[at : at + many]) for at in range(0, len(words), many)]
+        return [
+            "".join(words[start : start + numbers_per_line])
+            for start in range(0, len(words), numbers_per_line)
+        ]
 
     for column, values in enumerate(matrix.T, 1):
-        there = np.flatnonzero(values)
+        nonzero_rows = np.flatnonzero(values)
         if layout == "dense":
-            kept = values[there[0] : there[-1] + 1]
-            lines += [f"{column:8}{there[0] + 1:8}{len(kept):8}", *numbers(kept)]
+            kept_values = values[nonzero_rows[0] : nonzero_rows[-1] + 1]
+            lines += [
+                f"{column:8}{nonzero_rows[0] + 1:8}{len(kept_values):8}",
+                *numbers(kept_values),
+            ]
             continue
-        strings = np.split(there, np.flatnonzero(np.diff(there) > 1) + 1)
+        strings = np.split(nonzero_rows, np.flatnonzero(np.diff(nonzero_rows) > 1) + 1)
         spent = 2 if layout == "big" else 1
         words = sum(2 * len(string) + spent for string in strings)
         lines.append(f"{column:8}{0:8}{words:8}")
@@ -241,8 +265,8 @@ def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> l
 
 def write_op4(folder: Path) -> dict[str, str]:
     """Both matrices in one file of OUTPUT4, whose rows are named beside it."""
-    given, files = plate_matrices(), write_market(folder)
-    dense, strings = (given[kind].toarray() for kind in "KM")
+    matrices, files = plate_matrices(), write_market(folder)
+    dense, strings = (matrices[kind].toarray() for kind in "KM")
     lines = op4_lines(dense, "KAA", "dense") + op4_lines(strings, "MAA", "sparse")
     (folder / "plate.op4").write_text("\n".join(lines) + "\n")
     files |= {"stiffness": "plate.op4", "mass": "plate.op4"}
@@ -257,18 +281,23 @@ def test_matrices_of_output4(layout: str, tmp_path: Path) -> None:
     path = tmp_path / "both.op4"
     lines = op4_lines(np.eye(13), "MAA", "sparse", 9) + op4_lines(matrix, "KAA", layout, 9)
     path.write_text("\n".join(lines) + "\n")
-    found = read_matrix(path, "K").matrix.toarray()
-    assert found == pytest.approx(matrix, rel=1e-9) and np.all((found == 0.0) == (matrix == 0.0))
+    read_array = read_matrix(path, "K").matrix.toarray()
+    assert read_array == pytest.approx(matrix, rel=1e-9) and np.all(
+        (read_array == 0.0) == (matrix == 0.0)
+    )
     assert np.array_equal(read_matrix(path, "M").matrix.toarray(), np.eye(13))
     fortran = re.sub(r"(\d)E([+-]\d\d)", r"\1D\2", "\n".join(lines)).replace("8E16.9", "8D16.9")
     path.write_text(fortran.replace("E16.9", "D16.9") + "\n")
-    assert np.array_equal(read_matrix(path, "K").matrix.toarray(), found)
+    assert np.array_equal(read_matrix(path, "K").matrix.toarray(), read_array)
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError, match="no whole matrix whose name begins with B"):
         read_matrix(path, "B")
-    wrong = ("2KAA", "4KAA", "KAA.*is not of a real"), ("E-01", "X-01", "is not of a real matrix")
-    for old, new, words in wrong:
-        path.write_text("\n".join(lines).replace(old, new))
+    replacements = (
+        ("2KAA", "4KAA", "KAA.*is not of a real"),
+        ("E-01", "X-01", "is not of a real matrix"),
+    )
+    for old_text, new_text, words in replacements:
+        path.write_text("\n".join(lines).replace(old_text, new_text))
         with pytest.raises(ValueError, match=words):
             read_matrix(path, "K")
     path.write_text("\n".join(lines[:-8]))
@@ -286,70 +315,84 @@ WRITERS = {
 def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene) -> None:
     """Frequencies and pairs; of nodes without cells as many, each by itself."""
     files = WRITERS[program](folder)
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
-    structure, own = fc.build_structure(other), fc.build_structure(scene)
-    assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-8)
-    assert structure.pair_points == pytest.approx(own.pair_points)
-    moved = np.zeros((1, structure.n_dofs))
-    moved[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
-    expected = 1e-6 if program == "a table" else 0.5e-6
-    assert structure.apply_bt(moved) == pytest.approx(np.full((1, 2), expected))
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
+    structure, plate_structure = fc.build_structure(changed_scene), fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(frequencies(plate_structure), rel=1e-8)
+    assert structure.pair_points == pytest.approx(plate_structure.pair_points)
+    displacements = np.zeros((1, structure.n_dofs))
+    displacements[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
+    expected_gap = 1e-6 if program == "a table" else 0.5e-6
+    assert structure.apply_bt(displacements) == pytest.approx(np.full((1, 2), expected_gap))
     assert (structure.pair_areas is None) == (program == "a table")
 
 
 def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> None:
     """By their dofs: there is nothing to draw them on."""
     files = write_market(folder)
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
-    run = fc.modes(other, 3, MPI.COMM_SELF)
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
+    run = fc.modes(changed_scene, 3, MPI.COMM_SELF)
     fc.save(run.result, folder / "modes.h5", run.scene)
-    again = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
-    np.testing.assert_array_equal(again.shapes, run.result.shapes)
+    stored_modes = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
+    np.testing.assert_array_equal(stored_modes.shapes, run.result.shapes)
 
 
 def test_matrices_that_do_not_fit_their_rows(folder: Path, scene: Scene) -> None:
     """Not square, and with other rows than the file of their nodes names."""
     files = write_market(folder)
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
     for rows, columns in ((42, 41), (41, 41)):
         scipy.io.mmwrite(folder / "M.mtx", sparse.eye(rows, columns))
         with pytest.raises(InputError, match=r"structure\.mass"):
-            fc.build_structure(other)
+            fc.build_structure(changed_scene)
 
 
 def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> None:
     """Rows whose nodes are mixed are put in order, and with them those of a load's file."""
-    given = plate_matrices()
-    mixed = np.random.default_rng(1).permutation(len(given["labels"]))
+    matrices = plate_matrices()
+    node_order = np.random.default_rng(1).permutation(len(matrices["labels"]))
     for kind in "KM":
-        scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind][mixed][:, mixed], precision=17)
-    rows = [f"{node}.{direction}" for node, direction in given["labels"][mixed]]
+        scipy.io.mmwrite(
+            folder / f"{kind}.mtx", matrices[kind][node_order][:, node_order], precision=17
+        )
+    rows = [f"{node}.{direction}" for node, direction in matrices["labels"][node_order]]
     (folder / "rows.dof").write_text("\n".join(rows))
     load = np.array([[row == "7.2"] for row in rows], dtype=float)  # node 7: (0, 0.02, 0)
     scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(100.0 * load))
     files = {"stiffness": "K.mtx", "mass": "M.mtx", "dofs": "rows.dof", "force_sin": "force.mtx"}
-    other = scene.replace(
+    changed_scene = scene.replace(
         {f"structure.{key}": str(folder / name) for key, name in files.items()}
         | {"excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
     )
-    structure, own = fc.build_structure(other), fc.build_structure(scene)
-    assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-9)
-    assert structure.dof_name(structure.find_most_loaded_dof()) == own.dof_name(
-        own.find_most_loaded_dof()
+    structure, plate_structure = fc.build_structure(changed_scene), fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(frequencies(plate_structure), rel=1e-9)
+    assert structure.dof_name(structure.find_most_loaded_dof()) == plate_structure.dof_name(
+        plate_structure.find_most_loaded_dof()
     )
 
 
 def test_rows_of_calculix_in_another_place(folder: Path, scene: Scene) -> None:
     """They are read from there without a model, too, where a file of dofs is refused with others:
     it would do nothing."""
-    own = fc.build_structure(scene)
+    plate_structure = fc.build_structure(scene)
     (folder / "plate.dof").rename(folder / "rows.txt")
-    scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(own.force[2][:, None]))
+    scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(plate_structure.force[2][:, None]))
     files = {"dofs": str(folder / "rows.txt"), "force_sin": str(folder / "force.mtx")}
-    alone = {f"structure.{key}": path for key, path in files.items()} | {"structure.model": None}
-    alone |= {"contact": None, "excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
-    other = fc.build_structure(scene.replace(alone))
-    assert frequencies(other) == pytest.approx(frequencies(own), rel=1e-9)
+    matrix_settings = {f"structure.{key}": path for key, path in files.items()} | {
+        "structure.model": None
+    }
+    matrix_settings |= {
+        "contact": None,
+        "excitation.point": None,
+        "excitation.force_sin": [0.0, 0.0, 0.0],
+    }
+    other_structure = fc.build_structure(scene.replace(matrix_settings))
+    assert frequencies(other_structure) == pytest.approx(frequencies(plate_structure), rel=1e-9)
 
 
 def on_ranks_of(text: str, folder: str, comm: MPI.Comm) -> tuple[list[float], float, str]:
@@ -363,9 +406,9 @@ def on_ranks_of(text: str, folder: str, comm: MPI.Comm) -> tuple[list[float], fl
 def test_two_ranks_share_the_matrices(on_ranks: Callable[..., Any]) -> None:
     """Whole nodes on each."""
     omega, square, name = on_ranks(on_ranks_of, TEXT, str(FOLDER))
-    expected = on_ranks_of(TEXT, str(FOLDER), MPI.COMM_SELF)
-    assert omega == pytest.approx(expected[0], rel=1e-9)
-    assert (square, name) == (pytest.approx(expected[1]), expected[2])
+    expected_numbers = on_ranks_of(TEXT, str(FOLDER), MPI.COMM_SELF)
+    assert omega == pytest.approx(expected_numbers[0], rel=1e-9)
+    assert (square, name) == (pytest.approx(expected_numbers[1]), expected_numbers[2])
 
 
 SOLID = """
@@ -393,33 +436,39 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     of nodes hold the lips together as these do."""
     keys = {f"crack.{key}": x for key, x in ({"height": 0.03} | CRACKS[crack]).items()}
     keys |= {f"cracks.1.{key}": x for key, x in SECOND.items() if crack == "two"}
-    own = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
-    points, dofs = own.nodes.points, own.nodes.dofs
-    stiffness = csr(own.stiffness)
-    model = Model(np.arange(len(points)), points, {24: own.nodes.cells})
+    structure = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
+    points, dofs = structure.nodes.points, structure.nodes.dofs
+    stiffness = csr(structure.stiffness)
+    model = Model(np.arange(len(points)), points, {24: structure.nodes.cells})
     gap, pairs = find_pairs_and_gaps(model, dofs, stiffness, has_rotations=False)
-    here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, own.pair_points))
-    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-12
-    assert pairs.areas[here] == pytest.approx(own.pair_areas[there], rel=1e-12)
-    np.testing.assert_array_equal(pairs.cracks[here], own.pairs.cracks[there])
-    assert pairs.positions is not None and pairs.places.keys() - own.watched_pairs.keys() == set()
+    here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, structure.pair_points))
+    assert abs(gap[:, here] - structure.gap[:, there]).max() < 1e-12
+    assert pairs.areas[here] == pytest.approx(structure.pair_areas[there], rel=1e-12)
+    np.testing.assert_array_equal(pairs.cracks[here], structure.pairs.cracks[there])
+    assert (
+        pairs.positions is not None
+        and pairs.places.keys() - structure.watched_pairs.keys() == set()
+    )
     for place in pairs.places.values():
         here = pairs.cracks == pairs.cracks[place]
         assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
-    mixed = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
-    cells = np.argsort(mixed)[own.nodes.cells]
-    other = find_pairs_and_gaps(
-        Model(model.labels, points[mixed], {24: cells}), dofs[mixed], stiffness, has_rotations=False
+    node_order = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
+    cells = np.argsort(node_order)[structure.nodes.cells]
+    other_pairs = find_pairs_and_gaps(
+        Model(model.labels, points[node_order], {24: cells}),
+        dofs[node_order],
+        stiffness,
+        has_rotations=False,
     )[1]
-    places = [np.lexsort(found.round(9).T) for found in (pairs.points, other.points)]
-    np.testing.assert_array_equal(pairs.cracks[places[0]], other.cracks[places[1]])
+    places = [np.lexsort(found.round(9).T) for found in (pairs.points, other_pairs.points)]
+    np.testing.assert_array_equal(pairs.cracks[places[0]], other_pairs.cracks[places[1]])
     nodes, _ = find_pairs_and_gaps(
         Model(model.labels, points, {}), dofs, stiffness, has_rotations=False
     )
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
         fc.solve_modes(
-            fc.Structure.from_matrices(own.mass, own.stiffness, gap=b), 3, lips="tied"
+            fc.Structure.from_matrices(structure.mass, structure.stiffness, gap=b), 3, lips="tied"
         ).omega
         for b in (gap, nodes)
     ]
@@ -445,33 +494,35 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     body closes the gap but that of one of them, which does as a whole."""
     base, edges = (SQUARE, HEXAHEDRON) if kind in (12, 25) else (TRIANGLE, WEDGE)
     corners = [(x, y, z) for z in (0.0, 1.0) for x, y in base]
-    lower = np.array(corners)
+    lower_nodes = np.array(corners)
     if kind in (25, 26):
-        lower = np.concatenate([lower, [(lower[i] + lower[j]) / 2.0 for i, j in edges]])
-    n = len(lower)
-    points = np.concatenate([lower, lower + (0.0, 0.0, 1.0)]) @ TURN.T
+        lower_nodes = np.concatenate(
+            [lower_nodes, [(lower_nodes[i] + lower_nodes[j]) / 2.0 for i, j in edges]]
+        )
+    n = len(lower_nodes)
+    points = np.concatenate([lower_nodes, lower_nodes + (0.0, 0.0, 1.0)]) @ TURN.T
     cells = np.arange(2 * n).reshape(2, n)
     dofs = np.arange(6 * n).reshape(-1, 3)
-    joined = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
+    joined_matrix = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
     model = Model(np.arange(2 * n), points, {kind: cells})
-    gap, pairs = find_pairs_and_gaps(model, dofs, joined, has_rotations=False)
+    gap, pairs = find_pairs_and_gaps(model, dofs, joined_matrix, has_rotations=False)
     area = 2.0 if kind in (12, 25) else 1.0
     assert pairs.areas is not None and len(pairs.areas) == len(base)
     assert pairs.areas.sum() == pytest.approx(area, rel=1e-13)
-    along, across = TURN[:, 0], TURN[:, 2]
-    both = [np.tile(direction, 2 * n) for direction in (along, across)]
-    down = np.where(np.arange(2 * n)[:, None] >= n, -across, 0.0).ravel()
-    leaning = down * np.repeat(points @ along, 3)  # further down the farther along
+    along_direction, across_direction = TURN[:, 0], TURN[:, 2]
+    both = [np.tile(direction, 2 * n) for direction in (along_direction, across_direction)]
+    down = np.where(np.arange(2 * n)[:, None] >= n, -across_direction, 0.0).ravel()
+    leaning = down * np.repeat(points @ along_direction, 3)  # further down the farther along
     motions = np.array([*both, down, leaning])
     ends = np.array([point[0] for point in base], dtype=float)
     means = {(0.0, 2.0, 2.0, 0.0): [2 / 3, 4 / 3, 4 / 3, 2 / 3], (0.0, 2.0, 0.0): [0.5, 1.0, 0.5]}
     expected = np.outer([0.0, 0.0, 1.0, 0.0], np.ones(len(base)))
-    corners_at = points[len(base) : 2 * len(base)] @ along
-    order = np.argmin(np.abs(corners_at - (pairs.points @ along)[:, None]), axis=1)
+    corners_at = points[len(base) : 2 * len(base)] @ along_direction
+    order = np.argmin(np.abs(corners_at - (pairs.points @ along_direction)[:, None]), axis=1)
     expected[3] = np.array(means[tuple(ends)])[order]
     assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
     nodes, _ = find_pairs_and_gaps(
-        Model(np.arange(2 * n), points, {}), dofs, joined, has_rotations=False
+        Model(np.arange(2 * n), points, {}), dofs, joined_matrix, has_rotations=False
     )
     assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
 
@@ -493,18 +544,20 @@ CARDS = {  # gmsh's corners; edges in the order of Nastran's nodes in their midd
 def test_nodes_of_nastran_in_the_order_of_vtk(card: str, tmp_path: Path) -> None:
     """Edges around the bottom, upright, around the top there; and the upright ones last."""
     corners, theirs, wanted = CARDS[card]
-    at = np.array(corners, dtype=float)
-    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in theirs]])
-    lines = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(at, 1)]
-    fields = [card, "1", "1", *map(str, range(1, len(at) + 1))]
+    points = np.array(corners, dtype=float)
+    points = np.concatenate([points, [(points[i] + points[j]) / 2.0 for i, j in theirs]])
+    lines = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(points, 1)]
+    fields = [card, "1", "1", *map(str, range(1, len(points) + 1))]
     rows = [fields[:9], *([""] + fields[k : k + 8] for k in range(9, len(fields), 8))]
     (tmp_path / "one.bdf").write_text("\n".join([*lines, *map(",".join, rows)]) + "\n")
     model = read_model(tmp_path / "one.bdf")
     ((cell,),) = model.cells_by_vtk_type.values()
-    found = model.points[cell]
+    model_points = model.points[cell]
     n = len(corners)
-    np.testing.assert_allclose(found[:n], corners)
-    np.testing.assert_allclose(found[n:], [(found[i] + found[j]) / 2.0 for i, j in wanted])
+    np.testing.assert_allclose(model_points[:n], corners)
+    np.testing.assert_allclose(
+        model_points[n:], [(model_points[i] + model_points[j]) / 2.0 for i, j in wanted]
+    )
 
 
 @pytest.mark.parametrize(
@@ -532,9 +585,9 @@ def test_bad_blocks_of_ansys(tmp_path: Path, old: str, new: str, words: str) -> 
 def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
     """Twenty nodes on two lines, in a file that another one includes; a node of a plane model; and
     what is no solid is left out."""
-    at = np.array([(x, y, z) for z in (0, 1) for x, y in SQUARE], dtype=float)
-    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in HEXAHEDRON]])
-    nodes = [f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(at, 1)]
+    points = np.array([(x, y, z) for z in (0, 1) for x, y in SQUARE], dtype=float)
+    points = np.concatenate([points, [(points[i] + points[j]) / 2.0 for i, j in HEXAHEDRON]])
+    nodes = [f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(points, 1)]
     cell = ", ".join(map(str, range(16))) + ",\n16, 17, 18, 19, 20"
     (tmp_path / "cells.inc").write_text(
         f"*Element, type=C3D20R\n{cell}\n*Element, type=S4\n1,1,2,3,4\n"
@@ -582,22 +635,22 @@ def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
     (tmp_path / "all.inp").write_text(
         f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
     )
-    found, wanted = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
-    np.testing.assert_array_equal(found.cells_by_vtk_type[12], wanted.cells_by_vtk_type[12])
+    model, expected_model = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
+    np.testing.assert_array_equal(model.cells_by_vtk_type[12], expected_model.cells_by_vtk_type[12])
 
 
 def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
     """SURF154 of four nodes in the block of the solids, each with the number of its type."""
     write_ansys(tmp_path)
     path = tmp_path / "plate.cdb"
-    wanted = read_model(path)
-    label = wanted.labels[wanted.cells_by_vtk_type[12][0, :4]].tolist()
+    expected_model = read_model(path)
+    label = expected_model.labels[expected_model.cells_by_vtk_type[12][0, :4]].tolist()
     surface = "".join(f"{x:9}" for x in [1, 2, 1, 1, 0, 0, 0, 0, 4, 0, 99, *label])
     text = path.read_text().replace("/PREP7", "/PREP7\nET,1,185\nET, 2, SURF154")
     path.write_text(text.replace(f"{-1:9}\nFINISH", f"{surface}\n{-1:9}\nFINISH"))
-    found = read_model(path)
-    assert list(found.cells_by_vtk_type) == [12]
-    np.testing.assert_array_equal(found.cells_by_vtk_type[12], wanted.cells_by_vtk_type[12])
+    model = read_model(path)
+    assert list(model.cells_by_vtk_type) == [12]
+    np.testing.assert_array_equal(model.cells_by_vtk_type[12], expected_model.cells_by_vtk_type[12])
     path.write_text(path.read_text().replace("ET,1,185", "ET,1,SHELL181"))
     with pytest.raises(ValueError, match="none of its elements, of types 154, 181, is a solid"):
         read_model(path)
@@ -623,14 +676,16 @@ def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
 )
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""
-    own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
+    structure = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
     points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
-        (own.nodes.points, 0.0), (own.nodes.dofs, -1)))  # fmt: skip
+        (structure.nodes.points, 0.0), (structure.nodes.dofs, -1)))  # fmt: skip
     model = Model(np.arange(len(points)), points, {})
-    gap, pairs = find_pairs_and_gaps(model, dofs, csr(own.stiffness), has_rotations=False)
+    gap, pairs = find_pairs_and_gaps(model, dofs, csr(structure.stiffness), has_rotations=False)
     assert pairs.points is not None and pairs.areas is None
-    here, there = (np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, own.pair_points))
-    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-9
+    pair_order, structure_order = (
+        np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, structure.pair_points)
+    )
+    assert abs(gap[:, pair_order] - structure.gap[:, structure_order]).max() < 1e-9
 
 
 def test_cracks_that_cross_are_refused() -> None:
@@ -695,9 +750,9 @@ KEYS: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("changes", "key"), KEYS, ids=range(len(KEYS)))
 def test_bad_keys_are_named(folder: Path, scene: Scene, changes: dict[str, Any], key: str) -> None:
-    moved = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
+    settings = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
     with pytest.raises(InputError, match=rf"^{key}( =| is)"):
-        fc.build_structure(scene.replace(moved))
+        fc.build_structure(scene.replace(settings))
 
 
 @pytest.mark.parametrize(
@@ -716,9 +771,11 @@ def test_bad_punch_files_are_named(
     files = write_nastran(folder)
     path = folder / "plate.pch"
     path.write_text(path.read_text().replace(old, new))
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
     with pytest.raises(InputError, match=words):
-        fc.build_structure(other)
+        fc.build_structure(changed_scene)
 
 
 def test_stiffness_and_mass_that_are_swapped(scene: Scene) -> None:
@@ -754,9 +811,11 @@ def test_a_model_of_another_mesh(folder: Path, scene: Scene) -> None:
     files = write_market(folder)
     nodes = (folder / "nodes.csv").read_text().splitlines()
     (folder / "nodes.csv").write_text("\n".join(row for row in nodes if not row.startswith("7,")))
-    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    changed_scene = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+    )
     with pytest.raises(InputError, match=r"structure\.model.*no node 7.*all the nodes of its rows"):
-        fc.build_structure(other)
+        fc.build_structure(changed_scene)
 
 
 def test_a_model_without_a_crack_is_told(folder: Path, scene: Scene) -> None:

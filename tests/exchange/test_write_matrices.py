@@ -74,9 +74,9 @@ def differences(structure: fc.Structure, folder: Path) -> dict[str, float]:
     """Of what SciPy reads, relative to the largest entry."""
     found = {}
     for name, matrix in matrices_of(structure).items():
-        read = sparse.csr_matrix(scipy.io.mmread(folder / f"{name}.mtx"))
-        assert read.shape == matrix.shape
-        found[name] = abs(read - matrix).max() / (abs(matrix).max() or 1.0)
+        file_matrix = sparse.csr_matrix(scipy.io.mmread(folder / f"{name}.mtx"))
+        assert file_matrix.shape == matrix.shape
+        found[name] = abs(file_matrix - matrix).max() / (abs(matrix).max() or 1.0)
     return found
 
 
@@ -94,13 +94,18 @@ def check_way_back(scene: Scene, folder: Path) -> None:
     structure = fc.build_structure(scene)
     fc.write_matrices(structure, folder, scene)
     assert max(differences(structure, folder).values()) <= 1e-15
-    again = Scene.load(folder / "matrices.toml")
-    assert fc.build_structure(again).force == pytest.approx(structure.force, rel=1e-15, abs=0.0)
-    first, second = solved(scene), solved(again)
-    assert first.converged and first.contact_force(np.linspace(0.0, first.period, 50)).max() > 0.0
+    read_scene = Scene.load(folder / "matrices.toml")
+    assert fc.build_structure(read_scene).force == pytest.approx(
+        structure.force, rel=1e-15, abs=0.0
+    )
+    first_solution, second = solved(scene), solved(read_scene)
+    assert (
+        first_solution.converged
+        and first_solution.contact_force(np.linspace(0.0, first_solution.period, 50)).max() > 0.0
+    )
     for name in ("gap_coefficients", "displacement_coefficients"):
-        one, other = getattr(first, name), getattr(second, name)
-        assert np.abs(other - one).max() <= 1e-12 * np.abs(one).max()
+        first_array, second_array = getattr(first_solution, name), getattr(second, name)
+        assert np.abs(second_array - first_array).max() <= 1e-12 * np.abs(first_array).max()
 
 
 @pytest.mark.drawn(3)
@@ -118,20 +123,21 @@ def test_solid(tmp_path: Path) -> None:
 def test_damping_matrix_and_varied_structure(tmp_path: Path) -> None:
     """C need not be symmetric; load, damping and clearance are those of the varied structure."""
     generator = np.random.default_rng(1)
-    given = np.diag([3.0, 2.0, 1.0]) + 0.1 * generator.random((3, 3))
+    damping_matrix = np.diag([3.0, 2.0, 1.0]) + 0.1 * generator.random((3, 3))
     stiffness = 100.0 * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     chain = fc.Structure.from_matrices(
         np.eye(3), stiffness, gap=[[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]],
-        force_sin=[0.0, 0.0, 1.0 / 3.0], damping=given,
+        force_sin=[0.0, 0.0, 1.0 / 3.0], damping=damping_matrix,
     ).varied(load=2.0, damping=0.5, clearance=[0.1, -1e-3])  # fmt: skip
     fc.write_matrices(chain, tmp_path)
-    assert np.array_equal(scipy.io.mmread(tmp_path / "damping.mtx").toarray(), 0.5 * given)
+    assert np.array_equal(scipy.io.mmread(tmp_path / "damping.mtx").toarray(), 0.5 * damping_matrix)
     assert differences(chain, tmp_path).keys().isdisjoint({"tangential", "areas"})
     changes = {"excitation.omega": 5.0, "contact.stiffness": 1e3}
-    again = fc.build_structure(Scene.load(tmp_path / "matrices.toml", changes))
+    read_structure = fc.build_structure(Scene.load(tmp_path / "matrices.toml", changes))
     law = fc.UnilateralPenalty(1e3)
     first, second = (
-        fc.solve_harmonic_balance(one, 5.0, law, harmonics=8) for one in (chain, again)
+        fc.solve_harmonic_balance(chain_structure, 5.0, law, harmonics=8)
+        for chain_structure in (chain, read_structure)
     )
     assert np.array_equal(first.displacement_coefficients, second.displacement_coefficients)
 
@@ -153,13 +159,15 @@ def test_equations_of_other_programs(name: str, paper_scene: Scene, tmp_path: Pa
         ratios += 0.5 * (rule.mass / modes.omega + rule.stiffness * modes.omega)
     else:
         ratios[: rule.modes] = rule.ratio
-    coupled = modes.shapes.T @ damping @ modes.shapes
-    assert coupled == pytest.approx(np.diag(2.0 * ratios * modes.omega), abs=1e-6 * coupled.max())
+    modal_damping = modes.shapes.T @ damping @ modes.shapes
+    assert modal_damping == pytest.approx(
+        np.diag(2.0 * ratios * modes.omega), abs=1e-6 * modal_damping.max()
+    )
     omega = 2000.0
-    moved = np.linalg.solve(stiffness + 1j * omega * damping - omega**2 * mass, cosine - 1j * sine)
+    motion = np.linalg.solve(stiffness + 1j * omega * damping - omega**2 * mass, cosine - 1j * sine)
     linear = fc.solve_linear(structure, omega).displacement_coefficients
-    assert linear[1] == pytest.approx(moved.real[:, 0], rel=1e-8, abs=1e-8 * np.abs(moved).max())
-    assert linear[2] == pytest.approx(-moved.imag[:, 0], rel=1e-8, abs=1e-8 * np.abs(moved).max())
+    assert linear[1] == pytest.approx(motion.real[:, 0], rel=1e-8, abs=1e-8 * np.abs(motion).max())
+    assert linear[2] == pytest.approx(-motion.imag[:, 0], rel=1e-8, abs=1e-8 * np.abs(motion).max())
 
 
 def test_symmetric_matrices_stay_so(tmp_path: Path) -> None:
@@ -184,22 +192,24 @@ def test_many_dofs_have_no_dense_matrix(
     assert (tmp_path / "damping.mtx").exists()
     fc.write_matrices(structure.damped(None), tmp_path, paper_scene)
     assert not (tmp_path / "damping.mtx").exists()
-    again = fc.build_structure(Scene.load(tmp_path / "matrices.toml"))
-    assert again.damping == fc.RayleighDamping()
+    read_structure = fc.build_structure(Scene.load(tmp_path / "matrices.toml"))
+    assert read_structure.damping == fc.RayleighDamping()
 
 
 def test_earlier_files(paper_scene: Scene, tmp_path: Path) -> None:
     """They are kept, one generation, and none is left among those of another structure."""
-    cracked = fc.build_structure(paper_scene)
-    for structure in (cracked, cracked.tied(1e9)):
+    cracked_structure = fc.build_structure(paper_scene)
+    for structure in (cracked_structure, cracked_structure.tied(1e9)):
         fc.write_matrices(structure, tmp_path, paper_scene)
-    other = {"gap.mtx", "tangential.mtx", "clearance.mtx", "areas.mtx"}
-    kept, now = (
+    contact_files = {"gap.mtx", "tangential.mtx", "clearance.mtx", "areas.mtx"}
+    earlier_names, later_names = (
         {path.name for path in folder.iterdir()} for folder in (tmp_path / "before", tmp_path)
     )
-    assert now - {"before"} == kept - other and other < kept
+    assert (
+        later_names - {"before"} == earlier_names - contact_files and contact_files < earlier_names
+    )
     assert Scene.load(tmp_path / "matrices.toml").contact is None
-    assert not max(differences(cracked, tmp_path / "before").values())
+    assert not max(differences(cracked_structure, tmp_path / "before").values())
 
 
 def test_refused(paper_scene: Scene, tmp_path: Path) -> None:
@@ -208,26 +218,30 @@ def test_refused(paper_scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not reduced") as caught:
         fc.write_matrices(study.structure, tmp_path)
     assert caught.value.key == "structure"
-    whole = study.structure.whole
+    whole_structure = study.structure.whole
     with pytest.raises(InputError, match=r"contact is missing: must be given with structure\.gap"):
-        fc.write_matrices(whole, tmp_path, paper_scene.replace({"contact": None, "crack": None}))
+        fc.write_matrices(
+            whole_structure, tmp_path, paper_scene.replace({"contact": None, "crack": None})
+        )
     with pytest.raises(InputError, match=r"damping\.ratio = 2"):
-        fc.write_matrices(whole.damped(fc.ModalDamping(2.0)), tmp_path)
+        fc.write_matrices(whole_structure.damped(fc.ModalDamping(2.0)), tmp_path)
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="folder"):
-        fc.write_matrices(whole, tmp_path / "file")
+        fc.write_matrices(whole_structure, tmp_path / "file")
     (tmp_path / "before").symlink_to(tmp_path)
     with pytest.raises(InputError, match="no link to one"):
-        fc.write_matrices(whole, tmp_path)
+        fc.write_matrices(whole_structure, tmp_path)
 
 
 def test_columns_of_a_load() -> None:
     """Column k of cosine and sine is the part of order k."""
     cosine, sine = np.arange(4.0).reshape(2, 2), [1.0, 2.0]
     parts: dict[str, Any] = {"mass": np.eye(2), "stiffness": np.eye(2), "gap": None}
-    found = fc.Structure.from_matrices(**parts, force_cos=cosine, force_sin=sine, force_mean=sine)
-    assert np.array_equal(found.force, [sine, cosine[:, 0], sine, cosine[:, 1], [0.0, 0.0]])
+    structure = fc.Structure.from_matrices(
+        **parts, force_cos=cosine, force_sin=sine, force_mean=sine
+    )
+    assert np.array_equal(structure.force, [sine, cosine[:, 0], sine, cosine[:, 1], [0.0, 0.0]])
     for name, part in {"force_mean": cosine, "force_sin": np.ones((2, 101))}.items():
         with pytest.raises(InputError, match="of shape") as caught:
             fc.Structure.from_matrices(**parts, **{name: part})
@@ -245,8 +259,10 @@ def write_and_solve(scene: Scene, folder: str, comm: MPI.Comm) -> np.ndarray:
 def test_on_two_ranks(paper_scene: Scene, tmp_path: Path, on_ranks: Callable[..., Any]) -> None:
     """The first one writes the rows of both."""
     scene = paper_scene.replace(PLATES["friction"])
-    shared = on_ranks(write_and_solve, scene, str(tmp_path))
-    again = Scene.load(tmp_path / "matrices.toml")
-    assert fc.solve_modes(fc.build_structure(again), 6).omega == pytest.approx(shared, rel=1e-9)
-    one, other = (solved(part).gap_coefficients for part in (scene, again))
-    assert np.abs(other - one).max() < 1e-6 * np.abs(one).max()
+    shared_results = on_ranks(write_and_solve, scene, str(tmp_path))
+    read_scene = Scene.load(tmp_path / "matrices.toml")
+    assert fc.solve_modes(fc.build_structure(read_scene), 6).omega == pytest.approx(
+        shared_results, rel=1e-9
+    )
+    own_gap, read_gap = (solved(part).gap_coefficients for part in (scene, read_scene))
+    assert np.abs(read_gap - own_gap).max() < 1e-6 * np.abs(own_gap).max()

@@ -51,29 +51,31 @@ def newman_raju(
     depth: np.ndarray, half: np.ndarray, sine: float, tension: float, bending: float
 ) -> np.ndarray:
     """K_I [Pa m^1/2] at phi, by its sine, of a half-ellipse, at least 0 (NASA TM-83200, 1981)."""
-    flat, r, t = depth <= half, depth / half, depth / THICKNESS
+    is_flat, r, t = depth <= half, depth / half, depth / THICKNESS
     v = np.minimum(r, 1.0 / r)
     cosine = 1.0 - sine**2
-    one = np.where(flat, 1.13 - 0.09 * r, np.sqrt(v) * (1.0 + 0.04 * v))
-    two = np.where(flat, 0.89 / (0.2 + r) - 0.54, 0.2 * v**4)
-    three = np.where(flat, 0.5 - 1.0 / (0.65 + r) + 14.0 * (1.0 - v * flat) ** 24, -0.11 * v**4)
-    side = 1.0 + (0.1 + 0.35 * t**2 * np.where(flat, 1.0, v)) * (1.0 - sine) ** 2
-    turn = np.where(flat, r**2 * cosine + sine**2, cosine + v**2 * sine**2) ** 0.25
-    wide = 1.0 / np.sqrt(np.cos(math.pi * half / WIDTH * np.sqrt(t)))
-    shape = (one + two * t**2 + three * t**4) * side * turn * wide
+    base_factor = np.where(is_flat, 1.13 - 0.09 * r, np.sqrt(v) * (1.0 + 0.04 * v))
+    two = np.where(is_flat, 0.89 / (0.2 + r) - 0.54, 0.2 * v**4)
+    three = np.where(
+        is_flat, 0.5 - 1.0 / (0.65 + r) + 14.0 * (1.0 - v * is_flat) ** 24, -0.11 * v**4
+    )
+    side = 1.0 + (0.1 + 0.35 * t**2 * np.where(is_flat, 1.0, v)) * (1.0 - sine) ** 2
+    turn = np.where(is_flat, r**2 * cosine + sine**2, cosine + v**2 * sine**2) ** 0.25
+    width_factor = 1.0 / np.sqrt(np.cos(math.pi * half / WIDTH * np.sqrt(t)))
+    shape = (base_factor + two * t**2 + three * t**4) * side * turn * width_factor
     face = np.where(
-        flat,
+        is_flat,
         1.0 - 0.34 * t - 0.11 * r * t,
         1.0 - (0.04 + 0.41 * v) * t + (0.55 - 1.93 * v**0.75 + 1.38 * v**1.5) * t**2,
     )
-    slope = np.where(flat, -1.22 - 0.12 * r, 0.77 * v - 2.11)
+    slope = np.where(is_flat, -1.22 - 0.12 * r, 0.77 * v - 2.11)
     curve = np.where(
-        flat, 0.55 - 1.05 * r**0.75 + 0.47 * r**1.5, 0.55 - 0.72 * v**0.75 + 0.14 * v**1.5
+        is_flat, 0.55 - 1.05 * r**0.75 + 0.47 * r**1.5, 0.55 - 0.72 * v**0.75 + 0.14 * v**1.5
     )
-    deep = 1.0 + slope * t + curve * t**2
-    bent = face + (deep - face) * sine ** (0.2 + v + 0.6 * t)
-    found = (tension + bending * bent) * shape
-    return np.maximum(found * np.sqrt(math.pi * depth / (1.0 + 1.464 * v**1.65)), 0.0)
+    depth_factor = 1.0 + slope * t + curve * t**2
+    bending_factor = face + (depth_factor - face) * sine ** (0.2 + v + 0.6 * t)
+    stress_intensity = (tension + bending * bending_factor) * shape
+    return np.maximum(stress_intensity * np.sqrt(math.pi * depth / (1.0 + 1.464 * v**1.65)), 0.0)
 
 
 def both(depth: np.ndarray, length: np.ndarray, stress: tuple[float, float]) -> list[np.ndarray]:
@@ -116,8 +118,8 @@ def brute_force(
         return max(at[0] / until, at[1] / (growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH)) - 1.0
 
     over.terminal = True  # type: ignore[attr-defined]
-    found = solve_ivp(rates, (0.0, 40.0), start, "LSODA", events=over, rtol=1e-9, atol=1e-13)
-    return np.append(found.y[:, -1], np.exp(found.t[-1]))
+    integration = solve_ivp(rates, (0.0, 40.0), start, "LSODA", events=over, rtol=1e-9, atol=1e-13)
+    return np.append(integration.y[:, -1], np.exp(integration.t[-1]))
 
 
 CASES = [
@@ -140,14 +142,14 @@ def test_cycles_of_few_shapes(count: int) -> None:
     of the equations without a table: 1.5 %, and 2 % of the last shape; mostly within the stated
     error."""
     shares, zeros = [], 0
-    for start, until, stress, exponent in CASES[:count]:
-        table = table_of(growth.N_ELLIPSE_SIZES_PER_AXIS, start, until, stress)
+    for start, end, stress, exponent in CASES[:count]:
+        table = table_of(growth.N_ELLIPSE_SIZES_PER_AXIS, start, end, stress)
         path = integrate_ellipse_growth(table, law(exponent), 2)
-        exact = brute_force(start, until, stress, exponent)
+        exact = brute_force(start, end, stress, exponent)
         assert path.cycles[-1] == pytest.approx(exact[2], rel=0.015)
         assert [path.depth[-1], path.length[-1]] == pytest.approx(list(exact[:2]), rel=0.02)
-        stated = growth.estimate_ellipse_life_error(table, path, law(exponent), 2)
-        shares.append(abs(math.log(path.cycles[-1] / exact[2])) / stated)
+        stated_error = growth.estimate_ellipse_life_error(table, path, law(exponent), 2)
+        shares.append(abs(math.log(path.cycles[-1] / exact[2])) / stated_error)
         zeros += bool(both(path.depth, path.length, stress)[0].min() == 0.0)
     assert np.median(shares) < 1.0 and np.max(shares) < 15.0
     assert zeros == (2 if count == 25 else 0)
@@ -165,22 +167,27 @@ def test_ends_of_the_path() -> None:
     deepest, ends = (float(x) for x in both(*np.array(start), stress))  # type: ignore[arg-type]
     broken = path_of(toughness=1.3 * ends)
     assert broken.end_reason == "broken"
-    last = np.array([broken.depth[-1], broken.length[-1]])
-    assert max(both(*last, stress)) == pytest.approx(1.3 * ends, rel=5e-3)
+    last_shape = np.array([broken.depth[-1], broken.length[-1]])
+    assert max(both(*last_shape, stress)) == pytest.approx(1.3 * ends, rel=5e-3)
     assert path_of(toughness=0.9 * ends).cycles.tolist() == [0.0]
-    still = path_of(threshold=1.01 * ends)
+    resting_path = path_of(threshold=1.01 * ends)
     assert (
-        still.end_reason == "arrested"
-        and still.cycles.tolist() == [0.0]
-        and not still.growth_per_cycle.any()
+        resting_path.end_reason == "arrested"
+        and resting_path.cycles.tolist() == [0.0]
+        and not resting_path.growth_per_cycle.any()
     )
     limit = 0.5 * (deepest + ends)
-    along = path_of(threshold=limit)
-    assert along.end_reason == "side" and along.length[-1] == pytest.approx(
+    threshold_path = path_of(threshold=limit)
+    assert threshold_path.end_reason == "side" and threshold_path.length[-1] == pytest.approx(
         growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH
     )
-    ranges = table.interpolate_column(EFFECTIVE_RANGE_COLUMNS[0], along.depth, along.length)
-    assert ranges[0] == pytest.approx(deepest) and along.depth[1] == 0.0015 < along.depth[20]
+    ranges = table.interpolate_column(
+        EFFECTIVE_RANGE_COLUMNS[0], threshold_path.depth, threshold_path.length
+    )
+    assert (
+        ranges[0] == pytest.approx(deepest)
+        and threshold_path.depth[1] == 0.0015 < threshold_path.depth[20]
+    )
     assert ranges[20:80] == pytest.approx(limit, rel=0.011)  # of 200 rows
 
 
@@ -188,10 +195,10 @@ def test_ends_of_the_path() -> None:
 def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Cases are not solved: K is of the equations, in bending, unknown of shapes flatter than one.
     The scenes of the sweeps."""
-    done = SimpleNamespace(scenes=[], flattest=0.0)
+    log = SimpleNamespace(scenes=[], flattest=0.0)
 
     def sweep(swept: fc.Scene, *_: Any, **__: Any) -> fc.SweepResult:
-        done.scenes.append(swept)
+        log.scenes.append(swept)
         axes = swept.given("sweep").over
         depth, length = np.meshgrid(*(axis.values for axis in axes), indexing="ij")
         deepest, ends = both(depth, length, (0.0, 1.0))
@@ -205,15 +212,15 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         )
         columns |= {"K_max": np.maximum(deepest, ends), "K_II_max": 0.0 * depth}
         columns["omega"] = np.full(depth.shape, swept.excitation.omega)
-        solved = depth > done.flattest * length
-        columns = {name: np.where(solved, row, np.nan) for name, row in columns.items()}
-        columns |= {"state": np.where(solved, 1, 2), "verdict": np.full(depth.shape, "stable")}
+        is_solved = depth > log.flattest * length
+        columns = {name: np.where(is_solved, row, np.nan) for name, row in columns.items()}
+        columns |= {"state": np.where(is_solved, 1, 2), "verdict": np.full(depth.shape, "stable")}
         columns["status"] = np.full(depth.shape, "too flat")
         return fc.SweepResult(Path("none.h5"), swept, columns)
 
     monkeypatch.setattr(growth, "run_sweep", sweep)
     monkeypatch.setattr(growth, "_estimate_quantity_error", lambda *_: (0.02, []))
-    return done
+    return log
 
 
 NATURAL = [f"omega_{kind}_{number}" for kind in ("open", "bilinear") for number in range(1, 7)]
@@ -234,10 +241,10 @@ def test_growth_of_a_table(swept: SimpleNamespace) -> None:
         rates = [1e-11 * (np.exp(x(np.log([at[0], length])))[0] / 1e6) ** 3 for x in splines]
         return [rates[0] / (2.0 * rates[1]), 1.0 / (2.0 * rates[1])]
 
-    own = solve_ivp(slope, (0.006, found.length[-1]), [0.0015, 0.0], rtol=1e-6, atol=1e-9)
+    integration = solve_ivp(slope, (0.006, found.length[-1]), [0.0015, 0.0], rtol=1e-6, atol=1e-9)
     assert found.depth is not None and found.end == "reached"
-    assert own.y[0, -1] == pytest.approx(found.depth[-1], rel=0.003)
-    assert own.y[1, -1] == pytest.approx(found.life, rel=0.01)
+    assert integration.y[0, -1] == pytest.approx(found.depth[-1], rel=0.003)
+    assert integration.y[1, -1] == pytest.approx(found.life, rel=0.01)
     assert found.time[-1] == pytest.approx(found.life / 100.0)
     assert found.errors["vibration"] == pytest.approx(0.06) and found.factor > 1.06
     assert "deep" in found.said().outcome and "crack_depth" in found.to_dict()
@@ -253,10 +260,10 @@ def test_a_resonance_on_the_way_is_said() -> None:
 
 def test_shapes_that_are_not_solved(swept: SimpleNamespace) -> None:
     """Away from the path change the cycles by 1 % and are named; next to it there is no life."""
-    every = fc.grow(scene(), comm=MPI.COMM_SELF)
+    full_growth = fc.grow(scene(), comm=MPI.COMM_SELF)
     swept.flattest = 0.09
     found = fc.grow(scene(), comm=MPI.COMM_SELF)
-    assert found.life == pytest.approx(every.life, rel=0.01)
+    assert found.life == pytest.approx(full_growth.life, rel=0.01)
     assert found.remarks[0].startswith(
         "4 shapes away from the growth not solved, as a crack 0.0015"
     )
@@ -327,13 +334,13 @@ def test_a_crack_through_a_solid_grows() -> None:
     """By one length, as that of a plate: the integral of what single lengths have."""
     through = {"crack.center": None, "crack.edge": "left", "crack.front": None, "crack.depth": None}
     keys = {"growth.until": 0.009, "excitation.force_sin": [1.0, 0.0, 0.0]}
-    whole = scene(**through, **keys)
-    found = fc.grow(whole, comm=MPI.COMM_SELF)
+    solid_scene = scene(**through, **keys)
+    found = fc.grow(solid_scene, comm=MPI.COMM_SELF)
     assert found.depth is None and found.end == "reached"
     asked = {"output.quantities": ("delta_K_equivalent",)}
     ranges = []
-    for at in found.solved:
-        run = fc.solve(whole.replace(asked | {"crack.length": float(at)}), MPI.COMM_SELF)
+    for shape in found.solved:
+        run = fc.solve(solid_scene.replace(asked | {"crack.length": float(shape)}), MPI.COMM_SELF)
         ranges.append(fc.stress_intensity(run).numbers["delta_K_equivalent"].max() / 1e6)
     rates = PchipInterpolator(found.solved, ranges)(found.length)
     pace = 1.0 / (1e-11 * rates**3)

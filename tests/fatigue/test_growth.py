@@ -81,13 +81,13 @@ def test_block_loading_of_a_strip() -> None:
     blocks = {"frequencies": [2.0, 8.0], "cycles": [4000.0, 500.0]}
     keys = {"drive": "spectrum", "ratio_exponent": 0.5} | blocks
     scene = fc.Scene.from_mapping(STRIP).replace({f"growth.{k}": v for k, v in keys.items()})
-    found = fc.grow(scene.replace({"mesh.lip_elements": 8}), comm=MPI.COMM_SELF)
+    growth = fc.grow(scene.replace({"mesh.lip_elements": 8}), comm=MPI.COMM_SELF)
     weight = 2.0 * STRESS / 1e6 / 0.5**0.5
     exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
-    assert found.life == pytest.approx(exact, rel=0.015)
-    assert found.repeats[-1] == pytest.approx(found.life / 4500.0, rel=1e-12)
-    lasting = found.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
-    assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
+    assert growth.life == pytest.approx(exact, rel=0.015)
+    assert growth.repeats[-1] == pytest.approx(growth.life / 4500.0, rel=1e-12)
+    life = growth.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
+    assert growth.time[-1] == pytest.approx(life, rel=1e-9)
 
 
 @pytest.mark.nightly
@@ -103,15 +103,15 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     scene = plate(drive="spectrum", **levels, until=0.0352, life_tolerance=1.0)
     coarse = {"harmonic_balance.harmonics": 10, "reduction.modes": 20, "damping.ratio": 0.02}
     scene = scene.replace(coarse)  # of both
-    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    growth = fc.grow(scene, comm=MPI.COMM_SELF)
     keys = {"parameter": "frequency", "start": span[0], "stop": span[1], "stability": False}
     followed = scene.replace({f"curve.{key}": value for key, value in keys.items()})
     followed = followed.replace({"output.quantities": ("delta_K_effective",)})
     curve = columns_of_curve(followed, tmp_path)
-    strength, along = curve["delta_K_effective"] / 1e6, curve["frequency"]
-    grown = 6.9e-12 * trapezoid(strength**3 * along / rate, along)
-    first = found.length[1] - found.length[0]
-    assert first / found.repeats[1] == pytest.approx(grown, rel=0.02)
+    strength, frequencies = curve["delta_K_effective"] / 1e6, curve["frequency"]
+    expected_step = 6.9e-12 * trapezoid(strength**3 * frequencies / rate, frequencies)
+    first_step = growth.length[1] - growth.length[0]
+    assert first_step / growth.repeats[1] == pytest.approx(expected_step, rel=0.02)
 
 
 def test_a_threshold_next_to_the_range_makes_the_life_unsure(
@@ -120,14 +120,14 @@ def test_a_threshold_next_to_the_range_makes_the_life_unsure(
     """Within the error of the ranges: how many of the cycles make the crack grow is not known."""
     monkeypatch.setattr("fenics_crack.fatigue.growth._estimate_range_error", lambda *_: (0.02, []))
     blocks = {"drive": "spectrum", "frequencies": [2.0, 8.0], "cycles": [4000.0, 500.0]}
-    near = {"threshold": 0.99 * 2.0 * STRESS * edge_crack(0.02), "until": 0.0201}
+    near_threshold = {"threshold": 0.99 * 2.0 * STRESS * edge_crack(0.02), "until": 0.0201}
     scene = fc.Scene.from_mapping(STRIP)
-    found = fc.grow(
-        scene.replace({f"growth.{key}": value for key, value in (blocks | near).items()}),
+    growth = fc.grow(
+        scene.replace({f"growth.{key}": value for key, value in (blocks | near_threshold).items()}),
         comm=MPI.COMM_SELF,
     )
-    assert found.errors["vibration"] > 10.0 * 2.0 * 0.02
-    assert any("whether the crack grows" in text for text in found.remarks)
+    assert growth.errors["vibration"] > 10.0 * 2.0 * 0.02
+    assert any("whether the crack grows" in text for text in growth.remarks)
 
 
 @pytest.mark.usefixtures("errors_left_out")
@@ -135,20 +135,20 @@ def test_levels_below_the_threshold_do_not_grow() -> None:
     """Of two frequencies the one far below the resonance drops out, and its cycles are for
     nothing."""
     two = {"drive": "spectrum", "frequencies": [300.0, 800.0], "cycles": [9000.0, 1000.0]}
-    both = fc.grow(plate(until=0.036, threshold=1.5e6, **two), comm=MPI.COMM_SELF)
-    alone = fc.grow(plate(until=0.036), comm=MPI.COMM_SELF)
-    assert both.life == pytest.approx(10.0 * alone.life, rel=0.02)
+    joint_growth = fc.grow(plate(until=0.036, threshold=1.5e6, **two), comm=MPI.COMM_SELF)
+    single_growth = fc.grow(plate(until=0.036), comm=MPI.COMM_SELF)
+    assert joint_growth.life == pytest.approx(10.0 * single_growth.life, rel=0.02)
 
 
 @pytest.mark.usefixtures("errors_left_out")
 def test_full_reversal_takes_the_open_half() -> None:
     """Closure by the lips: with m = 2 four times the cycles of lips that would pass each other."""
-    swing = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
-    scene = fc.Scene.from_mapping(STRIP | {"loads": swing})
-    found = fc.grow(scene.replace({"growth.until": 0.03, "mesh.lip_elements": 8}))
+    loads = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
+    scene = fc.Scene.from_mapping(STRIP | {"loads": loads})
+    growth = fc.grow(scene.replace({"growth.until": 0.03, "mesh.lip_elements": 8}))
     passing = 2.0 * STRESS / 1e6
     exact = quad(lambda a: 1.0 / (1e-11 * (passing * edge_crack(a)) ** 2), 0.02, 0.03)[0]
-    assert found.life == pytest.approx(4.0 * exact, rel=0.02)
+    assert growth.life == pytest.approx(4.0 * exact, rel=0.02)
 
 
 @pytest.mark.usefixtures("errors_left_out")
@@ -158,19 +158,21 @@ def test_every_opening_makes_the_crack_grow() -> None:
     together are what K rises by in a period."""
     twice = {"excitation.frequency": 418.0, "excitation.omega": None, "damping.ratio": 0.001}
     scene = plate(until=0.0352, life_tolerance=1.0).replace(twice)
-    found = fc.stress_intensity(fc.solve(scene))
-    one = np.tile(np.maximum(found.one[:, 0], 0.0), 3)
-    peaks, seen = find_peaks(one, prominence=1e-9 * one.max())
-    own = np.flatnonzero((peaks >= len(found.time)) & (peaks < 2 * len(found.time)))
-    ranges = np.sort(seen["prominences"][own])
+    stress_intensity = fc.stress_intensity(fc.solve(scene))
+    mode_one = np.tile(np.maximum(stress_intensity.one[:, 0], 0.0), 3)
+    peaks, peak_properties = find_peaks(mode_one, prominence=1e-9 * mode_one.max())
+    middle_indices = np.flatnonzero(
+        (peaks >= len(stress_intensity.time)) & (peaks < 2 * len(stress_intensity.time))
+    )
+    ranges = np.sort(peak_properties["prominences"][middle_indices])
     assert ranges[-2] > 0.3 * ranges[-1]
     exact = np.cbrt(np.sum(ranges**3))
-    assert found.numbers["delta_K_equivalent"][0] == pytest.approx(exact, rel=1e-9)
+    assert stress_intensity.numbers["delta_K_equivalent"][0] == pytest.approx(exact, rel=1e-9)
     rate = fc.grow(scene, comm=MPI.COMM_SELF).rate[0]
     assert rate == pytest.approx(6.9e-12 * np.sum((ranges / 1e6) ** 3), rel=1e-3)
-    assert rate > 1.1 * 6.9e-12 * (found.effective[0] / 1e6) ** 3
+    assert rate > 1.1 * 6.9e-12 * (stress_intensity.effective[0] / 1e6) ** 3
     linear = fc.stress_intensity(fc.solve(scene.replace({"growth.exponent": 1.0})))
-    rises = np.sum(np.maximum(np.diff(one[: len(found.time) + 1]), 0.0))
+    rises = np.sum(np.maximum(np.diff(mode_one[: len(stress_intensity.time) + 1]), 0.0))
     assert linear.numbers["delta_K_equivalent"][0] == pytest.approx(rises, rel=1e-6)
 
 
@@ -189,20 +191,20 @@ def test_growth_asks_for_a_law() -> None:
 def test_threshold_and_toughness(request: pytest.FixtureRequest) -> None:
     """A range below the threshold stops the crack where it is; at its toughness the plate
     breaks."""
-    coarse = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
+    coarse_scene = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
     high = {"growth.threshold": 1e8, "mesh.error": False}
-    stopped = fc.grow(coarse.replace(high), comm=MPI.COMM_SELF)
-    assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
-    assert stopped.rate.tolist() == [0.0]
-    assert stopped.life == 0.0 and math.isfinite(stopped.factor)
+    stopped_growth = fc.grow(coarse_scene.replace(high), comm=MPI.COMM_SELF)
+    assert stopped_growth.end == "arrested" and stopped_growth.length.tolist() == [0.02]
+    assert stopped_growth.rate.tolist() == [0.0]
+    assert stopped_growth.life == 0.0 and math.isfinite(stopped_growth.factor)
     request.getfixturevalue("errors_left_out")
-    largest = 4.0 * STRESS * edge_crack(0.03)
-    broken = fc.grow(coarse.replace({"growth.toughness": largest}), comm=MPI.COMM_SELF)
+    largest_range = 4.0 * STRESS * edge_crack(0.03)
+    broken = fc.grow(coarse_scene.replace({"growth.toughness": largest_range}), comm=MPI.COMM_SELF)
     assert broken.end == "broken" and broken.length[-1] == pytest.approx(0.03, rel=0.02)
-    assert broken.largest[-1] == pytest.approx(largest, rel=0.02)
+    assert broken.largest[-1] == pytest.approx(largest_range, rel=0.02)
     steady = {"loads.1.traction_sin": [0.0, 0.0], "harmonic_balance.harmonics": 5}
-    still = fc.grow(coarse.replace(steady), comm=MPI.COMM_SELF)
-    assert still.end == "arrested" and still.length.tolist() == [0.02]
+    resting_growth = fc.grow(coarse_scene.replace(steady), comm=MPI.COMM_SELF)
+    assert resting_growth.end == "arrested" and resting_growth.length.tolist() == [0.02]
 
 
 @pytest.fixture(scope="module")
@@ -239,17 +241,17 @@ def test_brute_force_agrees(driven: fc.Growth) -> None:
 def test_resonance_that_moves() -> None:
     """The load follows the largest response: at each length that of a curve by itself."""
     many = {"reduction.modes": 20}
-    found = fc.grow(plate(drive="resonance", until=0.04).replace(many), comm=MPI.COMM_SELF)
-    assert np.all(np.diff(found.omega) < 0.0)
-    assert found.omega == pytest.approx(found.omega_bilinear, rel=2e-3)
+    growth = fc.grow(plate(drive="resonance", until=0.04).replace(many), comm=MPI.COMM_SELF)
+    assert np.all(np.diff(growth.omega) < 0.0)
+    assert growth.omega == pytest.approx(growth.omega_bilinear, rel=2e-3)
     scene = plate().replace(
         many
         | {"crack.length": 0.04, "curve.parameter": "frequency", "curve.start": 795.0,
          "curve.stop": 820.0, "curve.stability": False}
     )  # fmt: skip
     peak = fc.curve(scene, MPI.COMM_SELF).result.peak()
-    assert found.omega[-1] == pytest.approx(peak.omega, rel=2e-4)
-    assert found.response[-1] == pytest.approx(peak.amplitude, rel=0.01)
+    assert growth.omega[-1] == pytest.approx(peak.omega, rel=2e-4)
+    assert growth.response[-1] == pytest.approx(peak.amplitude, rel=0.01)
 
 
 def test_a_sweep_at_resonance() -> None:
@@ -257,13 +259,13 @@ def test_a_sweep_at_resonance() -> None:
     scene = plate().replace(
         {"sweep.over": {"crack.length": [0.02, 0.03]}, "sweep.at_resonance": True}
     )
-    found = fc.run_sweep(scene)
-    assert np.all(found.converged)
-    assert found["omega"] == pytest.approx(found["omega_bilinear"], rel=2e-3)
-    assert found["omega"][1] < 0.99 * found["omega"][0]
-    again = found.solution(1)
-    assert again.omega == found["omega"][1]
-    np.testing.assert_allclose(again.gap_coefficients, found.gap(1))
+    sweep = fc.run_sweep(scene)
+    assert np.all(sweep.converged)
+    assert sweep["omega"] == pytest.approx(sweep["omega_bilinear"], rel=2e-3)
+    assert sweep["omega"][1] < 0.99 * sweep["omega"][0]
+    solution = sweep.solution(1)
+    assert solution.omega == sweep["omega"][1]
+    np.testing.assert_allclose(solution.gap_coefficients, sweep.gap(1))
 
 
 @pytest.mark.parametrize(("clearance", "lips"), [(1.0, "open"), (-1.0, "tied")])
@@ -287,21 +289,21 @@ def test_resonance_of_lips_that_never_part_or_meet(
             "sweep": {"at_resonance": True, "over": {"structure.clearance": [clearance]}},
         }
     )
-    found = fc.run_sweep(scene, comm=MPI.COMM_SELF)
-    assert found.converged.all()
+    sweep = fc.run_sweep(scene, comm=MPI.COMM_SELF)
+    assert sweep.converged.all()
     squares, shapes = np.linalg.eigh(stiffness)
     damping = shapes * (2.0 * 0.005 * np.sqrt(squares)) @ shapes.T
-    closed = np.diag([0.0, stop if lips == "tied" else 0.0])
+    contact_stiffness = np.diag([0.0, stop if lips == "tied" else 0.0])
 
     def response(omega: float) -> float:
-        matrix = stiffness + closed - omega**2 * mass + 1j * omega * damping
+        matrix = stiffness + contact_stiffness - omega**2 * mass + 1j * omega * damping
         return float(np.linalg.norm(np.linalg.solve(matrix, [1.0, 0.0])))
 
-    first = np.sqrt(np.linalg.eigvalsh(stiffness + closed)[0])
-    peak = minimize_scalar(lambda w: -response(w), bounds=(0.98 * first, 1.02 * first))
-    assert found["omega"][0] == pytest.approx(peak.x, rel=2e-4)
-    bilinear = found["omega_bilinear"][0]
-    assert abs(found["omega"][0] / bilinear - 1.0) > 10.0 * 0.005
+    first_omega = np.sqrt(np.linalg.eigvalsh(stiffness + contact_stiffness)[0])
+    peak = minimize_scalar(lambda w: -response(w), bounds=(0.98 * first_omega, 1.02 * first_omega))
+    assert sweep["omega"][0] == pytest.approx(peak.x, rel=2e-4)
+    bilinear = sweep["omega_bilinear"][0]
+    assert abs(sweep["omega"][0] / bilinear - 1.0) > 10.0 * 0.005
 
 
 @pytest.mark.nightly
@@ -311,17 +313,17 @@ def test_natural_frequencies_are_of_one_mode() -> None:
     frequency has the life and the error of that frequency."""
     scene = plate(until=0.05, life_tolerance=1.0)
     ends = [fc.modes(scene.replace({"crack.length": a}), 2).result.omega for a in (0.035, 0.05)]
-    between = [0.5 * (omega[0] + omega[1]) for omega in ends]
-    keys = {"excitation.frequency": None, "excitation.omega": 0.5 * sum(between)}
+    mean_omega = [0.5 * (omega[0] + omega[1]) for omega in ends]
+    keys = {"excitation.frequency": None, "excitation.omega": 0.5 * sum(mean_omega)}
     found = fc.grow(scene.replace(keys), comm=MPI.COMM_SELF)
     assert np.all(np.diff(found.omega_open) < 0.0)
-    own = int(np.argmin(np.abs(ends[0] - found.omega_open[0])))
-    assert found.omega_open[-1] == pytest.approx(ends[1][own], rel=1e-9)
+    mode_index = int(np.argmin(np.abs(ends[0] - found.omega_open[0])))
+    assert found.omega_open[-1] == pytest.approx(ends[1][mode_index], rel=1e-9)
     blocks = {"drive": "spectrum", "frequencies": [keys["excitation.omega"] / (2.0 * np.pi)]}
     law = {f"growth.{key}": value for key, value in (blocks | {"cycles": [1.0]}).items()}
-    same = fc.grow(scene.replace(keys | law), comm=MPI.COMM_SELF)
-    assert same.life == pytest.approx(found.life, rel=1e-9)
-    assert same.errors["vibration"] == pytest.approx(found.errors["vibration"], rel=1e-6)
+    law_growth = fc.grow(scene.replace(keys | law), comm=MPI.COMM_SELF)
+    assert law_growth.life == pytest.approx(found.life, rel=1e-9)
+    assert law_growth.errors["vibration"] == pytest.approx(found.errors["vibration"], rel=1e-6)
 
 
 def test_a_load_of_nothing(tmp_path: Path) -> None:
@@ -329,10 +331,10 @@ def test_a_load_of_nothing(tmp_path: Path) -> None:
     out."""
     law = {"until": 0.036, "life_tolerance": 1.0}
     scene = plate(**law).replace({"excitation.force_sin": [0.0, 0.0], "mesh.error": False})
-    found = fc.grow(scene, comm=MPI.COMM_SELF)
-    assert found.end == "arrested" and not found.largest.any() and not found.effective.any()
-    assert any("mesh not included: mesh.error = false" in text for text in found.remarks)
-    figure = fc.draw_growth(replace(found, cycles=1e8 * np.ones(1)), path=tmp_path / "growth.png")
+    growth = fc.grow(scene, comm=MPI.COMM_SELF)
+    assert growth.end == "arrested" and not growth.largest.any() and not growth.effective.any()
+    assert any("mesh not included: mesh.error = false" in text for text in growth.remarks)
+    figure = fc.draw_growth(replace(growth, cycles=1e8 * np.ones(1)), path=tmp_path / "growth.png")
     cycles = figure.axes[-1].xaxis
     assert cycles.get_label_text() == "10⁶ load cycles"
     assert cycles.get_major_formatter()(1e8) == "100" and not cycles.get_offset_text().get_text()
@@ -341,13 +343,13 @@ def test_a_load_of_nothing(tmp_path: Path) -> None:
 def test_uncertainty_of_the_life() -> None:
     """Constants and errors together, and each by itself."""
     scene = plate(until=0.036, rate_deviation=0.3, exponent_deviation=0.1, life_tolerance=0.5)
-    found = fc.grow(scene, comm=MPI.COMM_SELF)
-    assert found.errors["rate"] == 0.3
-    strength = np.log(found.effective / 1e6)
-    assert found.errors["exponent"] == pytest.approx(0.1 * strength.mean(), rel=0.05)
-    assert found.factor == pytest.approx(math.exp(math.hypot(*found.errors.values())))
-    assert "within a factor of" in repr(found)
-    assert found.at(0.0) == found.length[0] and math.isnan(found.at(2.0 * found.life))
+    growth = fc.grow(scene, comm=MPI.COMM_SELF)
+    assert growth.errors["rate"] == 0.3
+    strength = np.log(growth.effective / 1e6)
+    assert growth.errors["exponent"] == pytest.approx(0.1 * strength.mean(), rel=0.05)
+    assert growth.factor == pytest.approx(math.exp(math.hypot(*growth.errors.values())))
+    assert "within a factor of" in repr(growth)
+    assert growth.at(0.0) == growth.length[0] and math.isnan(growth.at(2.0 * growth.life))
 
 
 # --- ranks, interruptions, refusals ---------------------------------------------------------------
@@ -370,20 +372,22 @@ def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
     process = subprocess.Popen(words, env=os.environ | environment)
     file = tmp_path / "growth_1.h5"
     until = time.monotonic() + LIMIT
-    solved = 0
-    while time.monotonic() < until and solved < 2 and process.poll() is None:
+    n_solved = 0
+    while time.monotonic() < until and n_solved < 2 and process.poll() is None:
         time.sleep(0.05)
         if file.exists():
-            solved = int(fc.SweepResult.load(file).converged.sum())
+            n_solved = int(fc.SweepResult.load(file).converged.sum())
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert solved >= 2
-    before = fc.SweepResult.load(file)
-    found = fc.grow(plate(), tmp_path, MPI.COMM_SELF)
-    after = fc.SweepResult.load(file)
-    kept = before.converged
-    np.testing.assert_array_equal(after["seconds"][kept], before["seconds"][kept])
-    assert found.life == pytest.approx(driven.life, rel=1e-9)
+    assert n_solved >= 2
+    earlier_sweep = fc.SweepResult.load(file)
+    growth = fc.grow(plate(), tmp_path, MPI.COMM_SELF)
+    later_sweep = fc.SweepResult.load(file)
+    was_converged = earlier_sweep.converged
+    np.testing.assert_array_equal(
+        later_sweep["seconds"][was_converged], earlier_sweep["seconds"][was_converged]
+    )
+    assert growth.life == pytest.approx(driven.life, rel=1e-9)
 
 
 def lives(comm: MPI.Comm) -> list[float]:
@@ -449,15 +453,17 @@ def test_resonance_needs_damping() -> None:
 def test_a_sweep_at_the_top_of_its_curve(contact: dict[str, Any]) -> None:
     """Where a law has no phase resonance: the peak of the curve through it."""
     scene = plate().replace(contact | {"harmonic_balance.harmonics": 5})
-    swept = scene.replace({"sweep.over": {"crack.length": [0.03]}, "sweep.at_resonance": True})
-    found = fc.run_sweep(swept, comm=MPI.COMM_SELF)
-    assert found.converged.all()
-    ends = 0.99 * found["omega"][0], 1.01 * found["omega"][0]
+    swept_scene = scene.replace(
+        {"sweep.over": {"crack.length": [0.03]}, "sweep.at_resonance": True}
+    )
+    sweep = fc.run_sweep(swept_scene, comm=MPI.COMM_SELF)
+    assert sweep.converged.all()
+    ends = 0.99 * sweep["omega"][0], 1.01 * sweep["omega"][0]
     keys = {"parameter": "omega", "start": ends[0], "stop": ends[1], "stability": False}
     span = {f"curve.{key}": value for key, value in keys.items()} | {"crack.length": 0.03}
     peak = fc.curve(scene.replace(span), MPI.COMM_SELF).result.peak()
-    assert not peak.at_end and found["omega"][0] == pytest.approx(peak.omega, rel=5e-4)
-    assert found["response"][0] == pytest.approx(peak.amplitude, rel=0.01)
+    assert not peak.at_end and sweep["omega"][0] == pytest.approx(peak.omega, rel=5e-4)
+    assert sweep["response"][0] == pytest.approx(peak.amplitude, rel=0.01)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -474,15 +480,18 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert names[:4] == ["cycles", "time", "crack_length", "rate"]
     assert {"K_max", "delta_K_effective", "frequency_drop"} <= set(names)
     assert (folder / "growth.png").stat().st_size > 10_000
-    found, again = fc.grow(fc.Scene.load(scene), folder), fc.Growth.load(folder / "growth.h5")
-    assert again.life == found.life and again.remarks == found.remarks
-    assert again.errors == found.errors and again.scene == found.scene
+    growth, stored_growth = (
+        fc.grow(fc.Scene.load(scene), folder),
+        fc.Growth.load(folder / "growth.h5"),
+    )
+    assert stored_growth.life == growth.life and stored_growth.remarks == growth.remarks
+    assert stored_growth.errors == growth.errors and stored_growth.scene == growth.scene
     drawn = tmp_path / "drawn"
     assert main(["plot", str(folder / "growth.h5"), "--output", str(drawn)]) == 0
     assert (drawn / "growth.png").read_bytes() == (folder / "growth.png").read_bytes()
     assert main(["report", str(folder / "growth.h5")]) == 0
     page = (folder / "report.html").read_text()
-    assert "Growth of the crack" in page and f"{found.life:.4g} cycles" in page
+    assert "Growth of the crack" in page and f"{growth.life:.4g} cycles" in page
     assert "a straight crack is no longer right" in page and "over the cycles; dots" in page
     capsys.readouterr()
     assert main(["grow", str(scene), "--set", "growth=none", "--output", str(folder)]) == 2
@@ -496,18 +505,18 @@ def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
     no error, and a length that is none is refused before anything is solved."""
     scene, folder = tmp_path / "blade.toml", tmp_path / "grown"
     assert main(["new", str(scene), "--blade", "--quiet"]) == 0
-    coarse = ["growth.until=0.0305", "growth.rate=7e-12", "growth.exponent=3",
+    coarse_options = ["growth.until=0.0305", "growth.rate=7e-12", "growth.exponent=3",
               "growth.life_tolerance=1", "mesh.size=0.05", "mesh.lip_elements=3",
               "mesh.error=false", "reduction.modes=4", "harmonic_balance.tolerance=none",
               "harmonic_balance.harmonics=3"]  # fmt: skip
     words = ["grow", str(scene), "--output", str(folder)]
-    words += [word for change in coarse for word in ("--set", change)]
+    words += [word for change in coarse_options for word in ("--set", change)]
     assert main([*words, "--set", "growth.until=0.2"]) == 2
     assert not folder.exists() or not list(folder.glob("*.h5"))
     assert main(words) == 0
-    found = fc.Growth.load(folder / "growth.h5")
-    assert found.errors["vibration"] > 0.0
-    assert found.scene.curve is not None and found.scene.curve.parameter == "rpm"
+    crack_growth = fc.Growth.load(folder / "growth.h5")
+    assert crack_growth.errors["vibration"] > 0.0
+    assert crack_growth.scene.curve is not None and crack_growth.scene.curve.parameter == "rpm"
 
 
 @pytest.mark.nightly
@@ -518,10 +527,12 @@ def test_a_resonance_between_two_lengths_is_seen() -> None:
     keys = {f"growth.{key}": value for key, value in law.items()}
     coarse = {"mesh.size": 0.05, "reduction.modes": 8}
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse | keys)
-    found = fc.grow(scene, comm=MPI.COMM_SELF)
-    at = scene.replace({"crack.length": 0.042})
-    alone = fc.stress_intensity(fc.solve(at, MPI.COMM_SELF)).effective[0]
-    assert np.interp(0.042, found.length, found.effective) == pytest.approx(alone, rel=0.05)
+    growth = fc.grow(scene, comm=MPI.COMM_SELF)
+    changed_scene = scene.replace({"crack.length": 0.042})
+    effective_range = fc.stress_intensity(fc.solve(changed_scene, MPI.COMM_SELF)).effective[0]
+    assert np.interp(0.042, growth.length, growth.effective) == pytest.approx(
+        effective_range, rel=0.05
+    )
 
 
 @pytest.mark.nightly
@@ -531,21 +542,21 @@ def test_next_to_a_fold_it_is_a_largest_response() -> None:
     scene = plate().replace({"sweep.over": {"crack.length": [0.05]}, "sweep.at_resonance": True})
     many = {"harmonic_balance.harmonics": 20, "reduction.modes": 20}  # with 8 there is no fold
     scene = scene.replace(many)
-    found = fc.run_sweep(scene, comm=MPI.COMM_SELF)
+    sweep = fc.run_sweep(scene, comm=MPI.COMM_SELF)
     span = {"parameter": "omega", "start": 4600.0, "stop": 5000.0, "stability": False}
     keys = {f"curve.{key}": value for key, value in span.items()}
     curve = fc.curve(scene.replace({"crack.length": 0.05, "sweep": None} | keys), MPI.COMM_SELF)
     size = curve.result.amplitude()
     tops = size[1:-1][(size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])]
-    assert np.abs(found["response"][0] / tops - 1.0).min() < 0.01
+    assert np.abs(sweep["response"][0] / tops - 1.0).min() < 0.01
 
 
 def test_lengths_without_a_stable_vibration() -> None:
     """Each length of a table over lengths and levels once, of what was solved."""
     is_unstable = np.array([[False, True], [True, True], [True, False], [False, False]])
     axes = [SimpleNamespace(values=[0.01, 0.02, 0.03, 0.04]), SimpleNamespace(values=[1.0, 2.0])]
-    converged = np.array([[True, True], [True, True], [False, True], [True, True]])
-    table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=converged)
+    is_converged = np.array([[True, True], [True, True], [False, True], [True, True]])
+    table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=is_converged)
     path = LengthPath(np.array(axes[0].values), {}, (table, table))
     assert path.not_stable_lengths == [0.01, 0.02]
 

@@ -33,15 +33,15 @@ def record(speeds: np.ndarray, order: float = 4.0) -> fc.ArrivalTimes:
     time = marks[:-1, None] + np.diff(marks)[:, None] * alpha
     omega, own = order * speeds[:, None], 200.0 * np.pi
     size = 5e-4 / (1.0 - (omega / own) ** 2 + 0.02j * omega / own) / 50.0
-    moved = np.real(size * np.exp(1j * order * PROBES))
-    moved += np.random.default_rng(1).normal(0.0, 1e-6, moved.shape)
-    return fc.ArrivalTimes(time - moved / (0.5 * speeds[:, None]), marks, PROBES, 0.5)
+    displacement = np.real(size * np.exp(1j * order * PROBES))
+    displacement += np.random.default_rng(1).normal(0.0, 1e-6, displacement.shape)
+    return fc.ArrivalTimes(time - displacement / (0.5 * speeds[:, None]), marks, PROBES, 0.5)
 
 
 def of_one_speed() -> fc.Timing:
     """An order of two blades."""
     arrivals = {blade: record(np.full(40, 150.0)) for blade in (1, 3)}
-    fits = {blade: fc.fit_order(one, [3, 4, 5]) for blade, one in arrivals.items()}
+    fits = {blade: fc.fit_order(blade_times, [3, 4, 5]) for blade, blade_times in arrivals.items()}
     return fc.Timing(None, arrivals, fits, ("doubtful",))
 
 
@@ -108,16 +108,18 @@ def test_result_comes_back(name: str, tmp_path: Path) -> None:
     """Every field, and what is computed from them."""
     result, path = RESULTS[name](), tmp_path / f"{name}.h5"
     result.save(path)
-    again = type(result).load(path)
-    assert same(result, again) and repr(again) == repr(result)
-    assert again.table().rows == result.table().rows or "nan" in str(result.table().rows)
-    if isinstance(result, fc.Campbell) and isinstance(again, fc.Campbell):
-        assert again.crossings(1, "real") == pytest.approx(result.crossings(1, "real"), rel=1e-9)
+    read_result = type(result).load(path)
+    assert same(result, read_result) and repr(read_result) == repr(result)
+    assert read_result.table().rows == result.table().rows or "nan" in str(result.table().rows)
+    if isinstance(result, fc.Campbell) and isinstance(read_result, fc.Campbell):
+        assert read_result.crossings(1, "real") == pytest.approx(
+            result.crossings(1, "real"), rel=1e-9
+        )
     with h5py.File(path) as file:
-        plain = [
+        plain_keys = [
             key for key, item in file.items() if not (item.attrs.get("unit") or is_ratio(item))
         ]
-    assert not plain
+    assert not plain_keys
     assert main(["plot", str(path), "--quiet", "--output", str(tmp_path)]) in (0, 2)
 
 
@@ -131,12 +133,12 @@ def test_forged_results_are_refused(tmp_path: Path) -> None:
         ("fits.1.multiples", np.ones(2, dtype=complex)),
     ]  # fmt: skip
     for name, value in values:
-        forged = tmp_path / "forged.h5"
-        shutil.copy(tmp_path / "timing.h5", forged)
-        with changed(forged) as file:
+        forged_path = tmp_path / "forged.h5"
+        shutil.copy(tmp_path / "timing.h5", forged_path)
+        with changed(forged_path) as file:
             del file[name]
             file[name] = value
         with pytest.raises(fc.InputError, match="written by save"):
-            fc.Timing.load(forged)
+            fc.Timing.load(forged_path)
     with pytest.raises(fc.InputError, match="a file with a crack growth; in this one is a tip"):
         fc.Growth.load(tmp_path / "timing.h5")

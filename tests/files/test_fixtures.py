@@ -36,12 +36,12 @@ def same(found: object, expected: object) -> bool:
 @pytest.mark.parametrize(("version", "name"), FILES)
 def test_file_of_a_version(version: str, name: str, tmp_path: Path) -> None:
     """Read, or refused in a line that says what to do."""
-    with zipfile.ZipFile(FIXTURES / f"{version}.zip") as packed:
-        packed.extract(name, tmp_path)
-        expected = json.loads(packed.read("numbers.json"))[Path(name).stem]
+    with zipfile.ZipFile(FIXTURES / f"{version}.zip") as archive:
+        archive.extract(name, tmp_path)
+        expected_numbers = json.loads(archive.read("numbers.json"))[Path(name).stem]
     (tmp_path / "posterior.png").write_bytes(PNG)
-    if isinstance(expected, str):
-        with pytest.raises(fc.InputError, match=expected):
+    if isinstance(expected_numbers, str):
+        with pytest.raises(fc.InputError, match=expected_numbers):
             numbers(Path(name).stem, tmp_path / name)
     else:
-        assert same(numbers(Path(name).stem, tmp_path / name), expected)
+        assert same(numbers(Path(name).stem, tmp_path / name), expected_numbers)

@@ -41,14 +41,14 @@ SETTINGS = {
 
 def run(folder: Path, words: list[str], **surroundings: str) -> str:
     """What a program prints that ends well, and leaves no file in its folder but its results."""
-    before = {*folder.iterdir()}
-    done = subprocess.run(
+    earlier_files = {*folder.iterdir()}
+    process = subprocess.run(
         words, cwd=folder, env=os.environ | surroundings, capture_output=True, text=True,
         timeout=LIMIT,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert {*folder.iterdir()} - {folder / "output"} == before
-    return done.stdout
+    assert process.returncode == 0, process.stderr
+    assert {*folder.iterdir()} - {folder / "output"} == earlier_files
+    return process.stdout
 
 
 def fill(folder: Path, kinds: Iterable[str]) -> None:

@@ -28,18 +28,18 @@ COARSE = ("--set", "mesh.size=0.05", "--set", "mesh.lip_elements=2", "--set", "m
 
 def run(*words: object, **surroundings: str) -> tuple[int, list[str]]:
     """Exit code and last lines of the program, within :data:`SECONDS` and :data:`MEMORY`."""
-    done = subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "fenics_crack", *map(str, words)],
         env=os.environ | surroundings, cwd=ROOT, text=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         preexec_fn=lambda: [signal.setitimer(*timer) for timer in TIMERS],
     )  # fmt: skip
-    with done.stderr:
-        said = done.stderr.read()
-    _, status, usage = os.wait4(done.pid, 0)
-    done.returncode = os.waitstatus_to_exitcode(status)
+    with process.stderr:
+        messages = process.stderr.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
     assert usage.ru_utime + usage.ru_stime < SECONDS and 1024 * usage.ru_maxrss < MEMORY
-    return done.returncode, said.splitlines()
+    return process.returncode, messages.splitlines()
 
 
 def scene_of(folder: Path, *options: str) -> Path:
@@ -52,8 +52,8 @@ def scene_of(folder: Path, *options: str) -> Path:
 @pytest.mark.parametrize("change", ["crack.depth=1e-6", "mesh.lip_elements=2000"])
 def test_too_many_cells(change: str, tmp_path: Path) -> None:
     """Of a solid, before it is meshed."""
-    code, said = run("check", scene_of(tmp_path, "--solid"), "--set", change)
-    assert code == 2 and "mesh.lip_elements" in said[-1]
+    code, messages = run("check", scene_of(tmp_path, "--solid"), "--set", change)
+    assert code == 2 and "mesh.lip_elements" in messages[-1]
 
 
 @pytest.mark.nightly
@@ -74,8 +74,8 @@ def test_too_many_measurements(tmp_path: Path) -> None:
     path = scene_of(tmp_path, "--identify")
     rows = "".join(f"harmonic_1,1e-6,1e-8,{100_000 + number}\n" for number in range(1_000_000))
     (tmp_path / "m.csv").write_text(f"quantity,value,deviation,frequency\n{rows}")
-    code, said = run("identify", path, tmp_path / "m.csv")
-    assert code == 2 and len(said) == 1 and "measurements" in said[0]
+    code, messages = run("identify", path, tmp_path / "m.csv")
+    assert code == 2 and len(messages) == 1 and "measurements" in messages[0]
 
 
 @pytest.mark.parametrize("kind", ["device", "pipe"])
@@ -87,7 +87,7 @@ def test_what_never_ends_is_no_text(kind: str, tmp_path: Path, run_command: RunC
             os.mkfifo(tmp_path / name)
         else:
             (tmp_path / name).symlink_to("/dev/zero")
-    text, table, universal = (tmp_path / f"never.{ending}" for ending in ("toml", "csv", "uff"))
+    text, table, universal = (tmp_path / f"never.{suffix}" for suffix in ("toml", "csv", "uff"))
     for words in (
         ["check", text], ["identify", scene, table], ["identify", scene, universal],
         ["timing", table],
@@ -107,8 +107,8 @@ def test_a_load_that_never_ends(kind: str, tmp_path: Path) -> None:
     """The table of a load, which is refused unread."""
     os.mkfifo(tmp_path / "pipe")
     path = "/dev/zero" if kind == "device" else str(tmp_path / "pipe")
-    code, said = run("check", scene_of(tmp_path), *COARSE, "--set", f"excitation.wave={path}")
-    assert code == 2 and "excitation.wave" in said[-1] and "regular file" in said[-1]
+    code, messages = run("check", scene_of(tmp_path), *COARSE, "--set", f"excitation.wave={path}")
+    assert code == 2 and "excitation.wave" in messages[-1] and "regular file" in messages[-1]
 
 
 def test_a_packed_load(tmp_path: Path, run_command: RunCommand) -> None:
@@ -123,13 +123,13 @@ def test_a_packed_load(tmp_path: Path, run_command: RunCommand) -> None:
 
 def test_a_packed_table_of_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """NumPy would unpack it without a limit."""
-    for ending, pack in (("xz", lzma.compress), ("gz", gzip.compress)):
-        (tmp_path / f"nodes.{ending}").write_bytes(pack(b"1,0,0,0\n2,1,0,0\n"))
+    for suffix, pack in (("xz", lzma.compress), ("gz", gzip.compress)):
+        (tmp_path / f"nodes.{suffix}").write_bytes(pack(b"1,0,0,0\n2,1,0,0\n"))
     assert read_model(tmp_path / "nodes.gz").labels.tolist() == [1, 2]
     monkeypatch.setattr(untrusted_files, "max_unpacked_bytes", lambda _: 12)
-    for ending, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for its size")):
+    for suffix, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for its size")):
         with pytest.raises(ValueError, match=reason):
-            read_model(tmp_path / f"nodes.{ending}")
+            read_model(tmp_path / f"nodes.{suffix}")
 
 
 def test_matrices_without_values(tmp_path: Path, run_command: RunCommand) -> None:
@@ -156,9 +156,9 @@ def test_contact_that_nothing_makes(
 ) -> None:
     """It is remarked once, by check and beside results."""
     path = scene_of(tmp_path)
-    few = ["mesh.size=0.05", "mesh.lip_elements=2", "mesh.error=false", *changes]
+    few_options = ["mesh.size=0.05", "mesh.lip_elements=2", "mesh.error=false", *changes]
     for command in (["check"], ["modes", "--output", tmp_path]):
-        assert run_command(*command, path, sets=few).err.count(f"remark: {key} = ") == 1
+        assert run_command(*command, path, sets=few_options).err.count(f"remark: {key} = ") == 1
 
 
 @pytest.mark.nightly
@@ -169,14 +169,14 @@ def test_limits_of_the_shell(kind: str, tmp_path: Path) -> None:
     words = ["modes", str(DEMOS / "inclined_crack.toml"), "--output", str(tmp_path), "--quiet"]
     program = ["sh", "-c", shell, "sh", sys.executable, "-m", "fenics_crack", *words]
     environment = no_rank() | {"PYTHONDONTWRITEBYTECODE": "1"}  # nor are modules written in part
-    done = subprocess.run(
+    process = subprocess.run(
         program, capture_output=True, text=True, check=False, cwd=ROOT, env=environment
     )
     if kind == "-t 60":
-        assert done.returncode == 0 and (tmp_path / "modes.h5").exists(), done.stderr
+        assert process.returncode == 0 and (tmp_path / "modes.h5").exists(), process.stderr
     else:  # the file that is too large, not the cache
-        [line] = done.stderr.splitlines()
-        assert done.returncode == 1 and "modes.h5" in line and "File too large" in line
+        [line] = process.stderr.splitlines()
+        assert process.returncode == 1 and "modes.h5" in line and "File too large" in line
 
 
 @pytest.mark.parametrize(
@@ -189,8 +189,8 @@ def test_limits_of_the_shell(kind: str, tmp_path: Path) -> None:
 def test_options_of_petsc(option: str, code: int, said: str, tmp_path: Path) -> None:
     """A value that PETSc does not know, and a name that no solver reads."""
     words = [scene_of(tmp_path), *COARSE, "--output", tmp_path, "--quiet", *option.split("=")]
-    found, lines = run("modes", *words)
-    assert found == code and said in lines[-1], lines
+    exit_code, lines = run("modes", *words)
+    assert exit_code == code and said in lines[-1], lines
 
 
 # --- caches ---------------------------------------------------------------------------------------
@@ -199,13 +199,13 @@ def test_options_of_petsc(option: str, code: int, said: str, tmp_path: Path) -> 
 @pytest.mark.nightly
 def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
     """One line more, and the answer."""
-    kept = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"
-    own = tmp_path / f"fenics-crack-{os.geteuid()}"
-    own.mkdir(mode=0o700)
-    if kept.is_dir():  # forms that are compiled take no time
-        shutil.copytree(kept, own / "fenics")
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"
+    own_cache = tmp_path / f"fenics-crack-{os.geteuid()}"
+    own_cache.mkdir(mode=0o700)
+    if user_cache.is_dir():  # forms that are compiled take no time
+        shutil.copytree(user_cache, own_cache / "fenics")
     (tmp_path / "file").touch()
-    few = ["--set", "mesh.size=0.05", "--set", "mesh.lip_elements=2"]
-    words = ["modes", scene_of(tmp_path), *few, "--output", tmp_path / "out", "--quiet"]
-    code, said = run(*words, XDG_CACHE_HOME=str(tmp_path / "file"), TMPDIR=str(tmp_path))
-    assert code == 0 and len(said) == 1
+    few_options = ["--set", "mesh.size=0.05", "--set", "mesh.lip_elements=2"]
+    words = ["modes", scene_of(tmp_path), *few_options, "--output", tmp_path / "out", "--quiet"]
+    code, messages = run(*words, XDG_CACHE_HOME=str(tmp_path / "file"), TMPDIR=str(tmp_path))
+    assert code == 0 and len(messages) == 1

@@ -88,8 +88,8 @@ def test_a_script_is_no_mesh(
 def test_nothing_beside_a_mesh_is_run(home: Path) -> None:
     """gmsh runs mesh.msh.opt, and what follows the elements of a mesh is left alone."""
     (home / "mesh.msh").write_text(MESH + SCRIPT)
-    for beside in ("mesh.msh.opt", "mesh.opt", "mesh.geo"):
-        (home / beside).write_text(SCRIPT)
+    for file_name in ("mesh.msh.opt", "mesh.opt", "mesh.geo"):
+        (home / file_name).write_text(SCRIPT)
     fc.prepare(FROM_FILE.replace({"mesh.file": "mesh.msh"}), MPI.COMM_SELF)
     assert not Path("PWNED").exists()
 
@@ -101,8 +101,8 @@ def test_a_result_runs_nothing(
     """Its scene names a script as mesh, or itself, with the script before its own beginning."""
     path, evil = home / "result.h5", home / "evil.msh"
     evil.write_text(SCRIPT)
-    named = path if how == "polyglot" else evil
-    scene = FROM_FILE.replace({"mesh.file": str(named)})
+    named_path = path if how == "polyglot" else evil
+    scene = FROM_FILE.replace({"mesh.file": str(named_path)})
     fc.save(fc.solve_linear(structure, 1.3), path, scene)
     with changed(path) as file:
         if how in ("polyglot", "no digest"):
@@ -110,10 +110,13 @@ def test_a_result_runs_nothing(
         else:
             file.attrs["meshes"] = file_sha256(evil) if "script" in how else "0" * 64
     if how == "polyglot":
-        with h5py.File(path) as old, h5py.File(home / "new", "w", userblock_size=512) as new:
-            new.attrs.update(old.attrs)
-            for name in old:
-                old.copy(name, new)
+        with (
+            h5py.File(path) as old_file,
+            h5py.File(home / "new", "w", userblock_size=512) as new_file,
+        ):
+            new_file.attrs.update(old_file.attrs)
+            for name in old_file:
+                old_file.copy(name, new_file)
         content = (home / "new").read_bytes()
         path.write_bytes(SCRIPT.encode() + content[len(SCRIPT) :])
     reasons = {
@@ -134,8 +137,8 @@ def test_what_a_result_names_is_a_regular_file(
 ) -> None:
     """Neither a device nor a pipe is opened: they would not end."""
     os.mkfifo(home / "pipe")
-    named = {"device": "/dev/zero", "folder": str(home)}.get(kind, str(home / kind))
-    scene = FROM_FILE.replace({"mesh.file": named})
+    named_path = {"device": "/dev/zero", "folder": str(home)}.get(kind, str(home / kind))
+    scene = FROM_FILE.replace({"mesh.file": named_path})
     began = time.perf_counter()
     fc.save(fc.solve_linear(structure, 1.3), home / "result.h5", scene)
     with changed(home / "result.h5") as file:
@@ -177,10 +180,10 @@ def rather_long(file: h5py.File) -> None:
 
 
 def bomb(file: h5py.File) -> None:
-    new = file.create_dataset("new", (2**25,), "u1", chunks=(2**23,), compression=9)
+    dataset = file.create_dataset("new", (2**25,), "u1", chunks=(2**23,), compression=9)
     piece = zlib.compress(bytes(2**23))
     for start in range(0, 2**25, 2**23):
-        new.id.write_direct_chunk((start,), piece)
+        dataset.id.write_direct_chunk((start,), piece)
 
 
 def long_words(file: h5py.File) -> None:
@@ -254,14 +257,14 @@ def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
     values |= {"subharmonic": 0, "converged": 2.0, "status": 1}
     values |= {"force_coefficients": np.full((7, 1), 1e300)}
     for name, value in values.items():
-        forged = result.with_name(f"{name}.h5")
-        shutil.copy(result, forged)
-        with changed(forged) as file:
+        forged_path = result.with_name(f"{name}.h5")
+        shutil.copy(result, forged_path)
+        with changed(forged_path) as file:
             if name in file:
                 del file[name]
             file[name] = value
         with pytest.raises(fc.InputError, match="path"):
-            fc.load(forged, structure)
+            fc.load(forged_path, structure)
     with changed(result) as file:
         del file.attrs["versions"]
     with pytest.raises(fc.InputError, match="the attribute versions"):
@@ -287,11 +290,11 @@ def test_parts_that_do_not_fit(structure: fc.Structure, home: Path) -> None:
 
 def flipped(content: bytes, rng: random.Random) -> bytes:
     """With one to three bits turned, half of them where HDF5 keeps its own."""
-    changed = bytearray(content)
+    changed_bytes = bytearray(content)
     for _ in range(rng.choice([1, 1, 3])):
-        last = len(changed) if rng.random() < 0.5 else 3000
-        changed[rng.randrange(last)] ^= 1 << rng.randrange(8)
-    return bytes(changed)
+        last_place = len(changed_bytes) if rng.random() < 0.5 else 3000
+        changed_bytes[rng.randrange(last_place)] ^= 1 << rng.randrange(8)
+    return bytes(changed_bytes)
 
 
 def same(one: dict, other: dict) -> bool:
@@ -304,27 +307,27 @@ def same(one: dict, other: dict) -> bool:
 def content_of(path: Path) -> dict[str, object]:
     """Return all that a file holds, by its names."""
     if path.name != "sweep.h5":
-        whole = read_result_file(path)
-        return whole.datasets | whole.attributes
-    swept = SweepResult.load(path)
-    return swept.columns | {f"gap {case}": swept.gap(case) for case in range(4)}
+        stored_result = read_result_file(path)
+        return stored_result.datasets | stored_result.attributes
+    sweep = SweepResult.load(path)
+    return sweep.columns | {f"gap {case}": sweep.gap(case) for case in range(4)}
 
 
 @pytest.mark.parametrize("kind", ["result", "swept"])
 def test_flipped_bits(kind: str, home: Path, request: pytest.FixtureRequest) -> None:
     """Found, or of no meaning: nothing else is read than was written, in the header of a sweep, its
     columns, or the waves of a case neither."""
-    made, rng = request.getfixturevalue(kind), random.Random(3)
-    path = made if kind == "result" else Path(shutil.copy(made.path, home))
-    whole, content, found = content_of(path), path.read_bytes(), 0
+    source_path, rng = request.getfixturevalue(kind), random.Random(3)
+    path = source_path if kind == "result" else Path(shutil.copy(source_path.path, home))
+    original_content, content, n_found = content_of(path), path.read_bytes(), 0
     for _ in range(8):
         path.write_bytes(flipped(content, rng))
         try:
-            assert same(content_of(path), whole)
+            assert same(content_of(path), original_content)
         except fc.InputError as error:
             assert "\n" not in str(error)
-            found += 1
-    assert 1 <= found < 8
+            n_found += 1
+    assert 1 <= n_found < 8
 
 
 def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -355,15 +358,15 @@ def test_one_reader_reads_every_file(home: Path) -> None:
     program.write_text(f"{text}return {{'ids': np.array([os.getppid(), os.getpid()])}}")
 
     def ids() -> list[int]:
-        found = run_reader(program, program, int(LIMIT))
-        return [int(one) for one in found["ids"]]
+        answer = run_reader(program, program, int(LIMIT))
+        return [int(one) for one in answer["ids"]]
 
-    first, second = ids(), ids()
-    assert first[0] == second[0] and first[1] != second[1]
-    os.kill(first[0], signal.SIGKILL)
-    while Path(f"/proc/{first[0]}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
+    first_ids, second = ids(), ids()
+    assert first_ids[0] == second[0] and first_ids[1] != second[1]
+    os.kill(first_ids[0], signal.SIGKILL)
+    while Path(f"/proc/{first_ids[0]}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
         time.sleep(0.01)  # nobody is at the other end of the line then
-    assert ids()[0] != first[0]
+    assert ids()[0] != first_ids[0]
 
 
 # --- sweeps ---------------------------------------------------------------------------------------
@@ -393,11 +396,11 @@ def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: 
         return
     with pytest.raises(fc.InputError, match="again"):
         SweepResult.load(path).gap(1)
-    again = run_sweep(swept.scene, path, MPI.COMM_SELF)
-    assert again.complete and np.array_equal(again["response"], swept["response"])
-    assert np.array_equal(again.gap(1), swept.gap(1))
-    kept = again["seconds"].ravel() == swept["seconds"].ravel()
-    assert kept[[0, 2, 3]].all() and not kept[1]
+    resumed_sweep = run_sweep(swept.scene, path, MPI.COMM_SELF)
+    assert resumed_sweep.complete and np.array_equal(resumed_sweep["response"], swept["response"])
+    assert np.array_equal(resumed_sweep.gap(1), swept.gap(1))
+    is_kept = resumed_sweep["seconds"].ravel() == swept["seconds"].ravel()
+    assert is_kept[[0, 2, 3]].all() and not is_kept[1]
 
 
 FORGED: dict[str, Callable[[h5py.File], object]] = {
@@ -491,15 +494,15 @@ def test_a_cache_that_others_can_write(
     (tmp_path / "link").symlink_to(parent / "cache")
     cache = tmp_path / "link" if place == "link" else parent / "cache"
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-    shared = {"parent": parent, "link": parent}.get(place, parent / place)
-    for mode, kept in (
+    shared_path = {"parent": parent, "link": parent}.get(place, parent / place)
+    for mode, is_kept in (
         (0o755, True),
         (0o1777, place in ("cache", "parent", "link")),
         (0o775, False),
     ):
-        shared.chmod(mode)
+        shared_path.chmod(mode)
         replace_unusable_caches.__wrapped__()
-        assert (os.environ["XDG_CACHE_HOME"] == str(cache)) == kept
+        assert (os.environ["XDG_CACHE_HOME"] == str(cache)) == is_kept
         monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     assert temporary.is_dir() and temporary.stat().st_mode & 0o777 == 0o700
 
@@ -511,12 +514,12 @@ def test_a_cache_of_another_user(
     """It is not used, nor is one within that of this user."""
     cache = tmp_path / "cache"
     (cache / "fenics").mkdir(parents=True)
-    for other in (cache, cache / "fenics"):
-        os.chown(other, 1000, 1000)
+    for cache_path in (cache, cache / "fenics"):
+        os.chown(cache_path, 1000, 1000)
         monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
         replace_unusable_caches.__wrapped__()
         assert os.environ["XDG_CACHE_HOME"] == str(temporary)
-        os.chown(other, 0, 0)
+        os.chown(cache_path, 0, 0)
 
 
 def test_a_new_cache(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -524,10 +527,10 @@ def test_a_new_cache(tmp_path: Path, temporary: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new" / "cache"))
     replace_unusable_caches.__wrapped__()
     assert not temporary.exists() and not (tmp_path / "new").exists()
-    before = os.umask(0)
+    earlier_mask = os.umask(0)
     try:
         check_private_folder(tmp_path / "new" / "cache")
     finally:
-        os.umask(before)
+        os.umask(earlier_mask)
     for folder in ("new", "new/cache"):
         assert (tmp_path / folder).stat().st_mode & 0o777 == 0o700

@@ -58,8 +58,8 @@ def test_wave_of_a_point_by_h5py_alone(scene: fc.Scene, tmp_path: Path) -> None:
     wave = rows[0] + np.cos(order) @ rows[1::2] + np.sin(order) @ rows[2::2]
     exact = run.result.displacement(time, [watched.dof for watched in run.watched])
     np.testing.assert_allclose(wave, exact, atol=1e-12 * np.abs(exact).max())
-    again = fc.load_run(path, MPI.COMM_SELF)
-    np.testing.assert_array_equal(again.result.gap(time), run.result.gap(time))
+    stored_run = fc.load_run(path, MPI.COMM_SELF)
+    np.testing.assert_array_equal(stored_run.result.gap(time), run.result.gap(time))
 
 
 def test_units_of_all_numbers(scene: fc.Scene, tmp_path: Path) -> None:
@@ -75,17 +75,19 @@ def test_units_of_all_numbers(scene: fc.Scene, tmp_path: Path) -> None:
         with h5py.File(path) as file:
             for key, item in file.items():
                 words = h5py.check_string_dtype(item.dtype) is not None
-                plain = words or not item.size or key in COUNTS | RATIOS
-                assert plain or item.attrs.get("unit"), (name, key)
+                is_plain = words or not item.size or key in COUNTS | RATIOS
+                assert is_plain or item.attrs.get("unit"), (name, key)
     with h5py.File(tmp_path / "curve.h5") as file:
         assert file["values"].attrs["unit"] == "rad/s"
         points, rows, watched = file["watched_coefficients"].shape
         assert (points, rows, watched) == (len(runs["curve"].result), 11, 2)
         curve = runs["curve"].result
-        first = evaluate(file["watched_coefficients"][0], 1.0, np.linspace(0.0, 2 * np.pi, 9))
+        first_motion = evaluate(
+            file["watched_coefficients"][0], 1.0, np.linspace(0.0, 2 * np.pi, 9)
+        )
     dofs = [watched.dof for watched in runs["curve"].watched]
     exact = curve.solution(0).displacement(np.linspace(0.0, curve.solution(0).period, 9), dofs)
-    np.testing.assert_allclose(first, exact, atol=1e-9 * np.abs(exact).max())
+    np.testing.assert_allclose(first_motion, exact, atol=1e-9 * np.abs(exact).max())
     with h5py.File(tmp_path / "integration.h5") as file:
         motion = file["watched_displacement"][()]
     np.testing.assert_array_equal(motion, runs["integration"].result.displacement(dofs))
@@ -98,8 +100,8 @@ def test_without_watched_dofs(tmp_path: Path) -> None:
     fc.save(solution, path)
     with h5py.File(path) as file:
         assert "watched" not in file and file["gap_coefficients"].attrs["unit"] == "m"
-    read = fc.load(path, structure)
-    assert isinstance(read, fc.PeriodicSolution) and read.omega == 1.3
+    stored_result = fc.load(path, structure)
+    assert isinstance(stored_result, fc.PeriodicSolution) and stored_result.omega == 1.3
 
 
 @dataclass(frozen=True)
@@ -111,8 +113,8 @@ class Hardening:
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """lambda(g)."""
-        closed = np.maximum(gap, 0.0)
-        return self.stiffness * closed * (1.0 + closed / self.depth)
+        penetration = np.maximum(gap, 0.0)
+        return self.stiffness * penetration * (1.0 + penetration / self.depth)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
         """Its slope."""
@@ -131,7 +133,7 @@ def test_a_law_of_ones_own_is_known_by_its_forces(tmp_path: Path) -> None:
     for name, result in (("solution", solution), ("curve", curve)):
         path = tmp_path / f"{name}.h5"
         fc.save(result, path)
-        again: Any = fc.load(path, structure, Hardening(1.0))
-        assert np.array_equal(again.gap_coefficients, result.gap_coefficients)
+        stored_result: Any = fc.load(path, structure, Hardening(1.0))
+        assert np.array_equal(stored_result.gap_coefficients, result.gap_coefficients)
         with pytest.raises(fc.InputError, match="its forces are others"):
             fc.load(path, structure, Hardening(0.5))

@@ -79,13 +79,16 @@ def numbers(name: str, path: Path) -> dict[str, Any]:
         return {"omega": found.omega}
     if "integration" in name:
         return {"time": found.time, "gap": found.gap[-1], "force": found.contact_force[-1]}
-    kept = {"omega": found.omega, "amplitude": found.amplitude(run.watched_dof)}
+    kept_numbers = {"omega": found.omega, "amplitude": found.amplitude(run.watched_dof)}
     if "curve" in name:
         kinds = [point.kind for point in found.bifurcations]
-        return kept | {"multipliers": np.abs(found.multipliers), "kinds": kinds}
+        return kept_numbers | {"multipliers": np.abs(found.multipliers), "kinds": kinds}
     multiplier = np.abs(found.stability.multipliers).max()
-    kept |= {"total": found.report.total, "multiplier": multiplier}
-    return kept | {"error": run.errors.stated("amplitude")[0], "verdict": found.stability.verdict}
+    kept_numbers |= {"total": found.report.total, "multiplier": multiplier}
+    return kept_numbers | {
+        "error": run.errors.stated("amplitude")[0],
+        "verdict": found.stability.verdict,
+    }
 
 
 def program(*words: object) -> None:
@@ -99,9 +102,9 @@ def main(archive: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write(folder)
-        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive_file:
             for path in sorted([*folder.glob("*.h5"), folder / "numbers.json"]):
-                packed.write(path, path.name)
+                archive_file.write(path, path.name)
 
 
 def write(folder: Path) -> None:
@@ -114,16 +117,16 @@ def write(folder: Path) -> None:
         scene = work / f"{name}.toml"
         scene.write_text(fc.Scene.from_mapping(PLATE | tables).as_toml())
         program(command, scene, "--output", work / name)
-        for one in (work / name).glob("*[a-z].h5"):  # growth_1.h5 is a sweep of its own
-            one.rename(folder / f"{name}.h5")
+        for result_path in (work / name).glob("*[a-z].h5"):  # growth_1.h5 is a sweep of its own
+            result_path.rename(folder / f"{name}.h5")
     program("new", work / "plate.toml", "--identify")
-    changed = [word for change in COARSE for word in ("--set", change)]
-    measured = work / "plate_measured.csv"
-    program("identify", work / "plate.toml", measured, *changed, "--output", work)
+    options = [word for change in COARSE for word in ("--set", change)]
+    measured_path = work / "plate_measured.csv"
+    program("identify", work / "plate.toml", measured_path, *options, "--output", work)
     for file in ("identify.h5", "posterior.png"):
         (work / file).rename(folder / file)  # read together
-    found = {path.stem: numbers(path.stem, path) for path in sorted(folder.glob("*.h5"))}
-    text = json.dumps(found, indent=1, default=lambda array: np.asarray(array).tolist())
+    numbers_by_name = {path.stem: numbers(path.stem, path) for path in sorted(folder.glob("*.h5"))}
+    text = json.dumps(numbers_by_name, indent=1, default=lambda array: np.asarray(array).tolist())
     (folder / "numbers.json").write_text(text + "\n")
 
 

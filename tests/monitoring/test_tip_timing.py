@@ -283,12 +283,12 @@ def test_curves_that_are_no_run_up() -> None:
         oscillator(), 1.0, 2.6, fc.UnilateralPenalty(1.0), harmonics=7, stability=True
     )
     assert not np.all(curve.stable)
-    with pytest.raises(fc.InputError, match="unstable at"):
-        fc.tip_timing(curve, 0, **(ARGUMENTS | {"tip_radius": 1e3}))
-    with pytest.raises(fc.InputError, match=r"^order"):
-        fc.tip_timing(curve, 0, probes=[0.0], tip_radius=1e3)
-    with pytest.raises(fc.InputError, match=r"^speed"):
-        fc.tip_timing(curve, 0, probes=[0.0], tip_radius=1e3, speed=1.0)
+    arguments: dict[str, Any] = {"probes": [0.0], "tip_radius": 1e3}
+    for changes, words in (
+        (ARGUMENTS | {"tip_radius": 1e3}, "unstable at"), ({}, "^order"), ({"speed": 1.0}, "^speed")
+    ):  # fmt: skip
+        with pytest.raises(fc.InputError, match=words):
+            fc.tip_timing(curve, 0, **(arguments | changes))
 
 
 # --- files ----------------------------------------------------------------------------------------

@@ -28,8 +28,10 @@ def test_converted(text: str, unit: str, value: float | None) -> None:
     paired = unit in ("N", "m/s^2")  # components of a vector
     with pytest.raises(InputError) as caught:
         Scene.from_text(PLATE).replace({KEYS[unit]: [text, 0.0] if paired else text})
-    asked = re.findall(r"did you mean \[?([^],?]+).*\?$", caught.value.allowed)
-    assert [float(one) for one in asked] == pytest.approx([] if value is None else [value])
+    suggested_keys = re.findall(r"did you mean \[?([^],?]+).*\?$", caught.value.allowed)
+    assert [float(suggestion) for suggestion in suggested_keys] == pytest.approx(
+        [] if value is None else [value]
+    )
 
 
 PLATE = (DEMOS / "paper_plate.toml").read_text()

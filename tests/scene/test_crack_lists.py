@@ -19,13 +19,13 @@ def test_lists_are_changed_and_written(paper_scene: Scene) -> None:
     scene = paper_scene.replace(GRID | SECOND)
     assert list(scene.all_cracks) == ["crack", "cracks.1"]
     assert scene.cracks[0].span(0.1) == pytest.approx((0.025, 0.075))
-    longer = scene.replace({"cracks.1.length": 0.025, "cracks.1.center": 0.0375})
-    assert longer.cracks[0].length == 0.025 and scene.cracks[0].length == 0.05
+    longer_scene = scene.replace({"cracks.1.length": 0.025, "cracks.1.center": 0.0375})
+    assert longer_scene.cracks[0].length == 0.025 and scene.cracks[0].length == 0.05
     three = {f"cracks.2.{key}": v for key, v in (("edge", "right"), ("height", 0.025))}
     assert len(scene.replace(three | {"cracks.2.length": 0.025}).cracks) == 2
     assert scene.replace({"cracks": None}) == paper_scene.replace(GRID)
-    swept = scene.replace({"sweep.over": {"cracks.1.clearance": [0.0, 1e-6]}})
-    assert Scene.from_mapping(tomllib.loads(swept.as_toml())) == swept
+    swept_scene = scene.replace({"sweep.over": {"cracks.1.clearance": [0.0, 1e-6]}})
+    assert Scene.from_mapping(tomllib.loads(swept_scene.as_toml())) == swept_scene
 
 
 def test_cracks_inside_alone(paper_scene: Scene) -> None:
@@ -43,16 +43,16 @@ def test_sweep_of_the_second_crack(paper_scene: Scene, tmp_path: Path) -> None:
     over = {"cracks.1.length": [0.05, 0.075], "cracks.1.clearance": [0.0, 1e-7]}
     more = {"contact.stiffness": 1e8, "damping.ratio": 0.01, "reduction.modes": 10}
     base = paper_scene.replace(SECOND | {"mesh.columns": 16, "mesh.rows": 16} | more)
-    found = run_sweep(base.replace({"sweep.over": over}), tmp_path / "sweep.h5")
+    sweep = run_sweep(base.replace({"sweep.over": over}), tmp_path / "sweep.h5")
     assert (
-        np.all(found.converged) and found.to_dict()["cracks.1.length"] == [0.05] * 2 + [0.075] * 2
+        np.all(sweep.converged) and sweep.to_dict()["cracks.1.length"] == [0.05] * 2 + [0.075] * 2
     )
-    assert found["opening"][0, 0] != found["opening"][1, 0]
+    assert sweep["opening"][0, 0] != sweep["opening"][1, 0]
     case = base.replace({"cracks.1.length": 0.075, "cracks.1.clearance": 1e-7})
     study = prepare(case)
     solution = solve_harmonic_balance(
         study.structure, case.excitation.omega, study.contact, harmonics=5
     )
-    assert found["opening"][1, 1] == pytest.approx(solution.to_dict()["opening"], rel=1e-6)
-    gap = found.solution((1, 1)).gap_coefficients
+    assert sweep["opening"][1, 1] == pytest.approx(solution.to_dict()["opening"], rel=1e-6)
+    gap = sweep.solution((1, 1)).gap_coefficients
     np.testing.assert_allclose(gap, solution.gap_coefficients, atol=1e-6 * np.abs(gap).max())

@@ -69,16 +69,16 @@ def test_in_a_change(key: str, question: str) -> None:
 def test_a_proposed_key_is_taken() -> None:
     """Each that is proposed for a key without its table, in another one, misspelt or cut off, as an
     argument of a function or as a change."""
-    known, proposed = set(known_keys()), set()
-    for key in sorted({key.rpartition(".")[2] for key in known})[::2]:
+    all_keys, proposed_keys = set(known_keys()), set()
+    for key in sorted({key.rpartition(".")[2] for key in all_keys})[::2]:
         for name in (key, key[:-1], key[1:], f"{key}s", f"crak.{key}", f"load.{key}"):
-            proposed |= {*suggest_full_keys(name)}
+            proposed_keys |= {*suggest_full_keys(name)}
         for table in Table.__subclasses__():
-            proposed |= {*table.suggest_keys(key[1:])}
-    assert proposed <= known | {*Scene.__dataclass_fields__}
+            proposed_keys |= {*table.suggest_keys(key[1:])}
+    assert proposed_keys <= all_keys | {*Scene.__dataclass_fields__}
     assert "loads.1.harmonics" in suggest_full_keys("harmonics")
     scene = Scene.from_mapping(GOOD)
-    for key in proposed & known:
+    for key in proposed_keys & all_keys:
         try:
             scene.replace({key: object()})
         except InputError as error:
@@ -90,6 +90,6 @@ def test_a_proposed_key_is_taken() -> None:
 )
 def test_a_path_is_not_its_scene(verb: str) -> None:
     """A natural first guess: it is said how a scene is loaded."""
-    more = {"campbell": [[0.0, 1.0]], "identify": ["measured.csv"]}.get(verb, [])
+    more_words = {"campbell": [[0.0, 1.0]], "identify": ["measured.csv"]}.get(verb, [])
     with pytest.raises(InputError, match=r"^scene = 'plate\.toml': .*fc\.Scene\.load\(path\)"):
-        getattr(fc, verb)("plate.toml", *more)
+        getattr(fc, verb)("plate.toml", *more_words)

@@ -53,11 +53,11 @@ def test_refused_keys(changes: dict[str, object], message: str) -> None:
 
 
 def test_friction_needs_faces_that_give() -> None:
-    heavy = RUBBING | {"reduction.method": "free_interface", "reduction.modes": 8}
-    stiff = {"contact.friction": 0.3, "reduction.method": "off"}
+    heavy_settings = RUBBING | {"reduction.method": "free_interface", "reduction.modes": 8}
+    stiff_settings = {"contact.friction": 0.3, "reduction.method": "off"}
     for changes, words in (
-        (heavy, r"contact.law = 'unilateral': must be 'penalty' with"),
-        (stiff, r"contact.tangential_stiffness_per_area is missing"),
+        (heavy_settings, r"contact.law = 'unilateral': must be 'penalty' with"),
+        (stiff_settings, r"contact.tangential_stiffness_per_area is missing"),
         (RUBBING | {"output.quantities": ["K_max"]}, "K_max.*stress intensities leave out what"),
     ):
         with pytest.raises(fc.InputError, match=words):
@@ -66,12 +66,12 @@ def test_friction_needs_faces_that_give() -> None:
 
 def test_law_of_a_scene() -> None:
     """The stiffness of pairs that stick follows from their areas."""
-    whole = fc.build_structure(plate())
+    whole_structure = fc.build_structure(plate())
     scene = plate(**{"contact.friction": 0.3, "contact.tangential_stiffness_per_area": 1e12})
-    law = fc.contact_law(scene.contact, whole)
+    law = fc.contact_law(scene.contact, whole_structure)
     assert isinstance(law, fc.CoulombFriction) and law.coefficient == 0.3
-    np.testing.assert_allclose(law.tangential_stiffness, 1e12 * whole.pair_areas)
-    np.testing.assert_allclose(law.stiffness, 1e14 * whole.pair_areas)
+    np.testing.assert_allclose(law.tangential_stiffness, 1e12 * whole_structure.pair_areas)
+    np.testing.assert_allclose(law.stiffness, 1e14 * whole_structure.pair_areas)
 
 
 @pytest.mark.parametrize("keys", [{"free": True, "deflection": 2.0}, {"deflection": 1.0}])
@@ -82,11 +82,14 @@ def test_integration_from_a_deflection(keys: dict[str, object]) -> None:
     scene = fc.Scene.load(ROOT / "demos/paper_plate.toml").replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.02, **changes}
     )
-    plain, more = fc.integrate(scene), scene.replace({"excitation.harmonics": [harmonic]})
-    found = fc.integrate(more)
-    assert found.result.recorded[0] == pytest.approx(plain.result.recorded[0], rel=1e-9)
-    same = np.allclose(found.result.recorded, plain.result.recorded)
-    assert same == ("free" in keys)
+    plain_run, changed_scene = (
+        fc.integrate(scene),
+        scene.replace({"excitation.harmonics": [harmonic]}),
+    )
+    run = fc.integrate(changed_scene)
+    assert run.result.recorded[0] == pytest.approx(plain_run.result.recorded[0], rel=1e-9)
+    is_same = np.allclose(run.result.recorded, plain_run.result.recorded)
+    assert is_same == ("free" in keys)
 
 
 def test_harmonics_of_all_loads(tmp_path: Path) -> None:
@@ -111,12 +114,16 @@ def test_harmonics_of_all_loads(tmp_path: Path) -> None:
     assert fc.Scene.load(path) == scene
     structure = fc.build_structure(scene)
     assert structure.force.shape[0] == 11 and scene.harmonic_balance.harmonics == 5
-    alone = fc.build_structure(base.replace({"excitation.force_cos": [1.0, 0.0]})).force[1]
+    single_force = fc.build_structure(base.replace({"excitation.force_cos": [1.0, 0.0]})).force[1]
     rows = structure.force
-    np.testing.assert_allclose(rows[2], 4.0 / np.pi * 5.0 * alone, rtol=1e-12)  # of the table
-    np.testing.assert_allclose(rows[10], 4.0 / (5.0 * np.pi) * 5.0 * alone, rtol=1e-12)
+    np.testing.assert_allclose(
+        rows[2], 4.0 / np.pi * 5.0 * single_force, rtol=1e-12
+    )  # of the table
+    np.testing.assert_allclose(rows[10], 4.0 / (5.0 * np.pi) * 5.0 * single_force, rtol=1e-12)
     assert np.abs(rows[[0, 1, 5, 7, 8, 9]]).max() < 1e-12 and rows[[3, 4, 6]].any(axis=1).all()
-    moved = fc.build_structure(
+    moved_force = fc.build_structure(
         base.replace({"base.acceleration_cos": [2.0, 0.0], "excitation.point": None})
     ).force[1]
-    np.testing.assert_allclose(rows[4], 0.5 * moved, rtol=1e-9, atol=1e-12 * np.abs(moved).max())
+    np.testing.assert_allclose(
+        rows[4], 0.5 * moved_force, rtol=1e-9, atol=1e-12 * np.abs(moved_force).max()
+    )

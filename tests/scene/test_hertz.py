@@ -19,9 +19,9 @@ IN_HERTZ = {"excitation.omega": GONE, "excitation.frequency": 318.25}
 
 def test_a_frequency_in_hertz_is_one_in_radians() -> None:
     """w = 2 pi f for the load, the first natural frequency and the two of Rayleigh's damping."""
-    first = {"crack.length": GONE, "crack.first_frequency": 366}
+    first_settings = {"crack.length": GONE, "crack.first_frequency": 366}
     two = {"damping": {"ratios": [0.01, 0.02], "frequencies": [100.0, 900.0]}}
-    scene = Scene.from_mapping(changed(GRADED | IN_HERTZ | first | two))
+    scene = Scene.from_mapping(changed(GRADED | IN_HERTZ | first_settings | two))
     assert scene.excitation.omega == TURN * 318.25
     assert scene.crack is not None and scene.crack.first_omega == TURN * 366.0
     assert scene.damping.omegas == (TURN * 100.0, TURN * 900.0)
@@ -73,19 +73,22 @@ def test_bad_frequencies_are_named(key: str, changes: dict[str, Any]) -> None:
 def test_a_frequency_replaces_its_twin() -> None:
     """Whichever is set last holds; removing both leaves none."""
     scene = Scene.from_mapping(GOOD)
-    turned = scene.replace({"excitation.frequency": 100.0})
-    assert (turned.excitation.frequency, turned.excitation.omega) == (100.0, TURN * 100.0)
-    assert turned.in_hertz and not scene.in_hertz
-    assert turned.replace({"excitation.omega": 2000.0}) == scene
+    turned_scene = scene.replace({"excitation.frequency": 100.0})
+    assert (turned_scene.excitation.frequency, turned_scene.excitation.omega) == (
+        100.0,
+        TURN * 100.0,
+    )
+    assert turned_scene.in_hertz and not scene.in_hertz
+    assert turned_scene.replace({"excitation.omega": 2000.0}) == scene
     for key in ("excitation.omega", "excitation.frequency"):
         with pytest.raises(InputError, match=r"excitation\.omega is missing"):
-            turned.replace({key: None})
+            turned_scene.replace({key: None})
     with pytest.raises(InputError, match=r"excitation\.frequency = 1"):
         scene.replace({"excitation.omega": 1.0, "excitation.frequency": 1.0})
-    cracked = Scene.from_mapping(
+    cracked_scene = Scene.from_mapping(
         changed(GRADED | {"crack.length": GONE, "crack.first_frequency": 366.0})
     )
-    found = cracked.replace({"crack.length": 0.02, "crack.first_omega": None})
+    found = cracked_scene.replace({"crack.length": 0.02, "crack.first_omega": None})
     assert found.crack is not None and found.crack.first_frequency is None
     two = scene.replace({"damping.ratio": None, "damping.ratios": [0.1, 0.1],
                          "damping.frequencies": [1.0, 2.0]})  # fmt: skip
@@ -95,23 +98,23 @@ def test_a_frequency_replaces_its_twin() -> None:
 def test_sweeps_in_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases are those of the sweep in rad/s; both twins in one sweep are refused."""
     scene = Scene.from_mapping(GOOD).replace({"contact.stiffness": 1e7})
-    swept = scene.replace({"sweep.over": {"excitation.frequency": [300.0, 310.0]}})
-    assert swept.in_hertz and swept.sweep is not None
-    assert swept.swept_omegas == (TURN * 300.0, TURN * 310.0)
-    built, whole = [], fc.prepare
+    swept_scene = scene.replace({"sweep.over": {"excitation.frequency": [300.0, 310.0]}})
+    assert swept_scene.in_hertz and swept_scene.sweep is not None
+    assert swept_scene.swept_omegas == (TURN * 300.0, TURN * 310.0)
+    built, prepare_function = [], fc.prepare
     monkeypatch.setattr(
         "fenics_crack.sweep.case.prepare",
-        lambda *given, **more: built.append(given) or whole(*given, **more),
+        lambda *given, **more: built.append(given) or prepare_function(*given, **more),
     )
-    found = fc.run_sweep(swept, verdicts=False)
-    assert found["omega"].tolist() == [TURN * 300.0, TURN * 310.0]
+    sweep = fc.run_sweep(swept_scene, verdicts=False)
+    assert sweep["omega"].tolist() == [TURN * 300.0, TURN * 310.0]
     assert len(built) == 1  # frequencies share one geometry
     over = {"excitation.omega": [1.0, 2.0], "excitation.frequency": [1.0, 2.0]}
     for axes in (over, dict(reversed(over.items()))):
         with pytest.raises(InputError) as caught:
             scene.replace({"sweep.over": axes})
-        both = f"{caught.value.value} {caught.value.allowed}"
-        assert all(key in both for key in over)
+        message = f"{caught.value.value} {caught.value.allowed}"
+        assert all(key in message for key in over)
 
 
 def test_a_curve_in_hertz() -> None:
@@ -121,9 +124,9 @@ def test_a_curve_in_hertz() -> None:
          "crack.first_omega": None, "harmonic_balance.harmonics": 3}
     )  # fmt: skip
     span = {"curve.start": 300.0, "curve.stop": 330.0, "curve.stability": False}
-    turned = scene.replace(span | {"curve.parameter": "frequency"})
-    assert turned.in_hertz
-    found = fc.curve(turned).result
+    turned_scene = scene.replace(span | {"curve.parameter": "frequency"})
+    assert turned_scene.in_hertz
+    found = fc.curve(turned_scene).result
     assert found.parameter == "omega"
     assert found.values[[0, -1]] == pytest.approx([TURN * 300.0, TURN * 330.0], rel=1e-14)
     table = found.to_dict()
@@ -134,5 +137,5 @@ def test_a_curve_in_hertz() -> None:
     assert fc.draw_curve(found, 0).axes[0].get_xlabel() == "load frequency [rad/s]"
     for name in ("start", "stop"):
         with pytest.raises(InputError) as caught:
-            turned.replace({f"curve.{name}": -1.0})
+            turned_scene.replace({f"curve.{name}": -1.0})
         assert caught.value.key == f"curve.{name}"

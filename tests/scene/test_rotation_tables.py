@@ -38,10 +38,10 @@ def test_an_order_gives_the_frequency() -> None:
     assert scene.replace({"rotation.speed": 10.0}).excitation.omega == 30.0
     assert scene.replace({"excitation.order": 4}).excitation.omega == 4 * RPM * 6000.0
     for key in ("omega", "frequency"):
-        other = scene.replace({f"excitation.{key}": 50.0}).excitation
-        assert other.order is None and getattr(other, key) == 50.0
-    fixed = Scene.from_mapping(changed(ROTATING))
-    assert fixed.replace({"excitation.order": 3}).excitation == scene.excitation
+        other_excitation = scene.replace({f"excitation.{key}": 50.0}).excitation
+        assert other_excitation.order is None and getattr(other_excitation, key) == 50.0
+    fixed_scene = Scene.from_mapping(changed(ROTATING))
+    assert fixed_scene.replace({"excitation.order": 3}).excitation == scene.excitation
     rest = scene.at_rest()
     assert rest.speed == 0.0 and rest.excitation.omega == scene.excitation.omega
 

@@ -81,11 +81,11 @@ def changed(changes: dict[str, Any]) -> dict[str, Any]:
     tables: dict[str, Any] = copy.deepcopy(GOOD)
     for name, value in changes.items():
         table, _, key = name.partition(".")
-        place, last = (tables[table], key) if key else (tables, table)
+        place, leaf = (tables[table], key) if key else (tables, table)
         if value is GONE:
-            del place[last]
+            del place[leaf]
         else:
-            place[last] = copy.deepcopy(value)
+            place[leaf] = copy.deepcopy(value)
     return tables
 
 
@@ -180,12 +180,12 @@ def test_changes_are_made_before_the_check(
     name: str, value: object, changes: dict[str, object]
 ) -> None:
     """What is wrong in a file and changed is not complained of."""
-    right, tables = tomllib.loads(GOOD_TOML), tomllib.loads(GOOD_TOML)
+    right_tables, tables = tomllib.loads(GOOD_TOML), tomllib.loads(GOOD_TOML)
     table, key = name.split(".")
     tables[table][key] = value
     assert refusal(lambda: Scene.from_mapping(tables)).key == name
-    changed = Scene.from_mapping(tables, changes=changes)
-    assert changed == Scene.from_mapping(right).replace(changes)
+    scene = Scene.from_mapping(tables, changes=changes)
+    assert scene == Scene.from_mapping(right_tables).replace(changes)
 
 
 # --- refused --------------------------------------------------------------------------------------
@@ -276,9 +276,11 @@ def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
     assert type(error) is InputError
     assert error.key == key
     table, _, leaf = key.partition(".")
-    given = changed(changes).get(table)
-    expected = given.get(leaf) if leaf and isinstance(given, dict) else given
-    assert repr(error.value) == repr(expected)
+    given_table = changed(changes).get(table)
+    expected_value = (
+        given_table.get(leaf) if leaf and isinstance(given_table, dict) else given_table
+    )
+    assert repr(error.value) == repr(expected_value)
     assert error.allowed
     text = str(error)
     assert error.key in text and error.allowed.removeprefix("left out") in text
@@ -293,9 +295,9 @@ def test_bad_file_is_named(content: bytes | None, tmp_path: Path) -> None:
         path.write_bytes(content)
     with pytest.raises(InputError) as caught:
         Scene.load(path)
-    expected = {None: "scene", b"": "geometry", b"x = 1": "x"}.get(content, "scene")
-    assert caught.value.key == expected
-    if expected == "scene":
+    expected_key = {None: "scene", b"": "geometry", b"x = 1": "x"}.get(content, "scene")
+    assert caught.value.key == expected_key
+    if expected_key == "scene":
         assert str(path) in str(caught.value)
 
 
@@ -315,10 +317,10 @@ def test_scenes_are_frozen() -> None:
 def test_replace_changes_a_copy() -> None:
     """`replace` gives a validated copy with the named keys changed and leaves the scene alone."""
     scene = Scene.from_mapping(GOOD)
-    other = scene.replace(
+    changed_scene = scene.replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.01, "mesh.columns": 4, "mesh.rows": 4}
     )
-    assert other == Scene.from_mapping(
+    assert changed_scene == Scene.from_mapping(
         changed(
             {"contact.stiffness": 1e9, "damping.ratio": 0.01, "mesh.columns": 4, "mesh.rows": 4}
         )
@@ -367,9 +369,13 @@ def test_replace_refuses(key: str, value: object) -> None:
 def test_replace_makes_a_missing_table() -> None:
     """A table that the scene does not have is made, with all that it needs, or refused."""
     scene = Scene.from_mapping(changed({"crack": GONE, "contact": GONE}))
-    made = scene.replace({"curve.start": 1000.0, "curve.stop": 2000.0})
-    assert made.curve is not None and made.curve.parameter == "omega" and scene.curve is None
-    assert made.replace({"curve": None}) == scene
+    changed_scene = scene.replace({"curve.start": 1000.0, "curve.stop": 2000.0})
+    assert (
+        changed_scene.curve is not None
+        and changed_scene.curve.parameter == "omega"
+        and scene.curve is None
+    )
+    assert changed_scene.replace({"curve": None}) == scene
     assert refusal(lambda: scene.replace({"curve.start": 1000.0})).key == "curve.stop"
 
 
@@ -430,12 +436,12 @@ def test_axes_made_in_python() -> None:
             sweep.over, (np.array([0.04, 0.05]), tuple(np.arange(2, 4))), strict=True
         )
     )
-    swept = scene.replace({"sweep.over": (axis, count)})
-    assert swept.sweep is not None and swept.sweep.over[1].values == (2, 3)
-    assert Scene.from_text(swept.as_toml()) == swept
-    for wrong in ((axis, axis), (dataclasses.replace(axis, values=()),)):
+    swept_scene = scene.replace({"sweep.over": (axis, count)})
+    assert swept_scene.sweep is not None and swept_scene.sweep.over[1].values == (2, 3)
+    assert Scene.from_text(swept_scene.as_toml()) == swept_scene
+    for wrong_axes in ((axis, axis), (dataclasses.replace(axis, values=()),)):
         with pytest.raises(InputError, match=r"sweep\.over"):
-            scene.replace({"sweep.over": wrong})
+            scene.replace({"sweep.over": wrong_axes})
 
 
 def test_rayleigh_damping_is_swept() -> None:
@@ -444,13 +450,13 @@ def test_rayleigh_damping_is_swept() -> None:
     rayleigh = scene.replace({"damping.ratio": None, "damping.mass": 10})
     assert (rayleigh.damping.mass, rayleigh.damping.stiffness) == (10.0, None)
     over = {"damping.mass": [1, 2.0], "damping.stiffness": [0.0, 1e-6]}
-    swept = rayleigh.replace({"sweep.over": over})
-    assert swept.sweep is not None and swept.sweep.over[0].values == (1.0, 2.0)
-    assert Scene.from_text(swept.as_toml()) == swept
+    swept_scene = rayleigh.replace({"sweep.over": over})
+    assert swept_scene.sweep is not None and swept_scene.sweep.over[0].values == (1.0, 2.0)
+    assert Scene.from_text(swept_scene.as_toml()) == swept_scene
     two = {"damping.mass": None, "damping.ratios": [0.01, 0.02], "damping.omegas": [1.0, 2.0]}
-    again = rayleigh.replace(two)
-    assert again.damping.ratios == (0.01, 0.02)
-    assert Scene.from_text(again.as_toml()) == again
+    changed_scene = rayleigh.replace(two)
+    assert changed_scene.damping.ratios == (0.01, 0.02)
+    assert Scene.from_text(changed_scene.as_toml()) == changed_scene
 
 
 @pytest.mark.parametrize(
@@ -474,10 +480,10 @@ def test_damping_of_all_modes(table: dict[str, Any], expected: bool) -> None:
 
 def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
     """As ``mesh.file`` does."""
-    made = {key: GOOD[key] for key in ("material", "damping", "excitation", "contact")}
-    made |= {"geometry": {"thickness": 1.0}, "mesh": {"layout": "file", "file": "a.msh"}}
-    made["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
-    scene = Scene.from_mapping(made, tmp_path)
+    tables = {key: GOOD[key] for key in ("material", "damping", "excitation", "contact")}
+    tables |= {"geometry": {"thickness": 1.0}, "mesh": {"layout": "file", "file": "a.msh"}}
+    tables["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
+    scene = Scene.from_mapping(tables, tmp_path)
     files = [str(tmp_path / name) for name in ("a.msh", "a.msh", "b.msh")]
     assert scene.mesh.file == files[0] and scene.sweep is not None
     assert list(scene.sweep.over[0].values) == files[1:]

@@ -29,11 +29,11 @@ def fits(value: Any, schema: dict[str, Any]) -> bool:
     if isinstance(value, list) and "items" in schema:
         return all(fits(one, schema["items"]) for one in value)
     if isinstance(value, dict) and "properties" in schema:
-        known = schema["properties"]
+        known_properties = schema["properties"]
         return (
-            value.keys() <= known.keys()
+            value.keys() <= known_properties.keys()
             and {*schema.get("required", ())} <= value.keys()
-            and all(fits(one, known[key]) for key, one in value.items())
+            and all(fits(one, known_properties[key]) for key, one in value.items())
         )
     return True
 

@@ -82,23 +82,25 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_file_gives_the_answer_of_its_scene(file: Path) -> None:
     """Amplitude and stated errors under another load, frequency, damping and clearance."""
-    own = fc.solve(fc.Scene.from_text(PLATE).replace(CHANGES))
-    expected = own.errors
+    own_run = fc.solve(fc.Scene.from_text(PLATE).replace(CHANGES))
+    expected_errors = own_run.errors
     run = fc.solve(fc.load_prepared(file, CHANGES))
     assert not run.structure.whole.has_matrices
     assert set(run.errors.parts) == {"modes", "harmonics", "mesh", "friction"}
-    assert run.errors.values == pytest.approx(expected.values, rel=1e-6)
-    for name in expected.values:
-        assert run.errors.stated(name)[0] == pytest.approx(expected.stated(name)[0], rel=1e-4)
+    assert run.errors.values == pytest.approx(expected_errors.values, rel=1e-6)
+    for name in expected_errors.values:
+        assert run.errors.stated(name)[0] == pytest.approx(
+            expected_errors.stated(name)[0], rel=1e-4
+        )
 
 
 def test_solve_imports_no_mesher(file: Path, tmp_path: Path) -> None:
     """The command writes its files where neither DOLFINx nor gmsh can be imported."""
     words = ["solve", str(file), "--set", "excitation.frequency=790", "--output", str(tmp_path)]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False
     )
-    assert done.returncode in (0, 4), done.stderr  # 4: the error of so coarse a mesh is large
+    assert process.returncode in (0, 4), process.stderr  # 4: the error of so coarse a mesh is large
     assert (tmp_path / "solution.h5").exists() and (tmp_path / "solution.json").exists()
 
 
@@ -161,18 +163,18 @@ def test_tolerance_beyond_the_file_is_said_to_be_missed(file: Path) -> None:
 def test_curve_of_a_file(file: Path) -> None:
     """The points of its scene's own curve."""
     keys = {"curve.start": 780.0, "curve.stop": 800.0, "curve.stability": False}
-    own, found = (
-        fc.curve(given).result
-        for given in (fc.Scene.from_text(PLATE).replace(keys), fc.load_prepared(file, keys))
+    own_curve, file_curve = (
+        fc.curve(source_scene).result
+        for source_scene in (fc.Scene.from_text(PLATE).replace(keys), fc.load_prepared(file, keys))
     )
-    assert found.omega == pytest.approx(own.omega, rel=1e-6)
-    assert found.amplitude() == pytest.approx(own.amplitude(), rel=1e-6)
+    assert file_curve.omega == pytest.approx(own_curve.omega, rel=1e-6)
+    assert file_curve.amplitude() == pytest.approx(own_curve.amplitude(), rel=1e-6)
 
 
 def test_other_commands_make_a_mesh_of_their_own(file: Path) -> None:
     """A scene of the same mesh is not given the structure of a file."""
-    prepared = fc.load_prepared(file)
-    assert fc.modes(prepared.scene).structure.has_matrices
+    prepared_scene = fc.load_prepared(file)
+    assert fc.modes(prepared_scene.scene).structure.has_matrices
 
 
 def omega_of(path: Path) -> np.ndarray:
@@ -248,11 +250,11 @@ def test_solids_are_refused_by_name() -> None:
 @pytest.mark.parametrize("name", FORGERIES)
 def test_forged_files_are_refused(name: str, file: Path, tmp_path: Path) -> None:
     """In one line that names the file."""
-    forged = Path(shutil.copy(file, tmp_path / "forged.h5"))
-    with changed(forged) as parts:
+    forged_path = Path(shutil.copy(file, tmp_path / "forged.h5"))
+    with changed(forged_path) as parts:
         FORGERIES[name](parts)
     with pytest.raises(fc.InputError, match=r"forged\.h5") as error:
-        fc.solve(fc.load_prepared(forged))
+        fc.solve(fc.load_prepared(forged_path))
     assert "\n" not in str(error.value)
 
 
@@ -289,9 +291,11 @@ def test_files_of_the_scene_may_have_gone(tmp_path: Path) -> None:
     scene = scene.replace(of_mesh | of_wave)
     fc.save_prepared(fc.prepare(scene), path)
     changes = {"excitation.frequency": 800.0}
-    expected = fc.solve(scene.replace(changes)).amplitude(None)
+    expected_amplitude = fc.solve(scene.replace(changes)).amplitude(None)
     mesh.unlink(), wave.unlink()
-    assert fc.solve(fc.load_prepared(path, changes)).amplitude(None) == pytest.approx(expected)
+    assert fc.solve(fc.load_prepared(path, changes)).amplitude(None) == pytest.approx(
+        expected_amplitude
+    )
     wave.write_text("t,fx,fy\n0,1,0\n1,-5,0\n")
     with pytest.raises(fc.InputError, match="has changed"):
         fc.load_prepared(path)
@@ -331,14 +335,17 @@ def test_forged_sizes_are_refused_on_both_ranks(
     file: Path, tmp_path: Path, on_ranks: Callable[..., Any]
 ) -> None:
     """By one error."""
-    forged = Path(shutil.copy(file, tmp_path / "forged.h5"))
-    with changed(forged) as parts:
+    forged_path = Path(shutil.copy(file, tmp_path / "forged.h5"))
+    with changed(forged_path) as parts:
         FORGERIES["more dofs than nodes"](parts)
-    assert "does not fit" in on_ranks(refused_by_all, str(forged))
+    assert "does not fit" in on_ranks(refused_by_all, str(forged_path))
 
 
 @pytest.mark.mpi
 def test_two_ranks_read_one_file(file: Path, on_ranks: Callable[..., Any]) -> None:
     """With one answer."""
-    parallel, alone = on_ranks(amplitude_of, str(file)), amplitude_of(str(file), MPI.COMM_SELF)
-    assert parallel == pytest.approx(alone, rel=1e-9)
+    parallel, single_amplitude = (
+        on_ranks(amplitude_of, str(file)),
+        amplitude_of(str(file), MPI.COMM_SELF),
+    )
+    assert parallel == pytest.approx(single_amplitude, rel=1e-9)

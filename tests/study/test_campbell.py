@@ -24,24 +24,24 @@ def test_frequencies_are_those_of_each_speed() -> None:
     """One mesh and one basis for all speeds give what a scene of each speed does, lips open and
     tied, also between the speeds whose modes are in the basis: to rounding of its projection."""
     scene = cracked(100.0)
-    found = fc.campbell(scene, [0.0, 130.0, 400.0], 2)
-    for row, speed in enumerate(found.speed):
+    campbell = fc.campbell(scene, [0.0, 130.0, 400.0], 2)
+    for row, speed in enumerate(campbell.speed):
         plate = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
-        assert found.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-8)
-        tied = fc.solve_modes(plate, 2, lips="tied").omega
-        assert found.omega_tied[row] == pytest.approx(tied, rel=1e-8)
-    bilinear = 2.0 / (1.0 / found.omega_open + 1.0 / found.omega_tied)
-    assert found.omega_bilinear == pytest.approx(bilinear)
-    assert np.all(np.diff(found.omega_open, axis=0) > 0.0)
+        assert campbell.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-8)
+        bonded_omega = fc.solve_modes(plate, 2, lips="tied").omega
+        assert campbell.omega_tied[row] == pytest.approx(bonded_omega, rel=1e-8)
+    bilinear = 2.0 / (1.0 / campbell.omega_open + 1.0 / campbell.omega_tied)
+    assert campbell.omega_bilinear == pytest.approx(bilinear)
+    assert np.all(np.diff(campbell.omega_open, axis=0) > 0.0)
 
 
 def test_between_speeds() -> None:
     """Squares w^2 = a + b W^2 are met everywhere; d ln w / d ln W is b W^2 / w^2."""
     speeds = np.array([0.0, 60.0, 100.0, 180.0])
-    is_open, tied = (np.sqrt(4e4 * a + 2.0 * speeds[:, None] ** 2) for a in (1.0, 2.0))
+    is_open, bonded_omega = (np.sqrt(4e4 * a + 2.0 * speeds[:, None] ** 2) for a in (1.0, 2.0))
     kinds = np.full(is_open.shape, "open")
     diagram = fc.Campbell(
-        cracked(100.0), speeds, is_open, tied, is_open, True, kinds, (), np.zeros(1)
+        cracked(100.0), speeds, is_open, bonded_omega, is_open, True, kinds, (), np.zeros(1)
     )
     for speed in (30.0, 90.0, 175.0):
         squares = np.array([4e4, 8e4]) + 2.0 * speed**2
@@ -53,14 +53,14 @@ def test_between_speeds() -> None:
 def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
     """At a crossing the natural frequency of a structure built there is order times the speed; a
     beam whose w^2 is linear in W^2 meets order n at w_0 / sqrt(n^2 - S)."""
-    found = fc.campbell(strip(1, 1.0), np.linspace(0.0, 4.0 * UNIT, 5), 2)
-    assert not found.cracked and "omega_tied" not in found.to_dict()
-    [[mode, speed]] = found.crossings(3)
+    campbell = fc.campbell(strip(1, 1.0), np.linspace(0.0, 4.0 * UNIT, 5), 2)
+    assert not campbell.cracked and "omega_tied" not in campbell.to_dict()
+    [[mode, speed]] = campbell.crossings(3)
     assert mode == 1
     [omega] = fc.solve_modes(fc.build_structure(strip(1, speed / UNIT)), 1).omega
     assert omega == pytest.approx(3.0 * speed, rel=1e-3)
     assert speed == pytest.approx(3.516 * UNIT / np.sqrt(9.0 - 2.764), rel=0.01)
-    assert not len(found.crossings(1))  # the first mode stays above W: S > 1
+    assert not len(campbell.crossings(1))  # the first mode stays above W: S > 1
 
 
 @pytest.mark.drawn(2)
@@ -78,10 +78,10 @@ def test_a_crack_that_is_held_is_not_bilinear(
     the solution at that resonance says."""
     scene = cracked(max(speed, 1.0), mean).replace({"excitation.force_sin": [force, 0.0]})
     speeds = [max(speed, 1.0), speed + 10.0]
-    found = fc.campbell(scene, speeds, 1)
-    assert found.kind[0, 0] == does
-    omega = float(found.omega_real[0, 0])
-    assert omega == getattr(found, f"omega_{does}")[0, 0]
+    campbell = fc.campbell(scene, speeds, 1)
+    assert campbell.kind[0, 0] == does
+    omega = float(campbell.omega_real[0, 0])
+    assert omega == getattr(campbell, f"omega_{does}")[0, 0]
     blade = fc.prepare(scene.replace({"excitation.omega": omega}))
     solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=8)
     share = solution.indicators(0).closed_share
@@ -92,23 +92,25 @@ def test_a_crack_that_is_held_is_not_bilinear(
 def test_a_crack_that_is_held_partly_open() -> None:
     """A steady load that presses one crack together and opens another, under a small load: neither
     breathes, and the frequency is that with stiff springs across the gaps of the pressed pairs."""
-    other = {"cracks.1.edge": "right", "cracks.1.height": 0.07, "cracks.1.length": 0.006}
-    other["excitation.force_sin"] = [1e-3, 0.0]
-    scene = cracked(200.0, -600.0).replace(other)
-    found = fc.campbell(scene, [200.0, 210.0], 1)
+    other_crack = {"cracks.1.edge": "right", "cracks.1.height": 0.07, "cracks.1.length": 0.006}
+    other_crack["excitation.force_sin"] = [1e-3, 0.0]
+    scene = cracked(200.0, -600.0).replace(other_crack)
+    campbell = fc.campbell(scene, [200.0, 210.0], 1)
     plate = fc.build_structure(scene)
-    stiffness, mass = (csc_matrix(dense(one)) for one in (plate.stiffness, plate.mass))
+    stiffness, mass = (csc_matrix(dense(matrix)) for matrix in (plate.stiffness, plate.mass))
     gap, flexible = plate.gap.toarray(), splu(stiffness)
     # Forces that pull nowhere, of least energy: those of lips that do not overlap.
     root = np.linalg.cholesky(gap.T @ flexible.solve(gap))
-    pressed, _ = nnls(root.T, np.linalg.solve(root, gap.T @ flexible.solve(plate.force[0])))
-    assert {*plate.pairs.cracks[pressed > 0.0]} == {0} and np.all(pressed[plate.pairs.cracks == 0])
-    ties = plate.gap[:, pressed > 0.0]
-    tied = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
-    [square], _ = eigsh(tied.tocsc(), 1, mass, sigma=0.0)
-    assert found.kind.tolist() == [["partly"], ["partly"]]
-    assert found.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
-    rows = found.to_dict()
+    pressing_forces, _ = nnls(root.T, np.linalg.solve(root, gap.T @ flexible.solve(plate.force[0])))
+    assert {*plate.pairs.cracks[pressing_forces > 0.0]} == {0} and np.all(
+        pressing_forces[plate.pairs.cracks == 0]
+    )
+    ties = plate.gap[:, pressing_forces > 0.0]
+    tied_stiffness = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
+    [square], _ = eigsh(tied_stiffness.tocsc(), 1, mass, sigma=0.0)
+    assert campbell.kind.tolist() == [["partly"], ["partly"]]
+    assert campbell.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
+    rows = campbell.to_dict()
     assert rows["crack"] == 2 * ["held partly open"] and len(rows["frequency_partly"]) == 2
     louder = fc.campbell(scene.replace({"excitation.force_sin": [100.0, 0.0]}), [200.0, 210.0], 1)
     assert louder.kind.tolist() == [["bilinear"], ["bilinear"]]
@@ -121,13 +123,13 @@ def test_states_follow_each_other(top: float) -> None:
     """A crack that rotation opens pair by pair is held shut, partly open and open, and changes from
     one to another only with a range of breathing, or none that matters, between."""
     scene = cracked(300.0, -300.0).replace({"excitation.force_sin": [1e-4, 0.0]})
-    found = fc.campbell(scene, [300.0, top], 1)
-    speeds = [300.0, *(speed for _, speed, _ in found.changes), top]
-    kinds = [found.kind[0, 0], *(kind for *_, kind in found.changes)]
-    assert kinds[-1] == found.kind[1, 0] and np.all(np.diff(speeds) > 0.0)
-    for low, high, kind in zip(speeds, speeds[1:], kinds, strict=False):
-        if high - low > 1.0:
-            middle = 0.5 * (low + high)
+    campbell = fc.campbell(scene, [300.0, top], 1)
+    speeds = [300.0, *(speed for _, speed, _ in campbell.changes), top]
+    kinds = [campbell.kind[0, 0], *(kind for *_, kind in campbell.changes)]
+    assert kinds[-1] == campbell.kind[1, 0] and np.all(np.diff(speeds) > 0.0)
+    for lower_speed, upper_speed, kind in zip(speeds, speeds[1:], kinds, strict=False):
+        if upper_speed - lower_speed > 1.0:
+            middle = 0.5 * (lower_speed + upper_speed)
             assert fc.campbell(scene, [middle, top], 1).kind[0, 0] == kind
 
 
@@ -140,25 +142,25 @@ def test_a_crossing_has_the_state_of_the_crack_at_it(mean: float, does: str) -> 
     which the crack changes, which a diagram of two speeds next to it has, too; the drawn line goes
     through it, and rises but where the crack changes."""
     scene = cracked(1.0, mean).replace({"excitation.force_sin": [0.5, 0.0]})
-    wide = fc.campbell(scene, [0.0, 1200.0], 1)
-    [[_, speed]], [text] = wide.crossings(12, "real"), wide.meetings(12)
-    near = fc.campbell(scene, [0.99 * speed, 1.01 * speed], 1)
-    assert near.crossings(12, "real")[:, 1] == pytest.approx([speed], rel=1e-4)
+    wide_campbell = fc.campbell(scene, [0.0, 1200.0], 1)
+    [[_, speed]], [text] = wide_campbell.crossings(12, "real"), wide_campbell.meetings(12)
+    near_campbell = fc.campbell(scene, [0.99 * speed, 1.01 * speed], 1)
+    assert near_campbell.crossings(12, "real")[:, 1] == pytest.approx([speed], rel=1e-4)
     if does == "changes":
-        assert near.kind[:, 0].tolist() == ["bilinear", "open"]
+        assert near_campbell.kind[:, 0].tolist() == ["bilinear", "open"]
         assert "with the crack breathing before and held open after" in text
     else:
-        assert near.kind[:, 0].tolist() == [does, does]
-        assert wide.crossings(12, does)[0, 1] == speed
+        assert near_campbell.kind[:, 0].tolist() == [does, does]
+        assert wide_campbell.crossings(12, does)[0, 1] == speed
         words = {"open": "held open", "tied": "held shut"}
         state = words.get(does, "breathing (bilinear estimate)")
         assert f"with the crack {state}; it would be" in text
-    speeds, omega, kinds = map(np.array, zip(*wide.real_line(1), strict=True))
+    speeds, omega, kinds = map(np.array, zip(*wide_campbell.real_line(1), strict=True))
     steps = np.diff(speeds) == 0.0
-    assert steps.sum() == len(wide.changes) > 0
+    assert steps.sum() == len(wide_campbell.changes) > 0
     assert np.all(np.diff(omega)[~steps] > 0.0) and np.all(np.diff(omega)[steps] < 0.0)
     assert np.all(kinds[1:][~steps] == kinds[:-1][~steps])
-    [panel] = fc.draw_campbell(wide, [12], in_hertz=False, in_rpm=False).axes
+    [panel] = fc.draw_campbell(wide_campbell, [12], in_hertz=False, in_rpm=False).axes
     [ring] = [line for line in panel.lines if line.get_marker() == "o"]
     assert ring.get_xydata() == pytest.approx(np.array([[speed, 12.0 * speed]]))
     assert panel.lines[0].get_xydata() == pytest.approx(np.column_stack([speeds, omega]))
@@ -213,8 +215,8 @@ def test_a_tie_that_takes_a_mode_past_another() -> None:
         along[lips] = dict(zip(np.abs(modes.shapes[tip]).argmax(axis=0), modes.omega, strict=True))
     assert [*along["open"]] == [0, 1] and [*along["tied"]] == [1, 0]
     for count in (1, 2):
-        found = fc.campbell(scene, [300.0, 310.0], count)
-        for told, lips in ((found.omega_open, "open"), (found.omega_tied, "tied")):
+        campbell = fc.campbell(scene, [300.0, 310.0], count)
+        for told, lips in ((campbell.omega_open, "open"), (campbell.omega_tied, "tied")):
             expected = [along[lips][direction] for direction in range(count)]
             assert told[0] == pytest.approx(expected, rel=1e-6)
 
@@ -227,9 +229,11 @@ def test_crossings_between_speeds_far_apart() -> None:
     scene = Scene.from_text(BAR).replace(changes | {"mesh.lip_elements": None})
     two, nine = (fc.campbell(scene, np.linspace(0.0, 2500.0, n), 2) for n in (2, 9))
     for order in (5, 6):
-        found = two.crossings(order, "open")
-        assert len(found) == 2 and found == pytest.approx(nine.crossings(order, "open"), rel=1e-4)
-        for mode, speed in found:
+        crossings = two.crossings(order, "open")
+        assert len(crossings) == 2 and crossings == pytest.approx(
+            nine.crossings(order, "open"), rel=1e-4
+        )
+        for mode, speed in crossings:
             bar = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
             omega = fc.solve_modes(bar, 2).omega[int(mode) - 1]
             assert omega == pytest.approx(order * speed, rel=1e-4)
@@ -265,24 +269,26 @@ def test_speeds_that_are_too_fast() -> None:
 
 def test_picture_reaches_as_far_as_the_orders() -> None:
     """Orders up to 8 meet the first mode of a beam at 4 UNIT, up to 20 both; 1 meets none."""
-    found = fc.campbell(strip(0, 1.0), np.linspace(0.0, 4.0 * UNIT, 3), 2)
+    campbell = fc.campbell(strip(0, 1.0), np.linspace(0.0, 4.0 * UNIT, 3), 2)
     for orders, modes in ((range(1, 3), 1), (range(1, 9), 2), ([1], 1), ([], 1)):
-        [panel] = fc.draw_campbell(found, orders).axes
+        [panel] = fc.draw_campbell(campbell, orders).axes
         labels = panel.get_legend_handles_labels()[1]
         assert labels == ["mode 1", "mode 2"][:modes]
-        highest = found.omega_open[:, :modes].max() / (2.0 * np.pi)
-        assert panel.get_ylim()[1] == pytest.approx(1.08 * highest)
+        highest_frequency = campbell.omega_open[:, :modes].max() / (2.0 * np.pi)
+        assert panel.get_ylim()[1] == pytest.approx(1.08 * highest_frequency)
 
 
 def test_how_a_frequency_follows_the_speed() -> None:
     """Between speeds and beyond them, by its values at those beside it, of what the crack does."""
     speeds = 600.0 * np.exp([-0.01, 0.0, 0.01])
     scene = cracked(1.0).replace({"excitation.order": 12})
-    found, wide = (fc.campbell(scene, at, 2) for at in (speeds, [300.0, 590.0]))
-    assert found.kind[1].tolist() == ["bilinear", "open"]
-    for line in found.omega_real.T:
+    campbell, wide_campbell = (
+        fc.campbell(scene, speed_list, 2) for speed_list in (speeds, [300.0, 590.0])
+    )
+    assert campbell.kind[1].tolist() == ["bilinear", "open"]
+    for line in campbell.omega_real.T:
         slope = float(np.log(line[2] / line[0]) / 0.02)
-        for diagram in (found, wide):
+        for diagram in (campbell, wide_campbell):
             assert diagram.stiffening(600.0, 1.01 * line[1]) == pytest.approx(slope, rel=5e-3)
 
 
@@ -290,18 +296,18 @@ def test_command(run_command: RunCommand, tmp_path: Path) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
     scene = cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12})
     words = ["campbell", scene, "--output", tmp_path, "--count", 1, "--speeds"]
-    printed = run_command(*words, 4000, 8000, 3)
-    assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
-    assert "with the crack breathing (bilinear estimate); it would be held open at" in printed.err
-    assert "; there d ln f / d ln n = 0.0" in printed.err
+    process = run_command(*words, 4000, 8000, 3)
+    assert "rpm" in process.out and "engine order 12 meets mode 1" in process.err
+    assert "with the crack breathing (bilinear estimate); it would be held open at" in process.err
+    assert "; there d ln f / d ln n = 0.0" in process.err
     rows = list(csv.DictReader((tmp_path / "campbell.csv").open()))
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
     assert (tmp_path / "campbell.png").stat().st_size > 10_000
-    closing = "1 mode found between 4000 and 4100 rpm; engine order 12 meets none of them"
-    assert closing in run_command(*words, 4000, 4100, 2).err
-    for wrong in ([8000, 4000, 3], [0, 1, 1.5]):
-        run_command(*words, *wrong, code=2)
+    expected_end = "1 mode found between 4000 and 4100 rpm; engine order 12 meets none of them"
+    assert expected_end in run_command(*words, 4000, 4100, 2).err
+    for wrong_speeds in ([8000, 4000, 3], [0, 1, 1.5]):
+        run_command(*words, *wrong_speeds, code=2)
 
 
 def test_a_blade_of_few_modes_has_all_of_them() -> None:

@@ -26,14 +26,17 @@ def new_scene() -> fc.Scene:
 def test_a_curve_has_the_modes_that_its_tolerance_takes() -> None:
     """Its largest response and opening are those with four times as many, within the tolerance."""
     scene = new_scene().replace(COARSE | {"curve.start": 825.0, "curve.stop": 840.0})
-    few = fc.curve(scene)
-    kept = few.scene.given("reduction").modes
-    assert kept in (10, 20, 40) and f"; chosen for an error of 0.01: {kept} modes" in few.status
-    many = fc.curve(scene.replace({"reduction.modes": 4 * kept}))
-    assert "chosen" not in many.status and many.structure.n_modes == 4 * kept
+    few_run = fc.curve(scene)
+    kept_modes = few_run.scene.given("reduction").modes
+    assert (
+        kept_modes in (10, 20, 40)
+        and f"; chosen for an error of 0.01: {kept_modes} modes" in few_run.status
+    )
+    many_run = fc.curve(scene.replace({"reduction.modes": 4 * kept_modes}))
+    assert "chosen" not in many_run.status and many_run.structure.n_modes == 4 * kept_modes
     for name in ("amplitude", "opening"):
-        seen = [getattr(one.indicators(), name).max() for one in (few, many)]
-        assert seen[0] == pytest.approx(seen[1], rel=RATIO * 0.01)
+        peaks = [getattr(curve_run.indicators(), name).max() for curve_run in (few_run, many_run)]
+        assert peaks[0] == pytest.approx(peaks[1], rel=RATIO * 0.01)
 
 
 @pytest.mark.nightly
@@ -47,20 +50,20 @@ def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
 @pytest.mark.nightly
 def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
     """Modes are doubled where a case needs more; its solution has those with which it was found."""
-    over = {"excitation.frequency": [600.0, 832.0]}
-    scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": over})
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    sweep_axes = {"excitation.frequency": [600.0, 832.0]}
+    scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": sweep_axes})
+    sweep = fc.run_sweep(scene, tmp_path / "sweep.h5")
     for name in ("residual", "truncation", "sampling"):
-        assert np.all(found[f"{name}_error"] <= 0.01)
-    assert np.all(found["reduction_error"] <= 0.01)
-    plain = scene.replace({"sweep": None})
-    for index, omega in enumerate(found["omega"]):
-        solution = found.solution(index)
-        assert solution.amplitude() == pytest.approx(found["response"][index], rel=1e-9)
+        assert np.all(sweep[f"{name}_error"] <= 0.01)
+    assert np.all(sweep["reduction_error"] <= 0.01)
+    plain_scene = scene.replace({"sweep": None})
+    for index, omega in enumerate(sweep["omega"]):
+        solution = sweep.solution(index)
+        assert solution.amplitude() == pytest.approx(sweep["response"][index], rel=1e-9)
         modes = 4 * solution.structure.n_modes
         changes = {"excitation.omega": float(omega), "reduction.modes": modes}
-        true = fc.solve(plain.replace(changes)).amplitude()
-        assert found["response"][index] == pytest.approx(true, rel=RATIO * 0.01)
+        true_amplitude = fc.solve(plain_scene.replace(changes)).amplitude()
+        assert sweep["response"][index] == pytest.approx(true_amplitude, rel=RATIO * 0.01)
 
 
 def test_modes_that_are_given_are_kept() -> None:

@@ -30,30 +30,30 @@ def changes(errors: fc.Verification | None) -> dict[str, float]:
 
 def test_effect_is_that_of_the_scene_with_friction() -> None:
     """An inclined crack that slides: within a factor of 2, and the same whatever the modes."""
-    true = {}
+    true_changes = {}
     for mu in (0.0, 0.3):
         keys = {"contact.friction": mu, "reduction.modes": 40, "harmonic_balance.tolerance": 0.01}
         found = fc.solve(INCLINED.replace(keys), MPI.COMM_SELF)
-        true[mu] = found.result.indicators(found.watched_dof)
-    stated = []
+        true_changes[mu] = found.result.indicators(found.watched_dof)
+    stated_changes = []
     for modes in (10, 30):
         run = fc.solve(INCLINED.replace({"reduction.modes": modes}), MPI.COMM_SELF)
-        stated.append(changes(run.errors))
+        stated_changes.append(changes(run.errors))
         part = run.errors.contributions("ratio_2_1")["friction"]
         assert run.errors.total("ratio_2_1") >= part
-        assert part >= 0.999 * abs(stated[-1]["ratio_2_1"]) * run.errors.values["ratio_2_1"]
+        assert part >= 0.999 * abs(stated_changes[-1]["ratio_2_1"]) * run.errors.values["ratio_2_1"]
     for name in NAMES:
-        effect = getattr(true[0.3], name) / getattr(true[0.0], name) - 1.0
-        assert all(0.5 < one[name] / effect < 2.0 for one in stated), name
-        assert stated[1][name] == pytest.approx(stated[0][name], rel=0.1)
+        effect = getattr(true_changes[0.3], name) / getattr(true_changes[0.0], name) - 1.0
+        assert all(0.5 < one[name] / effect < 2.0 for one in stated_changes), name
+        assert stated_changes[1][name] == pytest.approx(stated_changes[0][name], rel=0.1)
 
 
 def true_over_stated(scene: fc.Scene) -> dict[str, float]:
     """Of each number, what friction changes with 60 modes over its part of the error."""
     run = fc.solve(scene, MPI.COMM_SELF)
-    true = with_and_without(run.scene, 60)
+    true_changes = with_and_without(run.scene, 60)
     parts = {name: run.errors.contributions(name)["friction"] for name in NAMES}
-    return {n: abs(true[n] * run.errors.values[n]) / part for n, part in parts.items()}
+    return {n: abs(true_changes[n] * run.errors.values[n]) / part for n, part in parts.items()}
 
 
 @pytest.mark.nightly
@@ -70,7 +70,7 @@ def test_ten_drawn_plates() -> None:
     between 0.4 and 1.6, and at most a tenth below 0.2."""
     seeds = np.random.default_rng(int("b0b6efe4", 16)).integers(1, 2**31, 10).tolist()
     found = [true_over_stated(random_scene("plate", seed)) for seed in seeds]
-    ratios = np.array([[*each.values()] for each in found])
+    ratios = np.array([[*ratio.values()] for ratio in found])
     assert ratios.max() < 1.6 and 0.4 < np.median(ratios) < 1.2
     assert np.mean(ratios < 0.2) <= 0.1
 
@@ -101,21 +101,24 @@ def test_page_names_what_is_missing(tmp_path: Path, run_command: RunCommand) -> 
 def test_with_stress_intensities() -> None:
     """Where they are requested the others keep it; K_I changes by as little as openings. The error
     of K_II is that of the other causes, and friction is named as missing."""
-    asked = ["K_max", "K_II_max", *NAMES]
-    both = [
-        fc.solve(FEW.replace({"output.quantities": one}), MPI.COMM_SELF) for one in (NAMES, asked)
+    asked_names = ["K_max", "K_II_max", *NAMES]
+    both_runs = [
+        fc.solve(FEW.replace({"output.quantities": quantities}), MPI.COMM_SELF)
+        for quantities in (NAMES, asked_names)
     ]
-    without, found = (changes(run.errors) for run in both)
-    assert found == pytest.approx(without, rel=1e-9)
-    errors = both[1].errors
+    plain_changes, asked_changes = (changes(run.errors) for run in both_runs)
+    assert asked_changes == pytest.approx(plain_changes, rel=1e-9)
+    errors = both_runs[1].errors
     assert errors is not None and set(errors.missing_causes("K_II_max")) == {"friction"}
-    others = errors.contributions("K_II_max")
-    assert set(others) == {"modes", "harmonics"}  # the mesh file has no coarser one
-    known = errors.relative("K_II_max", np.hypot.reduce([*others.values()]))
+    other_contributions = errors.contributions("K_II_max")
+    assert set(other_contributions) == {"modes", "harmonics"}  # the mesh file has no coarser one
+    known = errors.relative("K_II_max", np.hypot.reduce([*other_contributions.values()]))
     assert errors.stated("K_II_max")[0] == pytest.approx(known, rel=1e-9) and known > 0.0
     assert not errors.missing_causes("K_max") and errors.table().rows
-    zero, rubbed = errors.parts["friction"]["K_max"].values
-    assert 1e-3 < abs(rubbed / zero - 1.0) < 0.03  # at the tip; from pair to pair 2e-4 to 0.03
+    zero, rubbed_value = errors.parts["friction"]["K_max"].values
+    assert (
+        1e-3 < abs(rubbed_value / zero - 1.0) < 0.03
+    )  # at the tip; from pair to pair 2e-4 to 0.03
 
 
 def test_where_it_is_silent() -> None:
@@ -136,11 +139,11 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """It names friction above the tolerance only; a search that fails is said."""
     from fenics_crack.runs.conclusion import make_conclusion
 
-    for frequency, said in ((3560.0, True), (2000.0, False)):
+    for frequency, is_said in ((3560.0, True), (2000.0, False)):
         at = {"excitation.frequency": frequency, "harmonic_balance.tolerance": 0.1}
         run = fc.solve(FEW.replace(at), MPI.COMM_SELF)
         vars(run)["stated"] = run.errors
-        assert ("friction left out: about" in make_conclusion(run).sentence()) == said
+        assert ("friction left out: about" in make_conclusion(run).sentence()) == is_said
 
     def fails(*_: object) -> None:
         raise ConvergenceError("none")

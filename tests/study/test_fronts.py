@@ -29,7 +29,7 @@ def solid(**changed: object) -> fc.Scene:
     """The solid of ``new --solid`` near its resonance, with four elements on its crack."""
     scene = fc.Scene.load(ROOT / "fenics_crack" / "cli" / "new_solid.toml")
     given = {"mesh.error": False, "mesh.lip_elements": 4, "excitation.frequency": 611.5}
-    return scene.replace(given | {key.replace("__", "."): one for key, one in changed.items()})
+    return scene.replace(given | {key.replace("__", "."): value for key, value in changed.items()})
 
 
 @cache
@@ -48,18 +48,18 @@ def test_patches(elements: int, limit: float) -> None:
     structure = study.structure
     stations, rows, of_forces = make_tips_and_rows(study)
     radius = DEEP / elements  # about the domain's
-    away = structure.nodes.points - np.array([0.015, 0.03, 0.006])
-    free = structure.nodes.mesh_dofs.restrict_to_free
+    offsets = structure.nodes.points - np.array([0.015, 0.03, 0.006])
+    restrict_to_free = structure.nodes.mesh_dofs.restrict_to_free
     for axis in np.eye(3):
-        turned = rows @ free(np.cross(axis, away).ravel())
-        assert np.abs(turned).max() < 0.015 * YOUNG * np.sqrt(radius)
-    for one, other in ((0, 0), (1, 1), (0, 1)):
+        rotation_stress = rows @ restrict_to_free(np.cross(axis, offsets).ravel())
+        assert np.abs(rotation_stress).max() < 0.015 * YOUNG * np.sqrt(radius)
+    for first_axis, second_axis in ((0, 0), (1, 1), (0, 1)):
         stress = np.zeros((3, 3))
-        stress[one, other] = stress[other, one] = STRESS
+        stress[first_axis, second_axis] = stress[second_axis, first_axis] = STRESS
         strain = ((1.0 + POISSON) * stress - POISSON * np.trace(stress) * np.eye(3)) / YOUNG
-        found = rows @ free((away @ strain).ravel())
-        found -= stress[1, 1] * of_forces @ structure.pairs.areas
-        kinds = found.reshape(len(stations), 3).T[: 1 if one != other else 3]
+        stress_values = rows @ restrict_to_free((offsets @ strain).ravel())
+        stress_values -= stress[1, 1] * of_forces @ structure.pairs.areas
+        kinds = stress_values.reshape(len(stations), 3).T[: 1 if first_axis != second_axis else 3]
         assert np.abs(kinds).max() < limit * STRESS * np.sqrt(np.pi * radius)
     assert structure.pairs.areas.sum() == pytest.approx(0.5 * np.pi * LONG * DEEP, rel=2e-3)
 
@@ -69,8 +69,8 @@ def test_lengths_of_a_circle() -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 65)
 
     def curve(t: np.ndarray, order: int = 0) -> np.ndarray:
-        turned = t + 0.5 * np.pi * order
-        return DEEP * np.stack([np.cos(turned), 0.0 * t, np.sin(turned)], axis=-1)
+        turned_angle = t + 0.5 * np.pi * order
+        return DEEP * np.stack([np.cos(turned_angle), 0.0 * t, np.sin(turned_angle)], axis=-1)
 
     normals = np.tile([0.0, 1.0, 0.0], (65, 1))
     no_ends = False, False
@@ -91,46 +91,56 @@ def test_patches_of_a_straight_front() -> None:
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
     stations, rows, of_forces = front_functionals(scene, structure)
     assert structure.nodes is not None and len(stations) == 3
-    away, free = (
+    offsets, restrict_to_free = (
         structure.nodes.points - [0.015, 0.03, 0.003],
         structure.nodes.mesh_dofs.restrict_to_free,
     )
-    ahead, size = stations[0].growth_direction, np.sqrt(1.5e-3)
+    growth_direction, size = stations[0].growth_direction, np.sqrt(1.5e-3)
     pressed = of_forces[::3] @ structure.pair_areas
     for axis in np.eye(3):
-        turned = rows @ free(np.cross(axis, away).ravel())
-        assert np.abs(turned).max() < 1e-3 * YOUNG * size
-    for one, other in combinations_with_replacement(range(3), 2):
+        rotation_stress = rows @ restrict_to_free(np.cross(axis, offsets).ravel())
+        assert np.abs(rotation_stress).max() < 1e-3 * YOUNG * size
+    for first_axis, second_axis in combinations_with_replacement(range(3), 2):
         stress = np.zeros((3, 3))
-        stress[one, other] = stress[other, one] = STRESS
+        stress[first_axis, second_axis] = stress[second_axis, first_axis] = STRESS
         strain = ((1.0 + POISSON) * stress - POISSON * np.trace(stress) * np.eye(3)) / YOUNG
-        found = (rows @ free((away @ strain).ravel())).reshape(3, 3)
+        stress_tensors = (rows @ restrict_to_free((offsets @ strain).ravel())).reshape(3, 3)
         on = stress[1]
-        found -= np.outer(pressed, [on[1], on @ ahead, on @ np.cross(ahead, [0.0, 1.0, 0.0])])
-        assert np.abs(found[1]).max() < 1e-3 * STRESS * np.sqrt(np.pi) * size
-        if other != 2:
-            assert np.abs(found).max() < 1e-3 * STRESS * np.sqrt(np.pi) * size
+        stress_tensors -= np.outer(
+            pressed,
+            [on[1], on @ growth_direction, on @ np.cross(growth_direction, [0.0, 1.0, 0.0])],
+        )
+        assert np.abs(stress_tensors[1]).max() < 1e-3 * STRESS * np.sqrt(np.pi) * size
+        if second_axis != 2:
+            assert np.abs(stress_tensors).max() < 1e-3 * STRESS * np.sqrt(np.pi) * size
 
 
 @pytest.mark.nightly
 def test_a_front_that_breathes(tmp_path: Path) -> None:
     """Closed for half of a period: what is computed then is small, and reported as zero; the crack
     opens alike on both sides of its middle, by less where it is deep."""
-    found = fc.stress_intensity(fc.solve(solid(**FEW, harmonic_balance__error=False)))
-    assert found.three is not None and len(found.tips) == 13
-    assert 0.0 < found.closed.max() < 0.03 * found.largest.max()
-    assert 0.3 < (found.one.max(axis=1) == 0.0).mean() < 0.7
-    assert found.one.min() == 0.0
-    assert found.largest == pytest.approx(found.largest[::-1], rel=0.02)
-    assert found.largest[6] < 0.8 * found.largest[0]
-    assert found.ahead[6] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
-    assert found.positions[-1] == pytest.approx(18.176e-3, rel=1e-3)  # half of an ellipse
-    assert found.tips[6] == f"the crack front at {found.positions[6] * 1e3:.4g} mm"
-    assert set(found.numbers) >= {"K_max", "K_II_max", "K_III_max"}
-    fc.write_fronts(found, tmp_path / "fronts.vtu")
-    written = pyvista.read(tmp_path / "fronts.vtu")
-    assert written.n_cells == 12 and np.array_equal(written["K_max"], found.largest)
-    panels = fc.draw_stress_intensity(found).axes
+    stress_intensity = fc.stress_intensity(fc.solve(solid(**FEW, harmonic_balance__error=False)))
+    assert stress_intensity.three is not None and len(stress_intensity.tips) == 13
+    assert 0.0 < stress_intensity.closed.max() < 0.03 * stress_intensity.largest.max()
+    assert 0.3 < (stress_intensity.one.max(axis=1) == 0.0).mean() < 0.7
+    assert stress_intensity.one.min() == 0.0
+    assert stress_intensity.largest == pytest.approx(stress_intensity.largest[::-1], rel=0.02)
+    assert stress_intensity.largest[6] < 0.8 * stress_intensity.largest[0]
+    assert stress_intensity.ahead[6] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+    assert stress_intensity.positions[-1] == pytest.approx(
+        18.176e-3, rel=1e-3
+    )  # half of an ellipse
+    assert (
+        stress_intensity.tips[6]
+        == f"the crack front at {stress_intensity.positions[6] * 1e3:.4g} mm"
+    )
+    assert set(stress_intensity.numbers) >= {"K_max", "K_II_max", "K_III_max"}
+    fc.write_fronts(stress_intensity, tmp_path / "fronts.vtu")
+    front_grid = pyvista.read(tmp_path / "fronts.vtu")
+    assert front_grid.n_cells == 12 and np.array_equal(
+        front_grid["K_max"], stress_intensity.largest
+    )
+    panels = fc.draw_stress_intensity(stress_intensity).axes
     assert [len(panel.lines) for panel in panels] == [4, 4]  # zero, K_I, K_II, K_III
 
 
@@ -142,8 +152,8 @@ def test_a_front_that_breathes(tmp_path: Path) -> None:
 def test_a_coarser_mesh_without_stress_intensity(changes: dict[str, object]) -> None:
     """Its elements are too long for them, or its front so short that K is a mean: their errors
     alone are unknown."""
-    asked = ("amplitude", "delta_K_effective")
-    few = solid(mesh__error=True, output__quantities=asked, **FEW, **changes)
+    quantities = ("amplitude", "delta_K_effective")
+    few = solid(mesh__error=True, output__quantities=quantities, **FEW, **changes)
     errors = fc.solve(few, MPI.COMM_SELF).errors
     assert errors is not None and not errors.unknown
     assert 0.01 < errors.stated("amplitude")[0] < 1.0
@@ -155,33 +165,37 @@ def test_a_coarser_mesh_without_stress_intensity(changes: dict[str, object]) -> 
 def test_a_front_that_is_held_open() -> None:
     """By a pull, and bent so that it is most so at the deepest place, where the load changes it the
     least: K_max is that of the front, and the error of the range is not that of the mean."""
-    asked = ("K_max", "delta_K_effective")
+    quantities = ("K_max", "delta_K_effective")
     pulled = solid(
-        mesh__lip_elements=3, mesh__error=True, output__quantities=asked, crack__length=0.008,
+        mesh__lip_elements=3, mesh__error=True, output__quantities=quantities, crack__length=0.008,
         contact__friction_error=False, excitation__frequency=400.0,
         excitation__force_mean=(0.0, 1e3, 5.0), excitation__point=(0.015, 0.09, 0.003), **FEW,
     )  # fmt: skip
     run = fc.solve(pulled, MPI.COMM_SELF)
-    found, errors = fc.stress_intensity(run), run.errors
-    assert errors is not None and found.smallest.min() > 0.0
-    assert found.largest.max() > 1.02 * found.largest[found.leading]
-    assert errors.values["K_max"] == pytest.approx(found.largest.max(), rel=1e-12)
-    assert errors.values["delta_K_effective"] == pytest.approx(found.effective.max(), rel=1e-12)
-    both = [errors.contributions(name)["mesh"] for name in asked]
-    assert 0.0 < both[1] < 0.1 * both[0]
+    stress_intensity, errors = fc.stress_intensity(run), run.errors
+    assert errors is not None and stress_intensity.smallest.min() > 0.0
+    assert (
+        stress_intensity.largest.max() > 1.02 * stress_intensity.largest[stress_intensity.leading]
+    )
+    assert errors.values["K_max"] == pytest.approx(stress_intensity.largest.max(), rel=1e-12)
+    assert errors.values["delta_K_effective"] == pytest.approx(
+        stress_intensity.effective.max(), rel=1e-12
+    )
+    mesh_parts = [errors.contributions(name)["mesh"] for name in quantities]
+    assert 0.0 < mesh_parts[1] < 0.1 * mesh_parts[0]
     assert errors.stated("delta_K_effective")[0] < 0.5
 
 
 @pytest.mark.nightly
 def test_modes() -> None:
     """Modes enough: forty as twenty."""
-    few, many = (
+    few_modes_result, many_modes_result = (
         fc.stress_intensity(
             fc.solve(solid(reduction__method="massless", reduction__modes=modes), MPI.COMM_SELF)
         ).largest
         for modes in (20, 40)
     )
-    assert few == pytest.approx(many, rel=1e-3)
+    assert few_modes_result == pytest.approx(many_modes_result, rel=1e-3)
 
 
 @pytest.mark.nightly
@@ -189,10 +203,10 @@ def test_cells_in_another_order() -> None:
     """The numbers of cells, which differ from run to run on several ranks, do not matter."""
     scene, structure = solid(mesh__lip_elements=3), whole(3).structure
     nodes = replace(structure.nodes, cells=structure.nodes.cells[::-1])
-    turned = structure._in_setting(structure.setting, nodes=nodes)
+    turned_structure = structure._in_setting(structure.setting, nodes=nodes)
     _, rows, _ = front_functionals(scene, structure)
-    _, others, _ = front_functionals(scene, turned)
-    np.testing.assert_allclose(others, rows, rtol=0.0, atol=1e-9 * np.abs(rows).max())
+    _, other_functionals, _ = front_functionals(scene, turned_structure)
+    np.testing.assert_allclose(other_functionals, rows, rtol=0.0, atol=1e-9 * np.abs(rows).max())
 
 
 def test_linear_intensity_is_exact_at_the_ends_of_a_front() -> None:

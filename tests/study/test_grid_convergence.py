@@ -18,16 +18,16 @@ REATTACHMENT = (6.063, 5.972, 5.863)
 def test_worked_example() -> None:
     """Celik and others, J. Fluids Eng. 130, 2008, 078001, table 1: the reattachment length on
     18000, 8000 and 4500 cells."""
-    found = fc.grid_convergence([cells**-0.5 for cells in CELLS], REATTACHMENT)
-    fine, coarse = (found.sizes[n + 1] / found.sizes[n] for n in range(2))
-    assert (fine, coarse) == (pytest.approx(1.5), pytest.approx(1.333, abs=4e-4))
-    assert found.behaviour == "asymptotic" and found.factor == 1.25
-    assert found.order == pytest.approx(1.53, abs=0.01)
-    assert found.extrapolated == pytest.approx(6.1685, abs=5e-4)
-    one, two, _ = REATTACHMENT
-    assert abs(one - two) / one == pytest.approx(0.015, abs=5e-4)
-    assert 1.0 - one / found.extrapolated == pytest.approx(0.017, abs=5e-4)
-    assert found.gci == pytest.approx(0.022, abs=5e-4)
+    convergence = fc.grid_convergence([cells**-0.5 for cells in CELLS], REATTACHMENT)
+    fine_ratio, coarse_ratio = (convergence.sizes[n + 1] / convergence.sizes[n] for n in range(2))
+    assert (fine_ratio, coarse_ratio) == (pytest.approx(1.5), pytest.approx(1.333, abs=4e-4))
+    assert convergence.behaviour == "asymptotic" and convergence.factor == 1.25
+    assert convergence.order == pytest.approx(1.53, abs=0.01)
+    assert convergence.extrapolated == pytest.approx(6.1685, abs=5e-4)
+    finest_value, two, _ = REATTACHMENT
+    assert abs(finest_value - two) / finest_value == pytest.approx(0.015, abs=5e-4)
+    assert 1.0 - finest_value / convergence.extrapolated == pytest.approx(0.017, abs=5e-4)
+    assert convergence.gci == pytest.approx(0.022, abs=5e-4)
 
 
 @given(
@@ -44,12 +44,12 @@ def test_powers_are_found(
     1.25 times its distance from f."""
     sizes = [fine * coarse, 1.0, fine]
     values = [limit + factor * size**order for size in sizes]
-    found = fc.grid_convergence(sizes, values, formal=4.0)
-    assert found.behaviour == "asymptotic"
-    assert found.order == pytest.approx(order, rel=1e-6)
-    assert found.extrapolated == pytest.approx(limit, abs=1e-6)
-    for place, size in enumerate(found.sizes):
-        assert found.uncertainty(place) == pytest.approx(1.25 * size**order, abs=1e-5)
+    convergence = fc.grid_convergence(sizes, values, formal=4.0)
+    assert convergence.behaviour == "asymptotic"
+    assert convergence.order == pytest.approx(order, rel=1e-6)
+    assert convergence.extrapolated == pytest.approx(limit, abs=1e-6)
+    for place, size in enumerate(convergence.sizes):
+        assert convergence.uncertainty(place) == pytest.approx(1.25 * size**order, abs=1e-5)
 
 
 SEQUENCES = [
@@ -76,19 +76,24 @@ def test_behaviours(
 ) -> None:
     """Theory's order is 1, that of the elements 4: no better one is used, none below 0.5; the
     spread counts where there is none."""
-    found = fc.grid_convergence([1.0, 2.0, 4.0][: len(values)], values, formal=1.0, highest=4.0)
-    assert found.behaviour == behaviour
-    assert found.order == pytest.approx(order, rel=1e-9, abs=1e-9, nan_ok=True)
-    assert found.exponent == pytest.approx(exponent, nan_ok=True)
-    assert found.uncertainty() == pytest.approx(uncertainty)
-    assert found.is_asymptotic == math.isfinite(found.extrapolated)
-    assert behaviour in repr(found)
+    convergence = fc.grid_convergence(
+        [1.0, 2.0, 4.0][: len(values)], values, formal=1.0, highest=4.0
+    )
+    assert convergence.behaviour == behaviour
+    assert convergence.order == pytest.approx(order, rel=1e-9, abs=1e-9, nan_ok=True)
+    assert convergence.exponent == pytest.approx(exponent, nan_ok=True)
+    assert convergence.uncertainty() == pytest.approx(uncertainty)
+    assert convergence.is_asymptotic == math.isfinite(convergence.extrapolated)
+    assert behaviour in repr(convergence)
 
 
 def test_order_above_theory() -> None:
     """Where it is not known how good elements are, it is doubted; a sum of powers is not."""
-    doubted = fc.grid_convergence([1.0, 2.0, 4.0], [1.0, 1.1, 1.5], formal=1.0)
-    assert doubted.behaviour == "outside" and doubted.uncertainty() == pytest.approx(3.0 * 0.1)
+    doubted_convergence = fc.grid_convergence([1.0, 2.0, 4.0], [1.0, 1.1, 1.5], formal=1.0)
+    assert (
+        doubted_convergence.behaviour == "outside"
+        and doubted_convergence.uncertainty() == pytest.approx(3.0 * 0.1)
+    )
 
 
 @given(
@@ -100,11 +105,13 @@ def test_sums_of_powers_lie_within(shares: list[float], fine: float, coarse: flo
     """1 + sum C_q h^q, q = 1, 2, 3, 4 and C_q >= 0: no value is farther from 1 than is stated, by
     the factor of 1.25 at least."""
     sizes = [1.0, fine, fine * coarse]
-    true = [sum(c * size**q for q, c in enumerate(shares, 1)) for size in sizes]
-    found = fc.grid_convergence(sizes, [1.0 + e for e in true], formal=1.0, highest=4.0001)
-    assert found.behaviour == "asymptotic"
-    for place, error in enumerate(true):
-        assert found.uncertainty(place) >= 1.25 * error * (1.0 - 1e-6)
+    true_errors = [sum(c * size**q for q, c in enumerate(shares, 1)) for size in sizes]
+    convergence = fc.grid_convergence(
+        sizes, [1.0 + e for e in true_errors], formal=1.0, highest=4.0001
+    )
+    assert convergence.behaviour == "asymptotic"
+    for place, error in enumerate(true_errors):
+        assert convergence.uncertainty(place) >= 1.25 * error * (1.0 - 1e-6)
 
 
 def test_bad_input() -> None:

@@ -69,16 +69,22 @@ def test_free_decay_from_the_shell(mass: Path, tmp_path: Path) -> None:
     out = ["--output", str(tmp_path), "--quiet"]
     assert main(["integrate", str(mass), *out]) == 0
     path = tmp_path / "integration.h5"
-    again: Any = fc.load_run(path, MPI.COMM_SELF).result
-    assert relative(again.displacement()[:, 0], decay(again.time)) < 1e-3
+    stored_history: Any = fc.load_run(path, MPI.COMM_SELF).result
+    assert relative(stored_history.displacement()[:, 0], decay(stored_history.time)) < 1e-3
     csv = np.loadtxt(tmp_path / "integration.csv", delimiter=",", skiprows=1)
     assert relative(csv[:, 1], decay(csv[:, 0])) < 1e-3
     rows = json.loads((tmp_path / "integration.json").read_text())
     assert {row["name"]: row["value"] for row in rows}["periods"] == 20
     assert main(["plot", str(path), "--quiet"]) == 0
-    more = {"integration.deflection": None, "integration.initial": str(path)}
-    on = fc.integrate(fc.Scene.load(mass, more), MPI.COMM_SELF).result
-    assert relative(on.displacement()[:, 0], decay(on.time + 20 * 2.0 * np.pi / OMEGA)) < 1e-3
+    restart_settings = {"integration.deflection": None, "integration.initial": str(path)}
+    second_history = fc.integrate(fc.Scene.load(mass, restart_settings), MPI.COMM_SELF).result
+    assert (
+        relative(
+            second_history.displacement()[:, 0],
+            decay(second_history.time + 20 * 2.0 * np.pi / OMEGA),
+        )
+        < 1e-3
+    )
 
 
 @laws
@@ -86,34 +92,34 @@ def test_static_deflection_stays(scene: fc.Scene, law: dict[str, Any]) -> None:
     """Under a steady load that shuts the crack, which is not at rest otherwise."""
     steady = {"excitation.force_sin": [0.0, 0.0], "excitation.force_mean": [-100.0, 0.0]}
     scene = scene.replace(law | steady | {"integration.periods": 2})
-    kept, started = (
+    kept_history, started_history = (
         fc.integrate(scene.replace({"integration.deflection": factor}), MPI.COMM_SELF).result
         for factor in (1.0, None)
     )
-    assert kept.contact_force.max() > 1.0
-    assert np.ptp(kept.displacement()) < 1e-9 * np.ptp(started.displacement())
+    assert kept_history.contact_force.max() > 1.0
+    assert np.ptp(kept_history.displacement()) < 1e-9 * np.ptp(started_history.displacement())
 
 
 @laws
 def test_a_solution_goes_on(scene: fc.Scene, law: dict[str, Any], tmp_path: Path) -> None:
     """From its own state the motion stays on the orbit; with other modes and damping nearly."""
     scene = scene.replace(law | {"harmonic_balance.harmonics": 20})
-    solved = fc.solve(scene, MPI.COMM_SELF)
-    solved.save(tmp_path / "solution.h5")
+    run = fc.solve(scene, MPI.COMM_SELF)
+    run.save(tmp_path / "solution.h5")
     initial = {"integration.initial": str(tmp_path / "solution.h5"), "integration.periods": 2}
-    dof = solved.watched_dof
+    dof = run.watched_dof
     for changes, accuracy in (({}, 2e-2), ({"reduction.modes": 8, "damping.ratio": 0.021}, 0.1)):
-        found = fc.integrate(scene.replace(initial | changes), MPI.COMM_SELF).result
-        motion = solved.result.displacement(found.time, [dof])
-        assert relative(found.displacement([dof]), motion) < accuracy
+        history = fc.integrate(scene.replace(initial | changes), MPI.COMM_SELF).result
+        motion = run.result.displacement(history.time, [dof])
+        assert relative(history.displacement([dof]), motion) < accuracy
     rest = fc.integrate(scene.replace({"integration.periods": 2}), MPI.COMM_SELF).result
     assert relative(rest.displacement([dof]), motion) > 0.3
 
 
 def from_solution(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
     """The last displacements of a motion from a solution (collective)."""
-    found = fc.integrate(scene, comm).result
-    return [float(value) for value in found.displacement()[-3:, 0]]
+    history = fc.integrate(scene, comm).result
+    return [float(value) for value in history.displacement()[-3:, 0]]
 
 
 @pytest.mark.mpi
@@ -129,19 +135,19 @@ def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
     """One error names the key, of a file before anything is built."""
     fc.modes(scene, 1, MPI.COMM_SELF).save(tmp_path / "modes.h5")
     fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
-    wrong: list[tuple[str, dict[str, Any]]] = [
+    wrong_tables: list[tuple[str, dict[str, Any]]] = [
         ("initial", {"initial": str(tmp_path / "none.h5")}),
         ("initial", {"initial": str(tmp_path / "modes.h5")}),
         ("deflection", {"initial": "solution.h5", "deflection": 1.0}),
         ("deflection", {"deflection": 0.0}),
         ("free", {"free": 1}),
     ]
-    for key, table in wrong:
+    for key, table in wrong_tables:
         with pytest.raises(fc.InputError, match=rf"^integration\.{key}( =| is)"):
             changes = {f"integration.{name}": value for name, value in table.items()}
             fc.integrate(scene.replace(changes), MPI.COMM_SELF)
     with pytest.raises(fc.InputError, match=r"^integration\.free( =| is)"):
         scene.replace({"integration.free": True, "rotation.rpm": 60.0, "rotation.hub_radius": 0.1})
-    other = {"mesh.columns": 4, "integration.initial": str(tmp_path / "solution.h5")}
+    other_settings = {"mesh.columns": 4, "integration.initial": str(tmp_path / "solution.h5")}
     with pytest.raises(fc.InputError, match=r"^integration\.initial( =| is)"):
-        fc.integrate(scene.replace(other), MPI.COMM_SELF)
+        fc.integrate(scene.replace(other_settings), MPI.COMM_SELF)

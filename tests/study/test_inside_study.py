@@ -60,45 +60,50 @@ def study_of(structure: fc.Structure) -> fc.Study:
 def test_of_what_nothing_holds() -> None:
     """Static figures are those of the deformation, as the structure accelerates; the motion at a
     frequency is that of the whole equations."""
-    free = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
+    free_stiffness = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
     zero = np.zeros((3, 3))
-    stiffness, mass = np.block([[free, zero], [zero, free]]), np.diag(np.arange(1.0, 7.0))
+    stiffness, mass = (
+        np.block([[free_stiffness, zero], [zero, free_stiffness]]),
+        np.diag(np.arange(1.0, 7.0)),
+    )
     gap, force = np.array([0.0, 0.0, 1.0, -1.0, 0.0, 0.0]), np.arange(6.0)
     structure = fc.Structure.from_matrices(
         mass, stiffness, gap=gap, force_sin=force, damping=fc.ModalDamping(0.1)
     )
     figures = find_key_figures(study_of(structure))
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
-    elastic = shapes[:, 2:]
-    compliance = (elastic / squares[2:]) @ elastic.T
+    elastic_shapes = shapes[:, 2:]
+    compliance = (elastic_shapes / squares[2:]) @ elastic_shapes.T
     assert list(figures.omega_open[:2]) == [0.0, 0.0]
     assert figures.face_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
     assert figures.static_gap_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
     omega = np.sqrt(np.abs(squares))
     omega[:2] = 0.0
-    at = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
-    at[4:] = 1.0 / omega[4:] ** 2  # only four modes move, the others follow
-    moved = gap @ (shapes * at) @ shapes.T @ force
-    assert figures.peak_gap_motion == pytest.approx(abs(moved), rel=1e-7)
+    modal_response = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
+    modal_response[4:] = 1.0 / omega[4:] ** 2  # only four modes move, the others follow
+    gap_response = gap @ (shapes * modal_response) @ shapes.T @ force
+    assert figures.peak_gap_motion == pytest.approx(abs(gap_response), rel=1e-7)
 
 
 def test_all_harmonics_of_a_load_count() -> None:
     """The motion of the faces is at most the sum of those at each multiple of the frequency."""
     stiffness, mass = chain_stiffness(np.array([1.0, 2.0, 1.0, 0.5])), np.diag([1.0, 1.2, 0.9])
-    gap, first, third = np.array([[1.0, -1.0, 0.0], [0.5, 0.0, 1.0], [0.0, 2.0, -1.0]])
+    gap, first_force, third = np.array([[1.0, -1.0, 0.0], [0.5, 0.0, 1.0], [0.0, 2.0, -1.0]])
     structure = fc.Structure.from_matrices(
-        mass, stiffness, gap=gap, force_sin=first, damping=fc.ModalDamping(0.1)
+        mass, stiffness, gap=gap, force_sin=first_force, damping=fc.ModalDamping(0.1)
     )
     figures = find_key_figures(study_of(structure.with_harmonics({3: (None, third)})))
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
 
     def moved(omega: float, force: np.ndarray) -> float:
-        at = 1.0 / (squares - omega**2 + 0.2j * np.sqrt(squares) * omega)
-        return float(abs(gap @ (shapes * at) @ shapes.T @ force))
+        modal_response = 1.0 / (squares - omega**2 + 0.2j * np.sqrt(squares) * omega)
+        return float(abs(gap @ (shapes * modal_response) @ shapes.T @ force))
 
-    assert figures.peak_gap_motion == pytest.approx(moved(1.1, first) + moved(3.3, third), rel=1e-9)
+    assert figures.peak_gap_motion == pytest.approx(
+        moved(1.1, first_force) + moved(3.3, third), rel=1e-9
+    )
     assert figures.static_gap_motion == pytest.approx(
-        moved(0.0, first) + moved(0.0, third), rel=1e-9
+        moved(0.0, first_force) + moved(0.0, third), rel=1e-9
     )
 
 
@@ -147,8 +152,8 @@ def test_against_dense_algebra() -> None:
     omega = np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_open, omega[:4], rtol=1e-8)
     assert figures.n_modes_below == np.sum(omega < 5 * 2000.0)
-    tied = np.sqrt(scipy.linalg.eigh(stiffness + 1e16 * gap @ gap.T, mass, eigvals_only=True))
-    np.testing.assert_allclose(figures.omega_tied, tied[:4], rtol=1e-3)
+    tied_omega = np.sqrt(scipy.linalg.eigh(stiffness + 1e16 * gap @ gap.T, mass, eigvals_only=True))
+    np.testing.assert_allclose(figures.omega_tied, tied_omega[:4], rtol=1e-3)
     ratio = scene.damping.ratio
     dynamic = stiffness - 2000.0**2 * mass
     shapes = scipy.linalg.eigh(stiffness, mass)[1]
@@ -164,23 +169,27 @@ def test_against_dense_algebra() -> None:
 @pytest.mark.parametrize("share", [0.8, 1.2])
 def test_lips_that_never_meet_or_part(share: float) -> None:
     """One pair: a clearance, or a preload, just below and just above what the load moves."""
-    free = figures_of(PAPER)
-    assert free.breathes and free.n_closed_pairs == 0
+    free_figures = figures_of(PAPER)
+    assert free_figures.breathes and free_figures.n_closed_pairs == 0
     law = fc.UnilateralPenalty(1e11)
-    away = PAPER.replace({"crack.clearance": share * free.peak_gap_motion})
-    found = fc.solve_harmonic_balance(fc.build_structure(away), 2000.0, law)
-    touching = np.abs(found.force_coefficients).max() > 1e-6
-    assert figures_of(away).breathes == touching == (share < 1.0)
+    distant_scene = PAPER.replace({"crack.clearance": share * free_figures.peak_gap_motion})
+    open_solution = fc.solve_harmonic_balance(fc.build_structure(distant_scene), 2000.0, law)
+    is_touching = np.abs(open_solution.force_coefficients).max() > 1e-6
+    assert figures_of(distant_scene).breathes == is_touching == (share < 1.0)
     # Of closed lips a constant preload is F = g0 / R(0); the load carries |s(w) / R(w)|.
-    times = np.linspace(0.0, found.period, 400)
-    pressed = PAPER.replace({"crack.clearance": -1.0})
-    held = fc.solve_harmonic_balance(fc.build_structure(pressed), 2000.0, law)
-    force = held.contact_force(times)[:, 0]
+    times = np.linspace(0.0, open_solution.period, 400)
+    pressed_scene = PAPER.replace({"crack.clearance": -1.0})
+    closed_solution = fc.solve_harmonic_balance(fc.build_structure(pressed_scene), 2000.0, law)
+    force = closed_solution.contact_force(times)[:, 0]
     depth = np.ptp(force) / 2.0 / force.mean()  # clearance of -1 m: where the force just vanishes
-    near = PAPER.replace({"crack.clearance": -float(depth) / share})
-    orbit = fc.solve_harmonic_balance(fc.build_structure(near), 2000.0, law)
-    assert figures_of(near).n_closed_pairs == 1
-    assert figures_of(near).breathes == (orbit.contact_force(times).min() <= 0.0) == (share > 1.0)
+    near_scene = PAPER.replace({"crack.clearance": -float(depth) / share})
+    orbit = fc.solve_harmonic_balance(fc.build_structure(near_scene), 2000.0, law)
+    assert figures_of(near_scene).n_closed_pairs == 1
+    assert (
+        figures_of(near_scene).breathes
+        == (orbit.contact_force(times).min() <= 0.0)
+        == (share > 1.0)
+    )
 
 
 def test_mean_load_keeps_lips_apart_or_together() -> None:
@@ -262,14 +271,16 @@ def test_frequencies_asked_for() -> None:
 def test_proportional_to_the_load() -> None:
     """Without a clearance, and with a law that has no length of its own: so is the solution."""
     plate, law = fc.build_structure(PAPER), fc.UnilateralPenalty(1e9)
-    one, seven = (
+    single_solution, seven = (
         fc.solve_harmonic_balance(plate.varied(load=factor), 2000.0, law) for factor in (1.0, 7.0)
     )
-    np.testing.assert_allclose(seven.gap_coefficients, 7.0 * one.gap_coefficients, rtol=1e-6)
+    np.testing.assert_allclose(
+        seven.gap_coefficients, 7.0 * single_solution.gap_coefficients, rtol=1e-6
+    )
     assert scales_with_load(PAPER)
     assert not scales_with_load(PAPER.replace({"crack.clearance": 1e-7}))
-    smoothed = {"contact.law": "smoothed", "contact.sharpness": 1e8}
-    assert not scales_with_load(PAPER.replace(smoothed))
+    smoothed_settings = {"contact.law": "smoothed", "contact.sharpness": 1e8}
+    assert not scales_with_load(PAPER.replace(smoothed_settings))
     assert not scales_with_load(fc.Scene.load(DEMOS / "chain.toml"))
 
 
@@ -277,8 +288,8 @@ def test_a_rotor_that_keeps_its_crack_open() -> None:
     """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
     open_by_speed = replace(figures, breathes=False, n_closed_pairs=0)
-    turning = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
-    [remark] = remarks_on_scene(turning, figures=open_by_speed)
+    turning_scene = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
+    [remark] = remarks_on_scene(turning_scene, figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
 
 
@@ -287,10 +298,10 @@ def test_elements_along_each_lip() -> None:
     mesh = {"layout": "graded", "columns": None, "rows": None, "order": 2}
     changes = {f"mesh.{key}": value for key, value in mesh.items()}
     scene = PAPER.replace(changes | {"mesh.size": 0.05, "mesh.lip_elements": 4})
-    inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
-    for one in (scene, scene.replace(inside)):
-        assert figures_of(one).n_face_elements == 4
-        remarks = remarks_on_scene(one, figures=figures_of(one))
+    inner_crack = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
+    for changed_scene in (scene, scene.replace(inner_crack)):
+        assert figures_of(changed_scene).n_face_elements == 4
+        remarks = remarks_on_scene(changed_scene, figures=figures_of(changed_scene))
         assert not any("elements" in str(remark) for remark in remarks)
 
 
@@ -313,8 +324,8 @@ def test_what_does_not_fit_is_refused(
 
 def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
     """Krylov vectors and shapes; a factor for each harmonic."""
-    few = prepare.estimate_reduction_memory(wide_plate, 10, "massless")
-    assert few < prepare.estimate_reduction_memory(wide_plate, 100, "massless")
+    few_modes_memory = prepare.estimate_reduction_memory(wide_plate, 10, "massless")
+    assert few_modes_memory < prepare.estimate_reduction_memory(wide_plate, 100, "massless")
     assert prepare.estimate_unreduced_memory(wide_plate, 5) < prepare.estimate_unreduced_memory(
         wide_plate, 50
     )
@@ -348,14 +359,14 @@ def test_memory_that_is_freed_does_not_count(
 ) -> None:
     """It is given back where there would not be enough otherwise."""
     prepare.release_freed_memory()
-    before = prepare.estimate_checked_memory(paper_scene, wide_plate)
+    needed_memory = prepare.estimate_checked_memory(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
-    machine = (before + 4e7) / 0.8
+    machine = (needed_memory + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
         prepare.estimate_checked_memory(paper_scene, wide_plate)
     pieces[:-1] = []  # the last one holds the others' memory for the process
-    assert prepare.estimate_checked_memory(paper_scene, wide_plate) < before + 1e7
+    assert prepare.estimate_checked_memory(paper_scene, wide_plate) < needed_memory + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:
@@ -406,26 +417,29 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     law = {"contact.law": "smoothed", "contact.sharpness": 1e8}
     scene = plate(law | {"harmonic_balance.samples": 64})
 
-    whole = Solver.solve
+    solve_function = Solver.solve
 
     def failing(solver: Solver, *how: Any, **more: Any) -> fc.PeriodicSolution:
-        found = whole(solver, *how, **more)
-        if found.harmonics in bad:
-            return replace(found, converged=False, status="lost")
-        if found.structure.n_modes == 24:
+        solution = solve_function(solver, *how, **more)
+        if solution.harmonics in bad:
+            return replace(solution, converged=False, status="lost")
+        if solution.structure.n_modes == 24:
             raise fc.InputError("reduction.modes", 24, "less")
-        return found
+        return solution
 
     monkeypatch.setattr(Solver, "solve", failing)
     bad.add(10)
-    found = fc.verify(scene)
-    assert found.failures == ("24 modes: reduction.modes = 24: must be less", "10 harmonics: lost")
-    part = found.parts["harmonics"]["opening"]
+    verification = fc.verify(scene)
+    assert verification.failures == (
+        "24 modes: reduction.modes = 24: must be less",
+        "10 harmonics: lost",
+    )
+    part = verification.parts["harmonics"]["opening"]
     assert part.behaviour == "two sizes" and part.factor == 3.0
-    assert "failed, 10 harmonics: lost" in found.statement
+    assert "failed, 10 harmonics: lost" in verification.statement
     bad.add(20)
-    found = fc.verify(scene)
-    assert "harmonics" in found.unknown and "harmonics" not in found.parts
+    verification = fc.verify(scene)
+    assert "harmonics" in verification.unknown and "harmonics" not in verification.parts
     bad.add(5)
     with pytest.raises(fc.ConvergenceError, match="the scene's own choice: lost"):
         fc.verify(scene)
@@ -443,8 +457,8 @@ def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
 def test_meshes_of_a_solid_are_similar() -> None:
     """Elements at the front, and what each next one is longer by, have the same ratio in all."""
     solid = fc.Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml")
-    finer = [refine_scene(solid, factor) for factor in (1.5, 2.0)]
-    meshes = [solid.mesh, *(scene.mesh for scene in finer if scene is not None)]
+    finer_scenes = [refine_scene(solid, factor) for factor in (1.5, 2.0)]
+    meshes = [solid.mesh, *(scene.mesh for scene in finer_scenes if scene is not None)]
     fronts, rises = [], []
     for mesh in meshes:
         ratio = mesh.grading ** (1.0 / (mesh.lip_elements - 1))
@@ -453,8 +467,8 @@ def test_meshes_of_a_solid_are_similar() -> None:
     factors = [front / fronts[0] for front in fronts]
     assert factors == pytest.approx([1.0, 1.5, 2.0], rel=0.1)  # of whole elements
     assert factors == pytest.approx([rise / rises[0] for rise in rises], rel=1e-9)
-    thick = solid.geometry.thickness  # elements are no longer than that, whatever is asked for
-    assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thick / f for f in factors[1:]])
+    thickness = solid.geometry.thickness  # elements are no longer than that, whatever is asked for
+    assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thickness / f for f in factors[1:]])
 
 
 FINE = {
@@ -484,15 +498,15 @@ def test_method_of_integration(
     paper_scene: fc.Scene, changes: dict[str, Any], scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The scene's, or that of the structure."""
-    asked: list[dict[str, Any]] = []
+    call_options: list[dict[str, Any]] = []
     module = "central_differences" if scheme == "integrate_central_difference" else "flows"
     monkeypatch.setattr(
-        f"fenics_crack.time.{module}.{scheme}", lambda *given, **rest: asked.append(rest)
+        f"fenics_crack.time.{module}.{scheme}", lambda *given, **rest: call_options.append(rest)
     )
     fc.integrate(paper_scene.replace(FINE | changes), MPI.COMM_SELF)
-    assert len(asked) == 1
+    assert len(call_options) == 1
     if scheme == "integrate_exponential":
-        assert asked[0]["steps_per_period"] == 512
+        assert call_options[0]["steps_per_period"] == 512
 
 
 @pytest.mark.parametrize(("value", "below", "above"), [

@@ -31,10 +31,14 @@ def plate(paper_scene: Scene) -> Scene:
 @pytest.fixture
 def scene(plate: Scene, tmp_path: Path) -> Scene:
     """The scene of the files."""
-    whole = fc.build_structure(plate, MPI.COMM_SELF)
-    columns = {"force_sin": whole.force[2], "clearance": whole.clearance}
+    whole_structure = fc.build_structure(plate, MPI.COMM_SELF)
+    columns = {"force_sin": whole_structure.force[2], "clearance": whole_structure.clearance}
     parts = {name: sparse.csr_matrix(column[:, None]) for name, column in columns.items()}
-    parts |= {"mass": csr(whole.mass), "stiffness": csr(whole.stiffness), "gap": whole.gap}
+    parts |= {
+        "mass": csr(whole_structure.mass),
+        "stiffness": csr(whole_structure.stiffness),
+        "gap": whole_structure.gap,
+    }
     tables = {
         "excitation": {"omega": 2000.0}, "damping": {"ratio": 0.02}, "contact": {"stiffness": 1e9},
         "harmonic_balance": {"harmonics": 5},
@@ -48,18 +52,24 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
     pairs = [
         (fc.modes(plate, 4, comm).result.omega, fc.modes(scene, 4, comm).result.omega),
         *[
-            tuple(fc.solve(one, comm).result.gap_coefficients for one in (plate, scene)),
             tuple(
-                fc.curve(one.replace(CURVE), comm).result.gap_coefficients for one in (plate, scene)
+                fc.solve(source_scene, comm).result.gap_coefficients
+                for source_scene in (plate, scene)
+            ),
+            tuple(
+                fc.curve(source_scene.replace(CURVE), comm).result.gap_coefficients
+                for source_scene in (plate, scene)
             ),
         ],
     ]
-    for expected, found in pairs:
-        assert relative(found, expected) < 1e-9
+    for expected_value, actual_value in pairs:
+        assert relative(actual_value, expected_value) < 1e-9
     time = {"integration.periods": 3}
-    histories = [fc.integrate(one.replace(time), comm).result for one in (plate, scene)]
+    histories = [
+        fc.integrate(source_scene.replace(time), comm).result for source_scene in (plate, scene)
+    ]
     assert relative(histories[1].gap, histories[0].gap) < 1e-9
-    runs = [fc.solve(one, comm) for one in (plate, scene)]
+    runs = [fc.solve(source_scene, comm) for source_scene in (plate, scene)]
     assert runs[0].watched_dof == runs[1].watched_dof
     assert runs[1].watched_name == f"displacement of dof {runs[1].watched_dof}"
 
@@ -67,17 +77,19 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
 def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) -> None:
     """To lips without mass; over the frequency, and over the preload."""
     changes: dict[str, Any] = {"reduction.modes": 10, "reduction.method": "massless"}
-    found = fc.solve(scene.replace(changes), MPI.COMM_SELF)
-    assert isinstance(found.structure, fc.MasslessStructure)
-    expected = fc.solve(plate.replace(changes), MPI.COMM_SELF).result
-    assert relative(found.result.gap_coefficients, expected.gap_coefficients) < 1e-8
-    over = {"excitation.omega": [1900.0, 2000.0], "structure.clearance": [-1e-7, 0.0]}
-    sweep = run_sweep(scene.replace(changes | {"sweep.over": over}), tmp_path / "sweep.h5")
+    run = fc.solve(scene.replace(changes), MPI.COMM_SELF)
+    assert isinstance(run.structure, fc.MasslessStructure)
+    expected_solution = fc.solve(plate.replace(changes), MPI.COMM_SELF).result
+    assert relative(run.result.gap_coefficients, expected_solution.gap_coefficients) < 1e-8
+    sweep_axes = {"excitation.omega": [1900.0, 2000.0], "structure.clearance": [-1e-7, 0.0]}
+    sweep = run_sweep(scene.replace(changes | {"sweep.over": sweep_axes}), tmp_path / "sweep.h5")
     assert sweep.converged.all()
-    assert relative(sweep.gap((1, 0)), expected.gap_coefficients) < 1e-6
-    assert sweep["response"][1, 0] == pytest.approx(expected.amplitude(found.watched_dof), rel=1e-3)
-    again = sweep.solution((1, 1))
-    assert relative(again.gap_coefficients, sweep.gap((1, 1))) < 1e-9
+    assert relative(sweep.gap((1, 0)), expected_solution.gap_coefficients) < 1e-6
+    assert sweep["response"][1, 0] == pytest.approx(
+        expected_solution.amplitude(run.watched_dof), rel=1e-3
+    )
+    solution = sweep.solution((1, 1))
+    assert relative(solution.gap_coefficients, sweep.gap((1, 1))) < 1e-9
 
 
 def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
@@ -85,9 +97,9 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     runs = {"solution": fc.solve(scene, MPI.COMM_SELF), "modes": fc.modes(scene, 3, MPI.COMM_SELF)}
     for name, run in runs.items():
         fc.save(run.result, tmp_path / f"{name}.h5", run.scene)
-        again = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
-        assert again.scene.structure == run.scene.structure
-    modes = again.result
+        stored_run = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
+        assert stored_run.scene.structure == run.scene.structure
+    modes = stored_run.result
     np.testing.assert_array_equal(modes.shapes, runs["modes"].result.shapes)  # type: ignore[union-attr]
     with open(tmp_path / "gap.mtx", "a") as file:
         file.write("% changed\n")
@@ -98,9 +110,11 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
 def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
     """Its verdict and its curve are not to be had; without mass at the pairs they are."""
     words = ["check", str(DEMOS / "chain.toml"), "--set", "contact.stiffness=none"]
-    for more, remarked in ((), True), (("--set", "reduction.method=massless"), False):
-        said = run_command(*words, "--set", "contact.law=unilateral", *more).err
-        assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == remarked
+    for more_options, is_remarked in ((), True), (("--set", "reduction.method=massless"), False):
+        messages = run_command(*words, "--set", "contact.law=unilateral", *more_options).err
+        assert (
+            "remark: contact.law = unilateral: rigid contact of pairs" in messages
+        ) == is_remarked
 
 
 @pytest.mark.drawn(3)
@@ -112,24 +126,26 @@ def test_the_example_runs_from_the_shell(
     """Every command; what is drawn needs no mesh, and what needs one is left out with a word."""
     (name,) = commands
     output = [] if name == "check" else ["--output", str(tmp_path)]
-    printed = run_command(name, DEMOS / "chain.toml", *output)
-    remarks = [line for line in printed.err.splitlines() if line.startswith("remark")]
-    over = ["steps over a peak" in line for line in remarks]  # narrower than the steps of 1 Hz
-    assert over == [True] * (name == "sweep") and "warning" not in printed.err
+    process = run_command(name, DEMOS / "chain.toml", *output)
+    remarks = [line for line in process.err.splitlines() if line.startswith("remark")]
+    has_remark = [
+        "steps over a peak" in line for line in remarks
+    ]  # narrower than the steps of 1 Hz
+    assert has_remark == [True] * (name == "sweep") and "warning" not in process.err
     result = {"solve": "solution", "integrate": "integration"}.get(name, name)
     if name == "check":  # of masses: nothing that plates alone have
-        assert not re.search("crack|lips|flap|torsion|plate|mesh", printed.out)
+        assert not re.search("crack|lips|flap|torsion|plate|mesh", process.out)
         return
-    told = run_command("plot", tmp_path / f"{result}.h5").err
+    messages = run_command("plot", tmp_path / f"{result}.h5").err
     pictures = {path.name for path in tmp_path.glob("*.*") if path.suffix not in (".csv", ".json")}
-    expected = {
+    expected_pictures = {
         "solve": {"solution_waves.png", "solution_orbits.png"},
         "integrate": {"integration_waves.png"},
         "sweep": {"sweep_response.png"},
         "modes": {"modes.h5"},
     }[name]
-    assert expected <= pictures
-    assert ("no mesh" in told) == (name in ("solve", "modes"))
+    assert expected_pictures <= pictures
+    assert ("no mesh" in messages) == (name in ("solve", "modes"))
 
 
 def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> None:
@@ -142,9 +158,13 @@ def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> N
         "contact": {"stiffness": 1e5}, "harmonic_balance": {"harmonics": 40},
     }  # fmt: skip
     scene = scene_of_matrices(tmp_path, matrices, tables)
-    marched, solved = (way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve))
-    assert marched.settled < 1e-4
-    assert marched.indicators(0).amplitude == pytest.approx(solved.amplitude(0), rel=1e-3)
+    marched_result, solved_result = (
+        way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve)
+    )
+    assert marched_result.settled < 1e-4
+    assert marched_result.indicators(0).amplitude == pytest.approx(
+        solved_result.amplitude(0), rel=1e-3
+    )
     with pytest.raises(InputError, match=r"crack\.first_omega"):
         fc.find_crack_length(scene, MPI.COMM_SELF)
 
@@ -156,10 +176,12 @@ def test_the_example_meets_its_stop() -> None:
     omega = fc.modes(scene, 1, MPI.COMM_SELF).result.omega[0]
     assert omega == pytest.approx(2.0 * np.sqrt(2e4 / 0.1) * np.sin(np.pi / 50.0), rel=1e-12)
     run = fc.solve(scene, MPI.COMM_SELF)
-    settled = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
-    history = fc.integrate(scene.replace(settled), MPI.COMM_SELF).result
-    marched = float(np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :]))
-    assert run.result.amplitude(run.watched_dof) == pytest.approx(marched / 2.0, rel=5e-3)
+    march_settings = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
+    history = fc.integrate(scene.replace(march_settings), MPI.COMM_SELF).result
+    marched_range = float(
+        np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :])
+    )
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(marched_range / 2.0, rel=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -188,17 +210,17 @@ def test_bad_matrices_are_named(
     scene: Scene, changes: dict[str, Any], key: str, tmp_path: Path
 ) -> None:
     """By the key of the scene."""
-    moved = {k: str(tmp_path / v) if str(v).endswith("mtx") else v for k, v in changes.items()}
+    settings = {k: str(tmp_path / v) if str(v).endswith("mtx") else v for k, v in changes.items()}
     with pytest.raises(InputError) as caught:
-        fc.build_structure(scene.replace(moved), MPI.COMM_SELF)
+        fc.build_structure(scene.replace(settings), MPI.COMM_SELF)
     assert caught.value.key.startswith(key)
 
 
 def refused(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
     """What each rank is told where the last one does not see one of the files (collective)."""
-    missing = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
+    missing_settings = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
     with pytest.raises(InputError) as caught:
-        fc.build_structure(scene.replace(missing), comm)
+        fc.build_structure(scene.replace(missing_settings), comm)
     return comm.allgather(caught.value.key)
 
 
@@ -219,7 +241,8 @@ def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:
     matrix = Scene.from_text(text, folder=tmp_path)
     assert matrix.damping is None and Scene.from_text(matrix.as_toml()) == matrix
     rule = scene.replace({"damping.ratio": None, "damping.mass": 50.0})
-    found, expected = (
-        fc.solve(one, MPI.COMM_SELF).result.gap_coefficients for one in (matrix, rule)
+    matrix_gap, rule_gap = (
+        fc.solve(damped_scene, MPI.COMM_SELF).result.gap_coefficients
+        for damped_scene in (matrix, rule)
     )
-    assert relative(found, expected) < 1e-9
+    assert relative(matrix_gap, rule_gap) < 1e-9

@@ -41,17 +41,21 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
     def numbers(orbit: PeriodicOrbit) -> dict[str, float]:
         return of_orbit(replace(run, structure=orbit.structure), result, orbit, 1)
 
-    larger = orbit
+    larger_orbit = orbit
     for factor in (2, 4):
         structure = fc.reduce_structure(
             run.structure.whole, modes=factor * orbit.structure.n_modes, method="massless",
             reference=False,
         )  # fmt: skip
         flow = exact_flow_or_none(structure, run.contact)
-        found = MoreModes(flow, result.assessment.wave, larger).orbit
-        larger = found
-    few, many = numbers(orbit), numbers(larger)
-    return {name: abs(many[name] - value) for name, value in few.items() if name in many}
+        next_orbit = MoreModes(flow, result.assessment.wave, larger_orbit).orbit
+        larger_orbit = next_orbit
+    few_modes_numbers, many_modes_numbers = numbers(orbit), numbers(larger_orbit)
+    return {
+        name: abs(many_modes_numbers[name] - value)
+        for name, value in few_modes_numbers.items()
+        if name in many_modes_numbers
+    }
 
 
 @pytest.mark.nightly
@@ -77,9 +81,9 @@ def test_modes_that_change_a_number_little_by_chance(
     """Twice the modes change these numbers by a fortieth to a third of what four times do; the size
     of the change of the motion states them."""
     run = fc.solve(fc.Scene.load(scene).replace(ALONE | changes))
-    true = true_changes(run)
+    true_numbers = true_changes(run)
     for name in names:
         part = run.errors.parts["modes"][name]
         next_change = abs(part.values[0] - part.values[1])
-        assert next_change < true[name] / 3.0 < part.uncertainty(-1), name
-        assert true[name] < 1.6 * part.uncertainty(-1) < 10.0 * true[name], name
+        assert next_change < true_numbers[name] / 3.0 < part.uncertainty(-1), name
+        assert true_numbers[name] < 1.6 * part.uncertainty(-1) < 10.0 * true_numbers[name], name

@@ -40,9 +40,11 @@ def study() -> fc.Study:
 
 def orbit_of(study: fc.Study, modes: int) -> fc.PeriodicOrbit:
     """Return the orbit with so many modes by a search to a tolerance, from nothing."""
-    more = fc.prepare(study.scene.replace({"reduction.modes": modes}))
+    larger_study = fc.prepare(study.scene.replace({"reduction.modes": modes}))
     omega = study.scene.excitation.omega
-    solution = fc.solve_harmonic_balance(more.structure, omega, more.contact, tolerance=0.5)
+    solution = fc.solve_harmonic_balance(
+        larger_study.structure, omega, larger_study.contact, tolerance=0.5
+    )
     return solution.orbit
 
 
@@ -50,20 +52,26 @@ def orbit_of(study: fc.Study, modes: int) -> fc.PeriodicOrbit:
 def true(study: fc.Study) -> float:
     """The change of the gap from the orbit of 20 modes to that of 40, over the share that these
     have of what is left out."""
-    few, many = (orbit_of(study, modes).gap for modes in (20, 40))
-    return float(size_of_motion(many - few) / size_of_motion(few) / study.structure.share)
+    few_modes_gap, many_modes_gap = (orbit_of(study, modes).gap for modes in (20, 40))
+    return float(
+        size_of_motion(many_modes_gap - few_modes_gap)
+        / size_of_motion(few_modes_gap)
+        / study.structure.share
+    )
 
 
 @pytest.mark.parametrize("harmonics", [5, 10])
 def test_modes_by_an_orbit_that_is_far_away(study: fc.Study, true: float, harmonics: int) -> None:
     """Far away from the solution, the nearest orbit shows what modes change: 16 % where
     two truncated solutions differ by less than 1 %."""
-    found = solved(study, harmonics)
-    assert found.assessment.is_accepted and 0.1 < found.report.truncation < 1.0
-    assert found.report.reduction == pytest.approx(true, rel=0.1)
-    plain = solved(replace(study, structure=study.structure.reference), harmonics)
-    time = np.arange(512) * found.period / 512
-    change = size_of_motion(plain.gap(time) - found.gap(time)) / size_of_motion(found.gap(time))
+    solution = solved(study, harmonics)
+    assert solution.assessment.is_accepted and 0.1 < solution.report.truncation < 1.0
+    assert solution.report.reduction == pytest.approx(true, rel=0.1)
+    plain_solution = solved(replace(study, structure=study.structure.reference), harmonics)
+    time = np.arange(512) * solution.period / 512
+    change = size_of_motion(plain_solution.gap(time) - solution.gap(time)) / size_of_motion(
+        solution.gap(time)
+    )
     assert change / study.structure.share < 0.2 * true
 
 
@@ -74,18 +82,18 @@ def test_modes_without_any_orbit(
     has ended by its budget is said."""
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PIECES", 10)
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
-    found = solved(study, 10)
-    assert found.assessment.nearest_orbit is None
-    said = "an exact orbit ended at its budget of"
+    solution = solved(study, 10)
+    assert solution.assessment.nearest_orbit is None
+    expected_text = "an exact orbit ended at its budget of"
     assert (
-        said in found.assessment.rejection_reason
-        and said in fc.floquet(found.structure, found).reason
+        expected_text in solution.assessment.rejection_reason
+        and expected_text in fc.floquet(solution.structure, solution).reason
     )
-    assert true < 1.5 * found.report.reduction and found.report.reduction < 1.0
-    stated = stated_errors(study, found)
-    assert not {"modes", "harmonics"} & stated.unknown.keys()
+    assert true < 1.5 * solution.report.reduction and solution.report.reduction < 1.0
+    report = stated_errors(study, solution)
+    assert not {"modes", "harmonics"} & report.unknown.keys()
     for name in ("amplitude", "opening", "ratio_2_1"):
-        parts = stated.contributions(name)
+        parts = report.contributions(name)
         assert parts["modes"] >= 0.999 * parts["harmonics"] > 0.0, name
 
 
@@ -94,17 +102,17 @@ def test_modes_whose_reference_has_no_orbit(
 ) -> None:
     """Solutions with 40 harmonics show of the opening what orbits do, 11 %; with as many as the
     answer has, 13, they show less than 1 %."""
-    chosen = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 0.1}
-    scene = study.scene.replace(chosen)
+    settings = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 0.1}
+    scene = study.scene.replace(settings)
 
     def part() -> float:
         run = fc.solve(scene)
         assert run.result.harmonics < 20 and run.result.assessment.nearest_orbit is not None
         return stated_errors(run, run.result, causes=["modes"]).contributions("opening")["modes"]
 
-    true = part()
+    true_part = part()
     monkeypatch.setattr(MoreModes, "orbit", None)
-    assert part() == pytest.approx(true, rel=0.15)
+    assert part() == pytest.approx(true_part, rel=0.15)
 
 
 def test_modes_where_no_solution_converges(
@@ -114,12 +122,12 @@ def test_modes_where_no_solution_converges(
     omega, contact = study.scene.excitation.omega, study.contact
 
     def reduction() -> float:
-        found = fc.solve_harmonic_balance(
+        solution = fc.solve_harmonic_balance(
             study.structure, omega, contact, tolerance=0.1, throw=False
         )
-        return found.report.reduction
+        return solution.report.reduction
 
-    true, attempt = reduction(), Solver.search_and_solution
+    true_part, attempt = reduction(), Solver.search_and_solution
 
     def fail(self: Solver, *starts: Any, **options: Any) -> Any:
         search, found = attempt(self, *starts, **options)
@@ -129,7 +137,7 @@ def test_modes_where_no_solution_converges(
 
     monkeypatch.setattr(Solver, "search_and_solution", fail)
     monkeypatch.setattr("fenics_crack.balance.more_modes.find_orbit", lambda *_, **__: None)
-    assert 0.3 * true < reduction() < 3.0 * true
+    assert 0.3 * true_part < reduction() < 3.0 * true_part
 
 
 def test_modes_that_change_the_orbit_too_much() -> None:
@@ -144,12 +152,15 @@ def test_modes_that_change_the_orbit_too_much() -> None:
             "damping.ratio": 1e-3, "excitation.frequency": 830.0,
         }
     )  # fmt: skip
-    few = solved(study, 10)
-    assert few.assessment.is_accepted and few.report.truncation < 0.1
-    assert 0.15 < few.report.reduction < 4.0 * 0.15
-    stated = stated_errors(study, few)
-    assert "modes" not in stated.unknown and stated.stated("opening")[1] == "modes"
-    many = orbit_of(study, 20)
-    true = abs(many.faces["opening"] / few.assessment.nearest_orbit.faces["opening"] - 1.0)
-    assert true / study.structure.share < stated.stated("opening")[0] < 1.0
+    few_modes_solution = solved(study, 10)
+    assert few_modes_solution.assessment.is_accepted and few_modes_solution.report.truncation < 0.1
+    assert 0.15 < few_modes_solution.report.reduction < 4.0 * 0.15
+    report = stated_errors(study, few_modes_solution)
+    assert "modes" not in report.unknown and report.stated("opening")[1] == "modes"
+    larger_orbit = orbit_of(study, 20)
+    true_change = abs(
+        larger_orbit.faces["opening"] / few_modes_solution.assessment.nearest_orbit.faces["opening"]
+        - 1.0
+    )
+    assert true_change / study.structure.share < report.stated("opening")[0] < 1.0
     assert 0.1 < solved(study, 40).report.reduction < 0.25

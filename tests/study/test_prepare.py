@@ -37,8 +37,11 @@ def test_reduction_stands_in_the_scene(scene: fc.Scene) -> None:
     """A larger structure is reduced unasked; what was chosen can be read, and repeated."""
     study = fc.prepare(scene, MPI.COMM_SELF)
     assert study.structure.n_dofs < study.structure.whole.n_dofs > 100
-    again = fc.prepare(study.scene, MPI.COMM_SELF)
-    assert again.scene == study.scene and again.structure.n_dofs == study.structure.n_dofs
+    second_study = fc.prepare(study.scene, MPI.COMM_SELF)
+    assert (
+        second_study.scene == study.scene
+        and second_study.structure.n_dofs == study.structure.n_dofs
+    )
     assert study.scene.reduction and study.contact == fc.UnilateralPenalty(1e11)
 
 
@@ -68,12 +71,16 @@ def test_default_reduction(scene: fc.Scene, changes: dict[str, Any], expected: s
 def test_default_reduction_of_few_dofs(paper_scene: fc.Scene) -> None:
     """None; and where all modes are kept, nothing is left to be without mass."""
     assert fc.prepare(paper_scene, MPI.COMM_SELF).scene.reduction is None
-    asked = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
-    for modes, method in asked.items():
+    method_by_dofs = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
+    for modes, method in method_by_dofs.items():
         table = "[reduction]" if modes is None else f"[reduction]\nmodes = {modes}"
-        given = fc.Scene.from_text(f"{paper_scene.as_toml()}\n{table}\n")
-        found = fc.prepare(given, MPI.COMM_SELF).scene.reduction
-        assert found is not None and found.method == method and found.modes == (modes or 50)
+        table_scene = fc.Scene.from_text(f"{paper_scene.as_toml()}\n{table}\n")
+        reduction = fc.prepare(table_scene, MPI.COMM_SELF).scene.reduction
+        assert (
+            reduction is not None
+            and reduction.method == method
+            and reduction.modes == (modes or 50)
+        )
 
 
 def test_more_modes_than_there_are_dofs_are_refused(scene: fc.Scene) -> None:
@@ -105,8 +112,10 @@ def test_rayleigh_damping(
     scene: fc.Scene, table: dict[str, Any], expected: fc.RayleighDamping
 ) -> None:
     """Of the plate and of its reduced structure, which keeps 50 modes: all are damped."""
-    none = {"damping.ratio": None, "damping.modes": "all"}
-    damped = scene.replace(none | {f"damping.{key}": value for key, value in table.items()})
-    study = fc.prepare(damped, MPI.COMM_SELF)
+    no_damping = {"damping.ratio": None, "damping.modes": "all"}
+    damped_scene = scene.replace(
+        no_damping | {f"damping.{key}": value for key, value in table.items()}
+    )
+    study = fc.prepare(damped_scene, MPI.COMM_SELF)
     assert study.structure.damping == study.structure.whole.damping == expected
     assert study.scene.reduction is not None and study.scene.reduction.modes == 50

@@ -32,25 +32,29 @@ def scene(paper_scene: fc.Scene) -> fc.Scene:
 def test_solution_and_motion_agree(scene: fc.Scene, law: dict[str, Any], tmp_path: Path) -> None:
     """Balanced with its stability, marched by exponential steps, and read again."""
     scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
-    solved = fc.solve(scene, MPI.COMM_SELF)
-    found, plate = solved.result, solved.structure
-    assert isinstance(plate, fc.MasslessStructure) and found.stability is not None
-    assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
-    history, dof = fc.integrate(scene, MPI.COMM_SELF).result, [solved.watched_dof]
+    solved_run = fc.solve(scene, MPI.COMM_SELF)
+    solution, plate = solved_run.result, solved_run.structure
+    assert isinstance(plate, fc.MasslessStructure) and solution.stability is not None
+    assert (
+        solved_run.scene.reduction is not None and solved_run.scene.reduction.method == "massless"
+    )
+    history, dof = fc.integrate(scene, MPI.COMM_SELF).result, [solved_run.watched_dof]
     assert history.steps_per_period == 512 and history.settled < 1e-5
-    time, motion = history.time[-512:], found.displacement(history.time[-512:], dof)
-    assert relative(history.gap[-512:], found.gap(time)) < 5e-3
+    time, motion = history.time[-512:], solution.displacement(history.time[-512:], dof)
+    assert relative(history.gap[-512:], solution.gap(time)) < 5e-3
     assert relative(history.displacement(dof)[-512:], motion) < 2e-3
-    fc.save(found, tmp_path / "solution.h5", solved.scene)
-    again = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
-    read = again.result
-    assert read.static_above == found.static_above
-    assert read.contact == found.contact == again.contact == solved.contact
-    np.testing.assert_allclose(read.gap(time), found.gap(time), atol=1e-9 * np.ptp(motion))
+    fc.save(solution, tmp_path / "solution.h5", solved_run.scene)
+    stored_run = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
+    stored_solution = stored_run.result
+    assert stored_solution.static_above == solution.static_above
+    assert stored_solution.contact == solution.contact == stored_run.contact == solved_run.contact
+    np.testing.assert_allclose(
+        stored_solution.gap(time), solution.gap(time), atol=1e-9 * np.ptp(motion)
+    )
     # The whole displacement closes the gaps as they are, with their kinks.
-    field = read.displacement_field(time[::64])
-    closing = plate.whole.apply_bt(field) - plate.clearance
-    np.testing.assert_allclose(closing, found.gap(time[::64]), atol=1e-9 * np.ptp(motion))
+    field = stored_solution.displacement_field(time[::64])
+    gap = plate.whole.apply_bt(field) - plate.clearance
+    np.testing.assert_allclose(gap, solution.gap(time[::64]), atol=1e-9 * np.ptp(motion))
     np.testing.assert_allclose(field[:, dof], motion[::64], atol=1e-9 * np.ptp(motion))
 
 
@@ -67,8 +71,8 @@ def test_pictures_of_lips_without_mass(scene: fc.Scene, tmp_path: Path) -> None:
     modes = fc.solve_modes(run.structure, 3)
     fc.write_modes(modes, tmp_path / "modes.vtu")
     fc.save(modes, tmp_path / "modes.h5")
-    read = fc.load(tmp_path / "modes.h5", run.structure)
-    np.testing.assert_allclose(read.omega, fc.solve_modes(run.structure.whole, 3).omega)
+    stored_result = fc.load(tmp_path / "modes.h5", run.structure)
+    np.testing.assert_allclose(stored_result.omega, fc.solve_modes(run.structure.whole, 3).omega)
 
 
 @laws
@@ -78,18 +82,18 @@ def test_curves_are_followed(scene: fc.Scene, law: dict[str, Any]) -> None:
     scene = scene.replace(law | keys)
     run = fc.curve(scene, MPI.COMM_SELF)
     assert run.result.complete and run.result.omega[[0, -1]].tolist() == [1500.0, 1510.0]
-    heavy = scene.replace({"reduction.method": "free_interface"})
+    free_lip_scene = scene.replace({"reduction.method": "free_interface"})
     if law is RIGID:
         with pytest.raises(fc.InputError, match=r"reduction.method = 'massless', for a curve"):
-            fc.curve(heavy, MPI.COMM_SELF)
+            fc.curve(free_lip_scene, MPI.COMM_SELF)
     else:
-        assert fc.curve(heavy, MPI.COMM_SELF).result.complete
+        assert fc.curve(free_lip_scene, MPI.COMM_SELF).result.complete
 
 
 def test_no_verdict_without_penetration_where_lips_have_mass(scene: fc.Scene) -> None:
     """As for the paper's plate, which is not reduced."""
-    heavy = scene.replace(RIGID | {"reduction.method": "free_interface"})
-    run = fc.solve(heavy, MPI.COMM_SELF)
+    free_lip_scene = scene.replace(RIGID | {"reduction.method": "free_interface"})
+    run = fc.solve(free_lip_scene, MPI.COMM_SELF)
     assert run.result.converged and run.result.stability is None
 
 

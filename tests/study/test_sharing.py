@@ -32,11 +32,11 @@ def scene() -> fc.Scene:
 def numbers(scene: fc.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> dict[str, Any]:
     """All that is stated of a solution, and the solution at its watched dof (collective)."""
     run = fc.solve(scene, comm)
-    found: dict[str, Any] = dict(run.errors.values)
+    error_values: dict[str, Any] = dict(run.errors.values)
     for cause, parts in run.errors.parts.items():
-        found |= {f"{cause} {name}": part.uncertainty(-1) for name, part in parts.items()}
+        error_values |= {f"{cause} {name}": part.uncertainty(-1) for name, part in parts.items()}
     [(_, waves)] = run.motion().items()
-    return found | {
+    return error_values | {
         "waves": waves,
         "modes": run.structure.n_modes,
         "clamp": run.structure.whole.clamp.load,
@@ -68,36 +68,41 @@ def test_as_alone(
 ) -> None:
     """Whatever was solved before: the same to rounding; a mesh and a coarser one are made where
     the matrices change, else none."""
-    other = scene.replace(changes)
-    expected = numbers(other)
+    changed_scene = scene.replace(changes)
+    expected_numbers = numbers(changed_scene)
     LAST_STRUCTURES.clear()
-    first = numbers(scene)
+    first_numbers = numbers(scene)
     meshes.clear()
-    found = numbers(other)
+    shared_numbers = numbers(changed_scene)
     assert len(meshes) == made
-    assert found.keys() == expected.keys()
-    for name, value in expected.items():
-        assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9 * np.abs(value).max()), name
-    again = numbers(scene)
-    assert all(again[name] == pytest.approx(first[name], rel=1e-6) for name in ("waves", "modes"))
+    assert shared_numbers.keys() == expected_numbers.keys()
+    for name, value in expected_numbers.items():
+        assert shared_numbers[name] == pytest.approx(
+            value, rel=1e-6, abs=1e-9 * np.abs(value).max()
+        ), name
+    repeated_numbers = numbers(scene)
+    assert all(
+        repeated_numbers[name] == pytest.approx(first_numbers[name], rel=1e-6)
+        for name in ("waves", "modes")
+    )
 
 
 def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
     """The last one, let go before another mesh is made; ranks that share another communicator do
     not share it."""
-    fine = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
-    assert fine() is not None and len(LAST_STRUCTURES) == 1
+    body_reference = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
+    assert body_reference() is not None and len(LAST_STRUCTURES) == 1
     fc.prepare(scene, MPI.COMM_SELF, whole=True)
     assert len(meshes) == 1
     fc.prepare(scene, MPI.COMM_WORLD, whole=True)
-    assert len(meshes) == 2 and fine() is None
+    assert len(meshes) == 2 and body_reference() is None
 
 
 def test_a_changed_mesh_is_noticed(scene: fc.Scene, tmp_path: Path, meshes: list[fc.Scene]) -> None:
     """A file of the same name, size and time counts by its content."""
-    path, other = tmp_path / "plate.msh", tmp_path / "other.msh"
+    path, other_path = tmp_path / "plate.msh", tmp_path / "other.msh"
     fc.write_msh(scene, path)
-    fc.write_msh(scene.replace({"crack.length": 0.05}), other)
+    fc.write_msh(scene.replace({"crack.length": 0.05}), other_path)
     keys = {"mesh.layout": "file", "mesh.file": str(path), "mesh.size": None}
     file = scene.replace(
         keys
@@ -108,12 +113,12 @@ def test_a_changed_mesh_is_noticed(scene: fc.Scene, tmp_path: Path, meshes: list
             "geometry.height": None,
         }
     )
-    first = fc.solve(file).amplitude(None)
-    assert fc.solve(file).amplitude(None) == first and len(meshes) == 1
+    first_amplitude = fc.solve(file).amplitude(None)
+    assert fc.solve(file).amplitude(None) == first_amplitude and len(meshes) == 1
     when = path.stat()
-    path.write_bytes(other.read_bytes())
+    path.write_bytes(other_path.read_bytes())
     os.utime(path, ns=(when.st_atime_ns, when.st_mtime_ns))
-    assert abs(fc.solve(file).amplitude(None) / first - 1.0) > 0.01 and len(meshes) == 2
+    assert abs(fc.solve(file).amplitude(None) / first_amplitude - 1.0) > 0.01 and len(meshes) == 2
 
 
 def test_a_changed_table_of_a_load_is_noticed(
@@ -136,18 +141,20 @@ def both_on(scene: fc.Scene, comm: MPI.Comm) -> tuple[int, list[dict[str, Any]]]
     LAST_STRUCTURES.clear()
     if comm.rank == 0:
         fc.prepare(scene, MPI.COMM_SELF, whole=True)
-    found = [numbers(one, comm) for one in (scene, scene.replace(OTHER))]
-    return len(LAST_STRUCTURES), found
+    all_numbers = [numbers(changed_scene, comm) for changed_scene in (scene, scene.replace(OTHER))]
+    return len(LAST_STRUCTURES), all_numbers
 
 
 @pytest.mark.nightly
 def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> None:
     """Ranks agree on what they share; which modes are enough may hang on rounding."""
     scene = scene.replace({"reduction.modes": 20})
-    count, found = on_ranks(both_on, scene)
+    count, shared_numbers = on_ranks(both_on, scene)
     assert count == 1
-    for one, changes in zip(found, ({}, OTHER), strict=True):
+    for rank_numbers, changes in zip(shared_numbers, ({}, OTHER), strict=True):
         LAST_STRUCTURES.clear()
-        expected = numbers(scene.replace(changes))
-        assert one["amplitude"] == pytest.approx(expected["amplitude"], rel=1e-6)
-        assert one["mesh amplitude"] == pytest.approx(expected["mesh amplitude"], rel=1e-3)
+        expected_numbers = numbers(scene.replace(changes))
+        assert rank_numbers["amplitude"] == pytest.approx(expected_numbers["amplitude"], rel=1e-6)
+        assert rank_numbers["mesh amplitude"] == pytest.approx(
+            expected_numbers["mesh amplitude"], rel=1e-3
+        )

@@ -80,8 +80,8 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """Names and values of what a JSON file holds."""
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, one in items:
-            yield from leaves(one, f"{name}.{key}")
+        for key, leaf in items:
+            yield from leaves(leaf, f"{name}.{key}")
     else:
         yield name, value
 
@@ -93,24 +93,24 @@ def lines_of(said: str) -> list[str]:
 
 def same_answers(command: str, scene: Path, *words: str) -> None:
     """Assert that a command and the same with --fresh write the same numbers and words."""
-    kept, fresh = (scene.parent / name for name in ("kept", "fresh"))
+    kept_folder, fresh = (scene.parent / name for name in ("kept", "fresh"))
     ends = [
-        run(command, scene, *words, "--output", str(kept)),
+        run(command, scene, *words, "--output", str(kept_folder)),
         run(command, scene, *words, "--output", str(fresh), "--fresh"),
     ]
     assert ends[0] == ends[1]
     if ends[0] in (2, 3):
         return
     name = {"solve": "solution"}.get(command, command)
-    files = [json.loads((folder / f"{name}.json").read_text()) for folder in (kept, fresh)]
-    found, expected = (dict(leaves(content)) for content in files)
-    assert found.keys() == expected.keys()
-    for key, value in expected.items():
+    files = [json.loads((folder / f"{name}.json").read_text()) for folder in (kept_folder, fresh)]
+    file_leaves, expected_leaves = (dict(leaves(content)) for content in files)
+    assert file_leaves.keys() == expected_leaves.keys()
+    for key, value in expected_leaves.items():
         if isinstance(value, float) and math.isfinite(value):
             # residuals and penetrations are rounding themselves
-            assert found[key] == pytest.approx(value, rel=1e-10, abs=1e-11), key
+            assert file_leaves[key] == pytest.approx(value, rel=1e-10, abs=1e-11), key
         else:
-            assert found[key] == value or value != value, key
+            assert file_leaves[key] == value or value != value, key
 
 
 @pytest.mark.usefixtures("path")
@@ -145,41 +145,43 @@ def test_second_solve_imports_no_mesher(plate: Path, path: Path) -> None:
     """Neither DOLFINx nor gmsh."""
     words = ["solve", str(plate), "--set", "excitation.frequency=790"]
     command = [sys.executable, "-c", PROGRAM, *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=no_rank())
-    assert f"{path.name}: the structure is taken from here" in done.stderr, done.stderr
-    assert done.stdout.splitlines()[-1] == "[]"
+    process = subprocess.run(command, capture_output=True, text=True, check=False, env=no_rank())
+    assert f"{path.name}: the structure is taken from here" in process.stderr, process.stderr
+    assert process.stdout.splitlines()[-1] == "[]"
 
 
 def base_scenes() -> list[fc.Scene]:
     """Scenes that have all tables, together."""
-    more = '[[loads]]\nedge = "top"\npressure_sin = 1.0\n[base]\nacceleration_sin = [1.0, 0.0]\n'
-    more += '[[cracks]]\nedge = "right"\nheight = 0.05\nlength = 0.02\n'
-    scenes = [fc.Scene.from_text(PLATE + more), TITANIUM]
+    more_text = (
+        '[[loads]]\nedge = "top"\npressure_sin = 1.0\n[base]\nacceleration_sin = [1.0, 0.0]\n'
+    )
+    more_text += '[[cracks]]\nedge = "right"\nheight = 0.05\nlength = 0.02\n'
+    scenes = [fc.Scene.from_text(PLATE + more_text), TITANIUM]
     return scenes + [fc.Scene.load(DEMOS / f"{name}.toml") for name in ("chain", "bladed_disk")]
 
 
 def test_digest_has_what_a_structure_follows_from() -> None:
     """Each key of the program's own list in turn, with a value that no scene has."""
-    scenes, missed = base_scenes(), []
+    scenes, missed_keys = base_scenes(), []
     for key in known_keys():
         table, *number, name = key.split(".")
         for scene in scenes:
-            held = getattr(scene, table)
-            if not held:
+            table_value = getattr(scene, table)
+            if not table_value:
                 continue
-            other = copy.copy(scene)
+            other_scene = copy.copy(scene)
             word = () if key == "sweep.over" else "another"  # axes may name files
-            value: Any = (held[0] if number else held).with_values(**{name: word})
-            vars(other)[table] = (value,) if number else value
-            before, after = (
-                dependencies_key(structure_dependencies(one, MPI.COMM_SELF))
-                for one in (scene, other)
+            value: Any = (table_value[0] if number else table_value).with_values(**{name: word})
+            vars(other_scene)[table] = (value,) if number else value
+            earlier_key, later_key = (
+                dependencies_key(structure_dependencies(keyed_scene, MPI.COMM_SELF))
+                for keyed_scene in (scene, other_scene)
             )
-            assert (before == after) == bool(FREE.match(key)), key
+            assert (earlier_key == later_key) == bool(FREE.match(key)), key
             break
         else:
-            missed.append(key)
-    assert all(FREE.match(key) for key in missed), missed
+            missed_keys.append(key)
+    assert all(FREE.match(key) for key in missed_keys), missed_keys
 
 
 CHANGES: dict[str, object] = {
@@ -234,7 +236,7 @@ def test_forged_files_are_not_used(
 ) -> None:
     """In one line, and the answer is that of the scene; a damaged one, too."""
     content, solution = path.read_bytes(), path.with_name("solution.json")
-    expected = solution.read_text()
+    expected_text = solution.read_text()
     scene = fc.Scene.load(plate)
     for name, forge in FORGED.items():
         if name in ("no scene", "dofs without nodes"):  # which is not read; of a plate
@@ -242,19 +244,25 @@ def test_forged_files_are_not_used(
         path.write_bytes(content)
         with changed(path) as file:
             forge(file)
-        said: list[str] = []
+        message_lines: list[str] = []
         assert (
-            StructureFile(path, said.append, is_read=True).read_structure(scene, MPI.COMM_SELF)
+            StructureFile(path, message_lines.append, is_read=True).read_structure(
+                scene, MPI.COMM_SELF
+            )
             is None
         ), name
-        assert len(said) == 1 and "not used" in said[0] and "\n" not in said[0], name
+        assert (
+            len(message_lines) == 1
+            and "not used" in message_lines[0]
+            and "\n" not in message_lines[0]
+        ), name
     path.write_bytes(content[:-1000])
     LAST_STRUCTURES.clear()
     capfd.readouterr()
     assert main(["solve", str(plate)]) in (0, 4)
-    said = lines_of(capfd.readouterr().err)
-    assert len(said) == 1 and "not used" in said[0]
-    assert solution.read_text() == expected
+    message_lines = lines_of(capfd.readouterr().err)
+    assert len(message_lines) == 1 and "not used" in message_lines[0]
+    assert solution.read_text() == expected_text
 
 
 def test_what_cannot_be_kept_is_said(
@@ -296,23 +304,27 @@ def test_structure_of_a_file_serves_its_command_alone(plate: Path) -> None:
 
 def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """That of a structure which two ranks have taken, and kept, together (collective)."""
-    scene, path, said = fc.Scene.from_text(SMALL), Path(folder) / "prepared.h5", list[str]()
+    scene, path, message_lines = (
+        fc.Scene.from_text(SMALL),
+        Path(folder) / "prepared.h5",
+        list[str](),
+    )
     for is_read in (False, True):
         LAST_STRUCTURES.clear()
-        STRUCTURE_FILES[:] = [StructureFile(path, said.append, is_read=is_read)]
-        found = fc.solve(scene, comm)
-        assert found.errors is not None
+        STRUCTURE_FILES[:] = [StructureFile(path, message_lines.append, is_read=is_read)]
+        run = fc.solve(scene, comm)
+        assert run.errors is not None
         STRUCTURE_FILES[0].write_structure(comm)
         STRUCTURE_FILES.clear()
-    assert comm.rank or len(said) == 1, said
-    return float(found.amplitude(None))
+    assert comm.rank or len(message_lines) == 1, message_lines
+    return float(run.amplitude(None))
 
 
 @pytest.mark.mpi
 def test_two_ranks_take_one_structure(tmp_path: Path, on_ranks: Callable[..., Any]) -> None:
     """With the answer of one."""
-    alone = fc.solve(fc.Scene.from_text(SMALL), MPI.COMM_SELF).amplitude(None)
-    assert on_ranks(amplitude_of, str(tmp_path)) == pytest.approx(alone, rel=1e-8)
+    single_amplitude = fc.solve(fc.Scene.from_text(SMALL), MPI.COMM_SELF).amplitude(None)
+    assert on_ranks(amplitude_of, str(tmp_path)) == pytest.approx(single_amplitude, rel=1e-8)
 
 
 @pytest.mark.nightly
@@ -326,21 +338,23 @@ def test_solids_take_their_structure(
     text = SOLID_TEXT.replace('law = "penalty", stiffness = 1e8', 'law = "unilateral"')
     scene.write_text(text.replace(", error = false", "") + "reduction = { modes = 10 }\n")
     assert run("solve", scene, "--output", "kept") in (0, 4)
-    before = len(meshes)
+    n_meshes = len(meshes)
     if command == "check":
         assert run("check", scene) == 0
         return
-    assert run("solve", scene, "--output", "kept") in (0, 4) and len(meshes) == before
+    assert run("solve", scene, "--output", "kept") in (0, 4) and len(meshes) == n_meshes
     same_answers("solve", scene)
 
 
 def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -> None:
     """One that an earlier scene of the process has left is no part of the file."""
-    scene, said = fc.Scene.load(plate), list[str]()
+    scene, message_lines = fc.Scene.load(plate), list[str]()
     LAST_STRUCTURES.clear()
     assert fc.solve(scene, MPI.COMM_SELF).errors is not None
     twice = scene.replace({"excitation.force_sin": [20.0, 0.0], "mesh.error": False})
-    STRUCTURE_FILES[:] = [StructureFile(tmp_path / "prepared.h5", said.append, is_read=False)]
+    STRUCTURE_FILES[:] = [
+        StructureFile(tmp_path / "prepared.h5", message_lines.append, is_read=False)
+    ]
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
     STRUCTURE_FILES[0].write_structure(MPI.COMM_SELF)
     STRUCTURE_FILES.clear()

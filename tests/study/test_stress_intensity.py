@@ -59,8 +59,8 @@ def of(scene: fc.Scene) -> Any:
 
 def linear_of(study: fc.Study, omega: float) -> fc.Run[fc.PeriodicSolution]:
     """The vibration of a study at a frequency with lips that pass each other."""
-    found = fc.solve_linear(study.structure, omega, harmonics=1)
-    return fc.Run(study.scene, study.structure, study.contact, study.watched, found)
+    linear_solution = fc.solve_linear(study.structure, omega, harmonics=1)
+    return fc.Run(study.scene, study.structure, study.contact, study.watched, linear_solution)
 
 
 # --- handbooks: Tada, Paris, Irwin, The Stress Analysis of Cracks Handbook, 2000 ------------------
@@ -87,10 +87,10 @@ def centre_in_tension(x: float) -> float:
 @pytest.mark.parametrize("length", [0.01, 0.03, 0.05])
 def test_edge_crack_in_tension(length: float) -> None:
     """Within 1 %, and without K_II."""
-    found = of(strip(crack__length=length))
+    intensity = of(strip(crack__length=length))
     exact = STRESS * math.sqrt(math.pi * length) * edge_in_tension(length / 0.1)
-    assert found.one.mean() == pytest.approx(exact, rel=0.01)
-    assert np.abs(found.two).max() < 1e-3 * exact
+    assert intensity.one.mean() == pytest.approx(exact, rel=0.01)
+    assert np.abs(intensity.two).max() < 1e-3 * exact
 
 
 def test_edge_crack_in_bending() -> None:
@@ -107,20 +107,20 @@ def test_edge_crack_in_bending() -> None:
 
 def test_crack_in_the_middle() -> None:
     """Both tips."""
-    inside = strip(crack__edge=None, crack__center=0.05, crack__length=0.04)
-    found = of(inside)
-    assert found.tips == ("the right crack tip", "the left crack tip")
-    assert found.points == pytest.approx(np.array([[0.07, 0.2], [0.03, 0.2]]))
+    inner_scene = strip(crack__edge=None, crack__center=0.05, crack__length=0.04)
+    intensity = of(inner_scene)
+    assert intensity.tips == ("the right crack tip", "the left crack tip")
+    assert intensity.points == pytest.approx(np.array([[0.07, 0.2], [0.03, 0.2]]))
     exact = STRESS * math.sqrt(math.pi * 0.02) * centre_in_tension(0.4)
-    assert found.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
+    assert intensity.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
 
 
 def test_right_edge_mirrors_the_left() -> None:
     """K_I is the same, K_II the opposite."""
     shear = {"loads": [{"edge": "top", "traction_mean": [1e4, 1e6], "traction_sin": [0.0, 1.0]}]}
     left = of(strip(shear))
-    mirrored = {"loads": [{**shear["loads"][0], "traction_mean": [-1e4, 1e6]}]}
-    right = of(strip(mirrored, crack__edge="right"))
+    mirrored_settings = {"loads": [{**shear["loads"][0], "traction_mean": [-1e4, 1e6]}]}
+    right = of(strip(mirrored_settings, crack__edge="right"))
     assert right.one.mean() == pytest.approx(left.one.mean(), rel=1e-6)
     assert right.two.mean() == pytest.approx(-left.two.mean(), rel=1e-6)
     assert left.two.mean() > 1e3
@@ -136,7 +136,10 @@ def inclined(tmp_path: Path) -> fc.Scene:
         corners = [geo.addPoint(*place, 0.0, 0.05) for place in places]
         sides = [geo.addLine(corners[n - 4], corners[n - 3]) for n in range(4)]
         surface = geo.addPlaneSurface([geo.addCurveLoop(sides)])
-        tips = [geo.addPoint(width / 2 + to, height / 2 + to, 0.0, 3e-4) for to in (-half, half)]
+        tips = [
+            geo.addPoint(width / 2 + half_side, height / 2 + half_side, 0.0, 3e-4)
+            for half_side in (-half, half)
+        ]
         crack = geo.addLine(*tips)
         geo.synchronize()
         model.mesh.embed(1, [crack], 2, surface)
@@ -159,28 +162,28 @@ def inclined(tmp_path: Path) -> fc.Scene:
 def test_inclined_crack_in_a_large_plate(inclined: fc.Scene) -> None:
     """K_I = sigma sqrt(pi a) sin^2 b, K_II = sigma sqrt(pi a) sin b cos b, b = 45 degrees to the
     load; and the angle at which it would turn is Erdogan and Sih's for K_I = K_II, 53 degrees."""
-    found = of(inclined)
+    intensity = of(inclined)
     exact = 0.5 * STRESS * math.sqrt(math.pi * 0.01)
-    assert found.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
-    assert np.abs(found.two.mean(axis=0)) == pytest.approx([exact, exact], rel=0.01)
-    assert np.degrees(np.abs(found.turn)) == pytest.approx([53.13, 53.13], abs=0.5)
-    turned = np.degrees(np.arctan2(*found.ahead.T[::-1]) + found.turn)
+    assert intensity.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
+    assert np.abs(intensity.two.mean(axis=0)) == pytest.approx([exact, exact], rel=0.01)
+    assert np.degrees(np.abs(intensity.turn)) == pytest.approx([53.13, 53.13], abs=0.5)
+    angles = np.degrees(np.arctan2(*intensity.ahead.T[::-1]) + intensity.turn)
     # Both turn to grow across the load, which pulls along y.
-    across = np.abs(np.sin(np.radians(turned)))
-    assert np.all(across < 0.2)
+    normal_factor = np.abs(np.sin(np.radians(angles)))
+    assert np.all(normal_factor < 0.2)
 
 
 @pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_order_of_convergence(order: int) -> None:
     """Three meshes: one, as of every number that a sharp tip changes; extrapolated to 0.5 %."""
-    found = [
+    intensities = [
         of(strip(mesh__order=order, mesh__lip_elements=n, mesh__size=0.16 / n, mesh__grading=4.0))
         .one.mean() for n in (4, 8, 16)
     ]  # fmt: skip
-    rate = math.log2((found[1] - found[0]) / (found[2] - found[1]))
+    rate = math.log2((intensities[1] - intensities[0]) / (intensities[2] - intensities[1]))
     assert rate == pytest.approx(1.0, abs=0.25)
     exact = STRESS * math.sqrt(math.pi * 0.03) * edge_in_tension(0.3)
-    assert 2.0 * found[2] - found[1] == pytest.approx(exact, rel=0.005)
+    assert 2.0 * intensities[2] - intensities[1] == pytest.approx(exact, rel=0.005)
 
 
 # --- statics, dynamics and contact ----------------------------------------------------------------
@@ -191,11 +194,11 @@ def test_order_of_convergence(order: int) -> None:
 def test_load_that_hardly_vibrates(swing: float) -> None:
     """A millionth of the mean and more, of a crack that stays open: equations are solved to parts
     of the whole motion, which may leave 2e-5 of what moves; its orbit is its own, and stable."""
-    swinging = {"edge": "top", "traction_mean": [0.0, STRESS], "traction_sin": [0.0, swing]}
+    swinging_load = {"edge": "top", "traction_mean": [0.0, STRESS], "traction_sin": [0.0, swing]}
     keys = {"harmonic_balance__harmonics": None, "harmonic_balance__error": True}
-    scene = strip({"loads": [swinging]}, **keys)
-    found = fc.solve(scene, MPI.COMM_SELF).result
-    assert found.stability.verdict == "stable" and found.report.total < 1e-4
+    scene = strip({"loads": [swinging_load]}, **keys)
+    solution = fc.solve(scene, MPI.COMM_SELF).result
+    assert solution.stability.verdict == "stable" and solution.report.total < 1e-4
 
 
 @pytest.mark.parametrize(
@@ -214,33 +217,39 @@ def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
         {"excitation.force_mean": [3e3, 0.0], "mesh.lip_elements": 4, "contact.law": "unilateral"}
     )
     run = fc.solve(scene.replace({"harmonic_balance.harmonics": 40}), MPI.COMM_SELF)
-    found = fc.stress_intensity(run)
+    stress_intensity = fc.stress_intensity(run)
     study = fc.prepare(scene, MPI.COMM_SELF)
-    instants = np.arange(0, len(found.time), 101)
+    instants = np.arange(0, len(stress_intensity.time), 101)
     exact = []
-    for phase in SLOW * found.time[instants]:
+    for phase in SLOW * stress_intensity.time[instants]:
         weights = np.zeros((3, 3))
         weights[0] = 1.0, np.cos(phase), np.sin(phase)
-        held = study.structure.varied(load=weights)
-        still = fc.solve_harmonic_balance(held, SLOW, study.contact, harmonics=1)
-        static = fc.stress_intensity(replace(run, structure=held, result=still))
-        exact.append((static.one[0, 0], static.two[0, 0]))
-    error = np.abs(np.column_stack([found.one, found.two])[instants] - exact).max(axis=0)
-    largest = np.abs(exact).max(axis=0)
-    assert np.all(error < 0.005 * largest)
-    assert found.smallest[0] < 0.01 * largest[0] < 0.5 * found.largest[0]
+        held_structure = study.structure.varied(load=weights)
+        still_solution = fc.solve_harmonic_balance(held_structure, SLOW, study.contact, harmonics=1)
+        static_intensity = fc.stress_intensity(
+            replace(run, structure=held_structure, result=still_solution)
+        )
+        exact.append((static_intensity.one[0, 0], static_intensity.two[0, 0]))
+    error = np.abs(
+        np.column_stack([stress_intensity.one, stress_intensity.two])[instants] - exact
+    ).max(axis=0)
+    max_intensity = np.abs(exact).max(axis=0)
+    assert np.all(error < 0.005 * max_intensity)
+    assert (
+        stress_intensity.smallest[0] < 0.01 * max_intensity[0] < 0.5 * stress_intensity.largest[0]
+    )
 
 
 @pytest.mark.parametrize("patches", [None, 3])
 def test_closed_crack_has_none(patches: int | None) -> None:
     """Under pressure K_I vanishes, where it would be negative if the lips passed each other."""
-    pressed = {"loads": [{"edge": "top", "pressure_mean": 1e6, "pressure_sin": 1.0}]}
-    passing = STRESS * math.sqrt(math.pi * 0.03) * edge_in_tension(0.3)
+    pressed_settings = {"loads": [{"edge": "top", "pressure_mean": 1e6, "pressure_sin": 1.0}]}
+    full_intensity = STRESS * math.sqrt(math.pi * 0.03) * edge_in_tension(0.3)
     for order in (1, 2):
         elements = {"mesh__lip_elements": 4 if patches is None else 12, "mesh__patches": patches}
-        found = of(strip(pressed, mesh__order=order, **elements))
-        assert np.abs(found.one).max() < 2e-3 * passing
-        assert found.effective[0] < 2e-3 * passing
+        intensity = of(strip(pressed_settings, mesh__order=order, **elements))
+        assert np.abs(intensity.one).max() < 2e-3 * full_intensity
+        assert intensity.effective[0] < 2e-3 * full_intensity
 
 
 def test_full_reversal_opens_for_one_half() -> None:
@@ -248,13 +257,13 @@ def test_full_reversal_opens_for_one_half() -> None:
     with a preload it is its closed form, mean and amplitude together."""
     exact = {"mesh__lip_elements": 4, "harmonic_balance__harmonics": 40}
     run = fc.solve(strip(SWING, **exact), MPI.COMM_SELF)
-    passing = np.ptp(fc.stress_intensity(linear_of(run, SLOW)).one[:, 0])
-    assert fc.stress_intensity(run).effective[0] == pytest.approx(0.5 * passing, rel=0.01)
+    open_range = np.ptp(fc.stress_intensity(linear_of(run, SLOW)).one[:, 0])
+    assert fc.stress_intensity(run).effective[0] == pytest.approx(0.5 * open_range, rel=0.01)
     for mean in (-0.4, 0.3, 1.2):
         load = {"edge": "top", "traction_sin": [0.0, STRESS], "traction_mean": [0.0, mean * STRESS]}
-        closed_form = 0.5 * passing * (min(mean + 1.0, 2.0))
-        found = of(strip({"loads": [load]}, **exact))
-        assert found.effective[0] == pytest.approx(closed_form, rel=0.01)
+        closed_form = 0.5 * open_range * (min(mean + 1.0, 2.0))
+        intensity = of(strip({"loads": [load]}, **exact))
+        assert intensity.effective[0] == pytest.approx(closed_form, rel=0.01)
 
 
 @pytest.mark.parametrize("omega", [2000.0, 9000.0])
@@ -262,17 +271,19 @@ def test_few_modes_are_enough(omega: float) -> None:
     """Below and above the first resonance, beside the whole structure: their statics are whole."""
     force = {"excitation": {"omega": omega, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
     scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 4})
-    whole = fc.prepare(scene, MPI.COMM_SELF, whole=True)
-    found = {}
+    whole_study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    intensities = {}
     for modes in (5, 15, None):
-        study = whole
+        study = whole_study
         if modes is not None:
             study = fc.prepare(scene.replace({"reduction.modes": modes}), MPI.COMM_SELF)
-        seen = fc.stress_intensity(linear_of(study, omega))
-        found[modes] = np.column_stack([seen.one[:, 0], seen.two[:, 0]])
-    size = np.abs(found[None]).max()
-    assert np.abs(found[5] - found[None]).max() < 0.01 * size
-    assert np.abs(found[15] - found[None]).max() < 1e-3 * size
+        stress_intensity = fc.stress_intensity(linear_of(study, omega))
+        intensities[modes] = np.column_stack(
+            [stress_intensity.one[:, 0], stress_intensity.two[:, 0]]
+        )
+    size = np.abs(intensities[None]).max()
+    assert np.abs(intensities[5] - intensities[None]).max() < 0.01 * size
+    assert np.abs(intensities[15] - intensities[None]).max() < 1e-3 * size
 
 
 def test_opening_of_the_lips(omega: float = 6000.0) -> None:
@@ -283,13 +294,15 @@ def test_opening_of_the_lips(omega: float = 6000.0) -> None:
     scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 24})
     study = fc.prepare(scene.replace({"reduction.modes": 30}), MPI.COMM_SELF)
     run = linear_of(study, omega)
-    found = fc.stress_intensity(run)
-    top = int(np.argmax(found.one[:, 0]))
+    stress_intensity = fc.stress_intensity(run)
+    top = int(np.argmax(stress_intensity.one[:, 0]))
     distance = 0.03 - study.structure.whole.pairs.positions
-    near = (distance > 0.0015) & (distance < 0.006)
-    opening = -run.result.gap(found.time[top : top + 1])[0, near]
-    seen = 2e11 / 8.0 * np.sqrt(2.0 * np.pi / distance[near]) * opening
-    assert np.polyfit(distance[near], seen, 1)[-1] == pytest.approx(found.one[top, 0], rel=0.02)
+    is_near = (distance > 0.0015) & (distance < 0.006)
+    opening = -run.result.gap(stress_intensity.time[top : top + 1])[0, is_near]
+    intensity_by_opening = 2e11 / 8.0 * np.sqrt(2.0 * np.pi / distance[is_near]) * opening
+    assert np.polyfit(distance[is_near], intensity_by_opening, 1)[-1] == pytest.approx(
+        stress_intensity.one[top, 0], rel=0.02
+    )
 
 
 def test_stress_along_a_line() -> None:
@@ -299,18 +312,19 @@ def test_stress_along_a_line() -> None:
     x = np.linspace(0.0302, 0.1, 400)
     time, stress = fc.stress_at(run, np.column_stack([x, np.full_like(x, 0.2)]))
     assert stress.shape == (len(time), 400, 3)
-    along = stress.mean(axis=0)[:, 1]
-    ahead = fc.stress_intensity(run).one.mean() / np.sqrt(2.0 * np.pi * (x - 0.03))
-    near = (x > 0.031) & (x < 0.033)
-    assert along[near] == pytest.approx(ahead[near], rel=0.1)
+    normal_stress = stress.mean(axis=0)[:, 1]
+    expected_stress = fc.stress_intensity(run).one.mean() / np.sqrt(2.0 * np.pi * (x - 0.03))
+    is_near = (x > 0.031) & (x < 0.033)
+    assert normal_stress[is_near] == pytest.approx(expected_stress[is_near], rel=0.1)
     step = x[1] - x[0]
-    assert along.sum() * step == pytest.approx(0.1 * STRESS, rel=0.1)  # the rest is at the tip
-    far = fc.stress_at(run, [[0.05, 0.35]])[1].mean(axis=0)[0]
-    assert far == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
-    with pytest.raises(fc.InputError, match=r"points = .*one or more rows"):
-        fc.stress_at(run, np.empty((0, 2)))
-    with pytest.raises(fc.InputError, match=r"points = .*on the mesh"):
-        fc.stress_at(run, [[0.2, 0.2]])
+    assert normal_stress.sum() * step == pytest.approx(
+        0.1 * STRESS, rel=0.1
+    )  # the rest is at the tip
+    far_stress = fc.stress_at(run, [[0.05, 0.35]])[1].mean(axis=0)[0]
+    assert far_stress == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
+    for points, words in ((np.empty((0, 2)), "one or more rows"), ([[0.2, 0.2]], "on the mesh")):
+        with pytest.raises(fc.InputError, match=rf"points = .*{words}"):
+            fc.stress_at(run, points)
     with pytest.raises(fc.InputError, match=r"run = .*fc\.solve"):
         fc.stress_at(run.result, [[0.05, 0.35]])  # type: ignore[arg-type]
 
@@ -326,15 +340,15 @@ def test_march_and_solution_agree() -> None:
         }
     )
     march = fc.stress_intensity(fc.integrate(scene, MPI.COMM_SELF))
-    found = of(scene)
-    assert march.effective == pytest.approx(found.effective, rel=3e-3)
-    assert march.largest == pytest.approx(found.largest, rel=3e-3)
+    intensity = of(scene)
+    assert march.effective == pytest.approx(intensity.effective, rel=3e-3)
+    assert march.largest == pytest.approx(intensity.largest, rel=3e-3)
 
 
 def leading(run: fc.Run[fc.PeriodicSolution], name: str) -> float:
     """A number of the leading tip."""
-    found = fc.stress_intensity(run)
-    return float(found.numbers[name][found.leading])
+    stress_intensity = fc.stress_intensity(run)
+    return float(stress_intensity.numbers[name][stress_intensity.leading])
 
 
 def test_along_a_curve(tmp_path: Path) -> None:
@@ -344,12 +358,12 @@ def test_along_a_curve(tmp_path: Path) -> None:
         {"curve.start": 780.0, "curve.stop": 800.0, "curve.stability": False,
          "output.quantities": names, **FEW}
     )  # fmt: skip
-    along = columns_of_curve(scene, tmp_path)
-    omega = float(along["omega"][len(along["omega"]) // 2])
-    alone = fc.solve(scene.replace({"excitation.omega": omega}), MPI.COMM_SELF)
+    columns = columns_of_curve(scene, tmp_path)
+    omega = float(columns["omega"][len(columns["omega"]) // 2])
+    single_run = fc.solve(scene.replace({"excitation.omega": omega}), MPI.COMM_SELF)
     for name in names[1:]:
-        at = along[name][len(along[name]) // 2]
-        assert at == pytest.approx(leading(alone, name), rel=1e-2)
+        middle_value = columns[name][len(columns[name]) // 2]
+        assert middle_value == pytest.approx(leading(single_run, name), rel=1e-2)
 
 
 # --- refusals, ranks ------------------------------------------------------------------------------
@@ -375,9 +389,9 @@ def test_refused_by_name() -> None:
 @pytest.mark.parametrize("command", ["check", "solve", "curve", "integrate"])
 def test_refused_and_nothing_is_left(command: str, tmp_path: Path) -> None:
     """A tip whose elements are too long for what is asked of it."""
-    asked = ["--set", 'output.quantities=["K_max"]', "--quiet"]
-    asked += ["--output", str(tmp_path)] * (command != "check")
-    assert main([command, str(DEMOS / "paper_plate.toml"), *asked]) == 2
+    options = ["--set", 'output.quantities=["K_max"]', "--quiet"]
+    options += ["--output", str(tmp_path)] * (command != "check")
+    assert main([command, str(DEMOS / "paper_plate.toml"), *options]) == 2
     assert not [*tmp_path.iterdir()]
 
 
@@ -390,8 +404,8 @@ def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
     assert caught.value.key == "crack" and "0.0015 m" in str(caught.value)
     fc.save(run.result, tmp_path / "solution.h5", run.scene)
     assert main(["plot", str(tmp_path / "solution.h5")]) == 0
-    drawn = {path.name for path in tmp_path.iterdir()}
-    assert "solution_waves.png" in drawn and "solution_tips.png" not in drawn
+    picture_names = {path.name for path in tmp_path.iterdir()}
+    assert "solution_waves.png" in picture_names and "solution_tips.png" not in picture_names
 
 
 def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,20 +44,24 @@ def test_modes_are_chosen(
     was chosen."""
     scene = paper_scene.replace(LAW | mesh | reduction)
     run = fc.solve(scene.replace({"harmonic_balance.tolerance": tolerance}), MPI.COMM_SELF)
-    found, settled = run.result, run.scene.reduction
-    assert found.converged and found.report.total < tolerance
-    assert settled is not None and found.structure is run.structure
+    solution, settled = run.result, run.scene.reduction
+    assert solution.converged and solution.report.total < tolerance
+    assert settled is not None and solution.structure is run.structure
     if "damping.modes" in reduction:
         assert settled.modes is not None and settled.modes > 2
-    fine = {"reduction.modes": 80, "harmonic_balance.harmonics": 60, "damping.modes": "all"}
+    fine_settings = {
+        "reduction.modes": 80,
+        "harmonic_balance.harmonics": 60,
+        "damping.modes": "all",
+    }
     if "reduction.method" in reduction:
-        fine.pop("damping.modes")
-    exact = fc.solve(scene.replace(fine), MPI.COMM_SELF).result
-    time = np.linspace(0.0, found.period, 400)
-    assert relative(found.gap(time), exact.gap(time)) < 2.0 * tolerance
-    fc.save(found, tmp_path / "solution.h5", run.scene)
-    again = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
-    assert relative(again.gap(time), found.gap(time)) < 1e-9
+        fine_settings.pop("damping.modes")
+    exact = fc.solve(scene.replace(fine_settings), MPI.COMM_SELF).result
+    time = np.linspace(0.0, solution.period, 400)
+    assert relative(solution.gap(time), exact.gap(time)) < 2.0 * tolerance
+    fc.save(solution, tmp_path / "solution.h5", run.scene)
+    stored_result = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
+    assert relative(stored_result.gap(time), solution.gap(time)) < 1e-9
 
 
 def test_modes_of_the_scene_stay(paper_scene: fc.Scene) -> None:
@@ -74,8 +78,8 @@ def new(tmp_path_factory: pytest.TempPathFactory) -> fc.Scene:
     """The plate of ``new`` on a coarse mesh, at 800 Hz, with 20 modes."""
     path = tmp_path_factory.mktemp("new") / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
-    coarse = {"mesh.size": 0.05, "excitation.frequency": 800.0, "reduction.modes": 20}
-    return fc.Scene.load(path).replace(coarse)
+    coarse_settings = {"mesh.size": 0.05, "excitation.frequency": 800.0, "reduction.modes": 20}
+    return fc.Scene.load(path).replace(coarse_settings)
 
 
 @pytest.mark.parametrize("modes", [20, pytest.param(None, marks=pytest.mark.nightly)])
@@ -85,15 +89,15 @@ def test_tighter_is_never_worse(new: fc.Scene, modes: int | None) -> None:
     totals = []
     for tolerance in (1e-2, 1e-3, 1e-9) if modes else (1e-2, 3e-3):
         changes = {"harmonic_balance.tolerance": tolerance, "reduction.modes": modes}
-        found = fc.solve(new.replace(changes), MPI.COMM_SELF).result
-        totals.append(found.report.total)
-        assert found.converged and found.stability is not None
+        solution = fc.solve(new.replace(changes), MPI.COMM_SELF).result
+        totals.append(solution.report.total)
+        assert solution.converged and solution.stability is not None
         if totals[-1] > tolerance:
             assert modes and tolerance < 5e-3
             size = f"{100.0 * totals[-1]:.2g} %"
-            asked = f"{100.0 * tolerance:.2g} % was asked"
-            words = f"solved; error {size}, {asked}; what helps: reduction.modes "
-            assert found.status.startswith(words)
+            asked_text = f"{100.0 * tolerance:.2g} % was asked"
+            words = f"solved; error {size}, {asked_text}; what helps: reduction.modes "
+            assert solution.status.startswith(words)
     assert totals == sorted(totals, reverse=True) and totals[-1] < 1e-2
 
 
@@ -102,16 +106,19 @@ def test_claims_of_a_blade() -> None:
     answer: the error claimed is that against a flow which shares no code with the program's."""
     scene = fc.Scene.load(BLADE).replace({"crack.length": 0.014, "mesh.lip_elements": 8})
     changes = {"excitation.frequency": 121.12, "harmonic_balance.tolerance": 3e-3}
-    found = fc.solve(scene.replace(changes), MPI.COMM_SELF).result
-    orbit = found.assessment.nearest_orbit
-    assert orbit is not None and found.report.total < 3e-3
-    flow, shapes = ReferenceFlow(found.structure, found.contact), orbit.flow.modal_model.shapes
+    solution = fc.solve(scene.replace(changes), MPI.COMM_SELF).result
+    orbit = solution.assessment.nearest_orbit
+    assert orbit is not None and solution.report.total < 3e-3
+    flow, shapes = (
+        ReferenceFlow(solution.structure, solution.contact),
+        orbit.flow.modal_model.shapes,
+    )
     state = flow.state(*(shapes @ part for part in np.split(orbit.state, 2)))
-    passage = flow.advance(state, found.omega, 0.0, found.period, len(orbit.gap))
+    passage = flow.advance(state, solution.omega, 0.0, solution.period, len(orbit.gap))
     assert relative(passage.state, state) < 1e-8
     gap, time = passage.gap, orbit.sampled.time
-    off = np.linalg.norm(found.gap(time) - gap) / np.linalg.norm(gap)
-    assert off == pytest.approx(found.report.truncation, rel=1e-3)
+    gap_error = np.linalg.norm(solution.gap(time) - gap) / np.linalg.norm(gap)
+    assert gap_error == pytest.approx(solution.report.truncation, rel=1e-3)
 
 
 def test_reduction_by_a_word(paper_scene: fc.Scene) -> None:
@@ -136,9 +143,13 @@ def test_reduction_by_a_word(paper_scene: fc.Scene) -> None:
 def test_lips_that_the_load_presses_together(paper_scene: fc.Scene) -> None:
     """They do not move but by rounding, which is no error of their motion: the tolerance is met at
     once, by the vibration of the plate whose lips are tied."""
-    pressed = {"contact.law": "unilateral", "contact.stiffness": None, "damping.ratio": 0.01}
-    pressed |= {"excitation.force_mean": [-1e4, 0.0], "harmonic_balance.tolerance": 0.01}
-    run = fc.solve(paper_scene.replace(SMALL | pressed), MPI.COMM_SELF)
+    pressed_settings = {
+        "contact.law": "unilateral",
+        "contact.stiffness": None,
+        "damping.ratio": 0.01,
+    }
+    pressed_settings |= {"excitation.force_mean": [-1e4, 0.0], "harmonic_balance.tolerance": 0.01}
+    run = fc.solve(paper_scene.replace(SMALL | pressed_settings), MPI.COMM_SELF)
     assert run.result.converged and run.result.harmonics < 10
     assert run.result.report.total < 1e-14 < run.result.contact_force(np.zeros(1)).min()
 
@@ -146,8 +157,12 @@ def test_lips_that_the_load_presses_together(paper_scene: fc.Scene) -> None:
 def test_the_fewest_harmonics() -> None:
     """A large tolerance has the third harmonic, too, which the orbit knows; the scene's harmonics
     are the fewest, as ``check`` says."""
-    given = {"harmonic_balance.tolerance": 0.5, "reduction.modes": 10, "mesh.size": 0.02}
-    scene = fc.Scene.load(BLADE).replace(given | {"curve": None})
+    tolerance_settings = {
+        "harmonic_balance.tolerance": 0.5,
+        "reduction.modes": 10,
+        "mesh.size": 0.02,
+    }
+    scene = fc.Scene.load(BLADE).replace(tolerance_settings | {"curve": None})
     for count in (5, 12):
         run = fc.solve(scene.replace({"harmonic_balance.harmonics": count}), MPI.COMM_SELF)
         assert run.result.harmonics == count and run.result.assessment.distance < 0.1
@@ -163,17 +178,17 @@ def test_orbit_beside_which_harmonic_balance_has_no_solution(
     paper_scene: fc.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The errors of a solution to a tolerance are those by its own exact orbit."""
-    chosen = {"harmonic_balance.tolerance": 1e-3, "mesh.error": False}
-    run = fc.solve(paper_scene.replace(LAW | chosen), MPI.COMM_SELF)
+    settings = {"harmonic_balance.tolerance": 1e-3, "mesh.error": False}
+    run = fc.solve(paper_scene.replace(LAW | settings), MPI.COMM_SELF)
 
     def fail(*_: object) -> None:
         raise fc.ConvergenceError("no solution")
 
     monkeypatch.setattr("fenics_crack.errors.stated.solve_again", fail)
-    stated = stated_errors(run, run.result)
-    assert "harmonics" not in stated.unknown and "modes" not in stated.unknown
+    report = stated_errors(run, run.result)
+    assert "harmonics" not in report.unknown and "modes" not in report.unknown
     error = abs(run.result.orbit.amplitude() / run.result.amplitude() - 1.0)
     assert 0.0 < error < 1e-3
-    assert stated.contributions("amplitude")["harmonics"] == pytest.approx(
-        error * stated.values["amplitude"], rel=1e-3
+    assert report.contributions("amplitude")["harmonics"] == pytest.approx(
+        error * report.values["amplitude"], rel=1e-3
     )

@@ -31,8 +31,10 @@ def of_tips(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
 
 def of_fronts(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Return K_I, K_II and K_III (3, n) at all instants and stations (collective)."""
-    found = fc.stress_intensity(fc.solve(scene, comm))
-    return np.array([found.one, found.two, found.three]).reshape(3, -1)
+    stress_intensity = fc.stress_intensity(fc.solve(scene, comm))
+    return np.array([stress_intensity.one, stress_intensity.two, stress_intensity.three]).reshape(
+        3, -1
+    )
 
 
 @pytest.mark.nightly
@@ -50,7 +52,9 @@ def test_same_on_two_ranks(
     numbers: Callable[..., np.ndarray], scene: fc.Scene, on_ranks: Callable[..., Any]
 ) -> None:
     """Relative to the largest of each kind."""
-    alone = numbers(scene, MPI.COMM_SELF)
-    largest = np.abs(alone).max(axis=1, keepdims=True)
-    shared = on_ranks(numbers, scene)
-    np.testing.assert_allclose(shared / largest, alone / largest, rtol=0.0, atol=1e-6)
+    single_numbers = numbers(scene, MPI.COMM_SELF)
+    largest_numbers = np.abs(single_numbers).max(axis=1, keepdims=True)
+    shared_numbers = on_ranks(numbers, scene)
+    np.testing.assert_allclose(
+        shared_numbers / largest_numbers, single_numbers / largest_numbers, rtol=0.0, atol=1e-6
+    )

@@ -88,7 +88,10 @@ def fast(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> Swe
 
 def values_at(result: SweepResult, index: tuple[int, ...]) -> dict[str, Any]:
     """Return the values of a case by their keys."""
-    return {axis.key: axis.values[at] for axis, at in zip(result.axes, index, strict=False)}
+    return {
+        axis.key: axis.values[axis_index]
+        for axis, axis_index in zip(result.axes, index, strict=False)
+    }
 
 
 def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path) -> None:
@@ -108,29 +111,31 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
     for number, index in ((0, (0, 0, 0)), (4, (0, 1, 1)), (8, (1, 0, 2))):
         plate, solution = by_hand(scene, values_at(result, index))
         count = 1024 if number else 1 << 17  # by many instants, too
-        time_, sharp = solution.period * np.arange(count) / count, 1e-4 if number else 1e-8
+        time_, tolerance = solution.period * np.arange(count) / count, 1e-4 if number else 1e-8
         corner = plate.find_dof((0.1, 0.1), "x")
         motion, gap = solution.displacement(time_, [corner]), solution.gap(time_)
-        force, seen = solution.contact_force(time_), solution.indicators(corner)
-        for name, exact, sampled in (
-            ("response", seen.amplitude, np.ptp(motion) / 2.0),
-            ("opening", seen.opening, -gap.min()),
-            ("penetration", seen.penetration, gap.max()),
-            ("contact_force", seen.contact_force, force.max()),
+        force, indicators = solution.contact_force(time_), solution.indicators(corner)
+        for name, exact, sampled_value in (
+            ("response", indicators.amplitude, np.ptp(motion) / 2.0),
+            ("opening", indicators.opening, -gap.min()),
+            ("penetration", indicators.penetration, gap.max()),
+            ("contact_force", indicators.contact_force, force.max()),
         ):
             assert result[name][index] == pytest.approx(exact, rel=1e-8)
-            assert result[name][index] == pytest.approx(sampled, rel=sharp)
+            assert result[name][index] == pytest.approx(sampled_value, rel=tolerance)
         assert result["closed_share"][index] == pytest.approx(np.mean(force > 0), abs=1.5 / 1024)
         truncation = solution.report.truncation
         assert result["truncation_error"][index] == pytest.approx(truncation, rel=1e-6)
         for found in (result.gap(index), result.gap(number)):
             np.testing.assert_allclose(found, solution.gap_coefficients, atol=1e-9 * gap.max())
-        again = result.solution(index)
-        np.testing.assert_allclose(again.gap_coefficients, solution.gap_coefficients, atol=1e-14)
+        stored_solution = result.solution(index)
         np.testing.assert_allclose(
-            again.displacement(time_, [corner]), motion, atol=1e-8 * np.ptp(motion)
+            stored_solution.gap_coefficients, solution.gap_coefficients, atol=1e-14
         )
-        assert again.report.truncation == result["truncation_error"][index]
+        np.testing.assert_allclose(
+            stored_solution.displacement(time_, [corner]), motion, atol=1e-8 * np.ptp(motion)
+        )
+        assert stored_solution.report.truncation == result["truncation_error"][index]
 
 
 LOADS = {"excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)], "crack.clearance": [0.0, -1e-7]}
@@ -161,19 +166,24 @@ def test_loads_and_clearances_are_swept_without_a_new_geometry(
     assert len(built) == 1 and result.converged.all()
     for index in np.ndindex(2, 2):
         plate, solution = by_hand(scene, values_at(result, index))
-        gap, again = solution.gap_coefficients, result.solution(index)
+        gap, stored_solution = solution.gap_coefficients, result.solution(index)
         np.testing.assert_allclose(result.gap(index), gap, atol=close * np.abs(gap).max())
         instants = solution.period * np.arange(1 << 14) / (1 << 14)
         components = [plate.find_dof((0.1, 0.1), component) for component in "xy"]
         motion = solution.displacement(instants, components)
         force = np.array([[100.0, 0.0], [30.0, 200.0]][index[0]])
-        along = motion @ force / np.linalg.norm(force)
-        assert result["response"][index] == pytest.approx(np.ptp(along) / 2.0, rel=close)
-        for name, *more in (("gap",), ("contact_force",), ("displacement", components)):
-            one, other = (getattr(found, name)(instants, *more) for found in (solution, again))
-            np.testing.assert_allclose(other, one, atol=10.0 * close * np.ptp(one))
-        assert again.structure.clearance[0] == LOADS["crack.clearance"][index[1]]
-        assert again.contact == solution.contact
+        load_motion = motion @ force / np.linalg.norm(force)
+        assert result["response"][index] == pytest.approx(np.ptp(load_motion) / 2.0, rel=close)
+        for name, *more_arguments in (("gap",), ("contact_force",), ("displacement", components)):
+            first_values, second_values = (
+                getattr(compared_solution, name)(instants, *more_arguments)
+                for compared_solution in (solution, stored_solution)
+            )
+            np.testing.assert_allclose(
+                second_values, first_values, atol=10.0 * close * np.ptp(first_values)
+            )
+        assert stored_solution.structure.clearance[0] == LOADS["crack.clearance"][index[1]]
+        assert stored_solution.contact == solution.contact
         if isinstance(plate, fc.MasslessStructure):
             reduction = pytest.approx(solution.report.reduction, rel=1e-3)
             assert 0.0 < result["reduction_error"][index] == reduction
@@ -192,27 +202,27 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
     geometry = sweep_case.build_geometry(
         cases[1], MPI.COMM_SELF, sweep_case.CaseRequest(has_unit_loads=True)
     )
-    found = [sweep_case.CaseSolver(geometry).solve(case) for case in cases]
-    for solution, (load, clearance) in zip(found, given, strict=True):
+    solutions = [sweep_case.CaseSolver(geometry).solve(case) for case in cases]
+    for solution, (load, clearance) in zip(solutions, given, strict=True):
         structure = solution.structure
         assert structure.body is geometry.structure.body
         for part in (structure, structure.whole, getattr(structure, "reference", structure)):
             assert np.all(part.clearance == clearance)
             np.testing.assert_allclose(part.force[2], load * part.original.force[2])
-        expected = fc.solve_harmonic_balance(
+        expected_solution = fc.solve_harmonic_balance(
             structure, solution.omega, solution.contact, harmonics=solution.harmonics
         )
-        np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
+        np.testing.assert_array_equal(solution.gap_coefficients, expected_solution.gap_coefficients)
 
 
 @pytest.mark.parametrize("changes", [pytest.param(SOFT, marks=pytest.mark.nightly), MASSLESS])
 def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, changes: Over) -> None:
     """From case to case and from tolerance to tolerance; the table has each case's H and waves."""
-    over = {
+    sweep_axes = {
         "excitation.omega": {"start": 1700.0, "stop": 2300.0, "count": 5},
         "harmonic_balance.tolerance": [0.3, 0.03],
     }
-    result = run_sweep(swept(paper_scene, over, changes), tmp_path / "sweep.h5")
+    result = run_sweep(swept(paper_scene, sweep_axes, changes), tmp_path / "sweep.h5")
     assert result.converged.all()
     assert np.all(result["truncation_error"] <= np.array([0.3, 0.03]))
     counts = result["harmonics"]
@@ -220,19 +230,24 @@ def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, cha
     assert len(np.unique(counts)) > 1
     for index in np.ndindex(*result.shape):
         assert len(result.gap(index)) == 2 * counts[index] + 1
-    again = result.solution((4, 1))
-    plate, time = again.structure, again.instants()
-    assert again.harmonics == counts[4, 1]
-    alone = fc.solve_harmonic_balance(
-        plate, again.omega, again.contact, tolerance=0.03, initial=again, throw=False
+    stored_solution = result.solution((4, 1))
+    plate, time = stored_solution.structure, stored_solution.instants()
+    assert stored_solution.harmonics == counts[4, 1]
+    single_solution = fc.solve_harmonic_balance(
+        plate,
+        stored_solution.omega,
+        stored_solution.contact,
+        tolerance=0.03,
+        initial=stored_solution,
+        throw=False,
     )
-    assert relative(again.gap(time), alone.gap(time)) < 0.06
+    assert relative(stored_solution.gap(time), single_solution.gap(time)) < 0.06
 
 
 def test_a_tolerance_out_of_reach(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """Such a case says what its error stays above; the next one is solved without it."""
-    over = {"excitation.omega": [1700.0, 1800.0], "harmonic_balance.tolerance": [1e-12, 0.03]}
-    result = run_sweep(swept(paper_scene, over, SOFT), tmp_path / "sweep.h5")
+    sweep_axes = {"excitation.omega": [1700.0, 1800.0], "harmonic_balance.tolerance": [1e-12, 0.03]}
+    result = run_sweep(swept(paper_scene, sweep_axes, SOFT), tmp_path / "sweep.h5")
     assert result.converged.tolist() == [[False, True], [False, True]]
     for reason in dict(result.failed).values():
         assert re.search(r"truncation error, .* with H = \d+, stays above 1e-12", reason)
@@ -246,10 +261,12 @@ def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
     assert result.converged.all()
     assert result["verdict"].tolist() == ["", ""] and np.isnan(result["multiplier"]).all()
     solution = by_hand(scene, {"excitation.omega": 2000.0})[1]
-    again = result.solution(1)
+    stored_solution = result.solution(1)
     instants = np.linspace(0.0, solution.period, 100)
     force = solution.contact_force(instants)
-    np.testing.assert_allclose(again.contact_force(instants), force, atol=1e-7 * force.max())
+    np.testing.assert_allclose(
+        stored_solution.contact_force(instants), force, atol=1e-7 * force.max()
+    )
     assert result["contact_force"][1] == pytest.approx(force.max(), rel=1e-2)
 
 
@@ -269,9 +286,9 @@ def test_crack_length_found_and_pairs_of_several_geometries(
     paper_scene: fc.Scene, tmp_path: Path
 ) -> None:
     """The waves of every geometry have its own pairs; a length follows from a frequency."""
-    over = {"mesh.lip_elements": [2, 4], "contact.pairs": ["mouth", "all"]}
+    sweep_axes = {"mesh.lip_elements": [2, 4], "contact.pairs": ["mouth", "all"]}
     changes = GRADED | {"crack.length": None, "crack.first_omega": 2400.0}
-    result = run_sweep(swept(paper_scene, over, changes), tmp_path / "sweep.h5")
+    result = run_sweep(swept(paper_scene, sweep_axes, changes), tmp_path / "sweep.h5")
     assert result.converged.all()
     pairs = [result.gap(number).shape[1] for number in range(4)]
     assert pairs == [1, 2, 1, 4]
@@ -285,9 +302,9 @@ def test_crack_length_found_and_pairs_of_several_geometries(
 
 def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """A crack longer than the plate, one off the grid, a load on the clamp."""
-    over = {"crack.length": [0.05, 0.2, 0.03], "excitation.point": [(0.1, 0.1), (0.1, 0.0)],
+    sweep_axes = {"crack.length": [0.05, 0.2, 0.03], "excitation.point": [(0.1, 0.1), (0.1, 0.0)],
             "excitation.omega": [2000.0, 2100.0]}  # fmt: skip
-    result = run_sweep(swept(paper_scene, over), tmp_path / "sweep.h5")
+    result = run_sweep(swept(paper_scene, sweep_axes), tmp_path / "sweep.h5")
     assert result.complete
     assert result.converged[0, 0].all() and np.count_nonzero(result.converged) == 2
     reasons = dict(result.failed)
@@ -306,13 +323,14 @@ def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_p
 
 def test_refused(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """No sweep, nothing that can be used, a structure that stays large."""
-    with pytest.raises(fc.InputError, match="sweep"):
-        run_sweep(paper_scene, tmp_path / "a.h5")
-    with pytest.raises(fc.InputError, match="grid cells"):
-        run_sweep(swept(paper_scene, {"crack.length": [0.03, 0.04]}), tmp_path / "a.h5")
-    fine = SOFT | {"mesh.columns": 16, "mesh.rows": 24, "reduction.method": "off"}
-    with pytest.raises(fc.InputError, match=r"reduction\.method"):
-        run_sweep(swept(paper_scene, FAST, fine), tmp_path / "a.h5")
+    fine_settings = SOFT | {"mesh.columns": 16, "mesh.rows": 24, "reduction.method": "off"}
+    for scene, words in (
+        (paper_scene, "sweep"),
+        (swept(paper_scene, {"crack.length": [0.03, 0.04]}), "grid cells"),
+        (swept(paper_scene, FAST, fine_settings), r"reduction\.method"),
+    ):
+        with pytest.raises(fc.InputError, match=words):
+            run_sweep(scene, tmp_path / "a.h5")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -321,12 +339,14 @@ def test_files_that_cannot_be_used(fast: SweepResult, tmp_path: Path) -> None:
     complete one nothing is."""
     scene, path = fast.scene, Path(shutil.copy(fast.path, tmp_path))
     content = path.read_bytes()
-    for changes, own in (
+    for changes, expected_text in (
         ({"damping.ratio": 0.037}, f"damping.ratio = {scene.damping.ratio}"),
         ({"output.quantities": ["amplitude"]}, "output.quantities = none"),
         ({"sweep.over": {"excitation.omega": [1900.0]}}, "sweep.over.excitation.omega = "),
     ):
-        with pytest.raises(fc.InputError, match=f"begun with {own}.*same scene; for another one"):
+        with pytest.raises(
+            fc.InputError, match=f"begun with {expected_text}.*same scene; for another one"
+        ):
             run_sweep(scene.replace(changes), path)
     other_curve = {"curve.start": 1000.0, "curve.stop": 1500.0, "integration.periods": 7}
     assert run_sweep(scene.replace(other_curve), path).complete  # no case depends on these
@@ -338,17 +358,17 @@ def test_files_that_cannot_be_used(fast: SweepResult, tmp_path: Path) -> None:
         file["checksum"][...] = 0  # of no case that is complete
     with h5py.File(partial, "r+"), pytest.raises(fc.InputError, match="path"):
         run_sweep(scene, partial)
-    other = tmp_path / "other.h5"
-    other.write_text("no HDF5")
-    for wrong in (other, tmp_path, other / "sweep.h5"):
+    other_path = tmp_path / "other.h5"
+    other_path.write_text("no HDF5")
+    for wrong_path in (other_path, tmp_path, other_path / "sweep.h5"):
         with pytest.raises(fc.InputError, match="path"):
-            run_sweep(scene, wrong)
+            run_sweep(scene, wrong_path)
     with pytest.raises(fc.InputError, match="path"):
         SweepResult.load(tmp_path / "missing.h5")
-    with h5py.File(other, "w") as file:
+    with h5py.File(other_path, "w") as file:
         file.attrs["kind"] = "response curve"
     with pytest.raises(fc.InputError, match="result file"):
-        SweepResult.load(other)
+        SweepResult.load(other_path)
     with changed(path) as file:
         file.attrs["version"] = "0.0.1"
     with pytest.raises(fc.InputError, match=r"begun by version 0\.0\.1"):
@@ -372,15 +392,23 @@ def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path
     """Behind the longest way to a solution."""
     way = "; then ".join(["full Newton steps: failed (28 iterations)"] * 4)
     reason = "no exact orbit was found next to it: " + 150 * "x"
-    told = {"undecided": f"{way}; undecided: {reason}", "stable": f"{way}; yet it leaves"}
+    text_by_verdict = {
+        "undecided": f"{way}; undecided: {reason}",
+        "stable": f"{way}; yet it leaves",
+    }
     waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
-    cases = [waves | {"harmonics": 5, "verdict": v, "status": text} for v, text in told.items()]
+    cases = [
+        waves | {"harmonics": 5, "verdict": v, "status": text}
+        for v, text in text_by_verdict.items()
+    ]
     scene, path = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}), tmp_path / "new.h5"
     file = SweepFile(path, scene, 5, 1)
     file.record(np.arange(2), cases)
     file.close()
-    found = SweepResult.load(path)
-    assert found.undecided == [((0,), reason)] and found.contradicted == [((1,), "it leaves")]
+    stored_sweep = SweepResult.load(path)
+    assert stored_sweep.undecided == [((0,), reason)] and stored_sweep.contradicted == [
+        ((1,), "it leaves")
+    ]
 
 
 def test_a_file_from_before_an_observable(
@@ -391,10 +419,12 @@ def test_a_file_from_before_an_observable(
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, SOFT | points)
     number, path = {"harmonics": 5, "response": 1e-3, "tip.ux.mean": 2e-3}, tmp_path / "old.h5"
     later = {"response", "opening", "tip.ux.harmonic_1", "omega_open"}
-    now = sweep_file.unit_and_type_by_column
+    columns_function = sweep_file.unit_and_type_by_column
 
     def before(scene: fc.Scene) -> dict[str, tuple[str, str]]:
-        return {name: what for name, what in now(scene).items() if name not in later}
+        return {
+            name: column for name, column in columns_function(scene).items() if name not in later
+        }
 
     monkeypatch.setattr(sweep_file, "unit_and_type_by_column", before)
     file = SweepFile(path, scene, 5, 1)
@@ -402,10 +432,12 @@ def test_a_file_from_before_an_observable(
     file.record(np.arange(1), [number | waves])
     file.close()
     monkeypatch.undo()
-    found = SweepResult.load(path)
-    assert found.converged.tolist() == [True, False] and found["tip.ux.mean"][0] == 2e-3
-    assert all(np.isnan(found[name]).all() for name in later)
-    assert found.gap(0).shape == (11, 1) and len(found.table().rows) == 2
+    stored_sweep = SweepResult.load(path)
+    assert (
+        stored_sweep.converged.tolist() == [True, False] and stored_sweep["tip.ux.mean"][0] == 2e-3
+    )
+    assert all(np.isnan(stored_sweep[name]).all() for name in later)
+    assert stored_sweep.gap(0).shape == (11, 1) and len(stored_sweep.table().rows) == 2
     with pytest.raises(fc.InputError, match="a whole sweep"):
         run_sweep(scene, path)
 
@@ -421,13 +453,13 @@ def test_full_disk(
 ) -> None:
     """At any number of a chunk: the file stays valid with what was in it, and the rest follows."""
     scene, path = fast.scene, tmp_path / "sweep.h5"
-    put, calls = SweepFile._write_column, list[str]()
+    write_column, calls = SweepFile._write_column, list[str]()
 
     def full(self: SweepFile, name: str, *given: Any) -> None:
         calls.append(name)
         if len(calls) > limit:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        put(self, name, *given)
+        write_column(self, name, *given)
 
     monkeypatch.setattr(SweepFile, "_write_column", full)
     with pytest.raises(WriteError, match=r"sweep\.h5.*No space left"):
@@ -447,11 +479,11 @@ def test_removed_while_it_runs(
 ) -> None:
     """Told at the next write; what has taken its place is left alone."""
     path, write = tmp_path / "sweep.h5", SweepFile.write
-    written = []
+    writes = []
 
     def removing(self: SweepFile, *given: Any) -> None:
         write(self, *given)
-        written.append(given)
+        writes.append(given)
         path.unlink()
         if replaced:
             path.write_text("another")
@@ -459,16 +491,16 @@ def test_removed_while_it_runs(
     monkeypatch.setattr(SweepFile, "write", removing)
     with pytest.raises(WriteError, match=r"sweep\.h5.*removed or replaced"):
         run_sweep(swept(paper_scene, FAST), path)
-    assert len(written) == 1
+    assert len(writes) == 1
     assert [file.read_text() for file in tmp_path.iterdir()] == replaced * ["another"]
 
 
 def test_cases_are_named_by_whole_numbers(fast: SweepResult) -> None:
     """Nothing is cut off, and nothing is counted from the end."""
     np.testing.assert_array_equal(fast.gap(1), fast.gap((0, 1)))
-    for wrong in ((0.9, 1.2), (-1, -1), -1, (0,), (0, 99), "a"):
+    for wrong_index in ((0.9, 1.2), (-1, -1), -1, (0,), (0, 99), "a"):
         with pytest.raises(fc.InputError, match="index"):
-            fast.gap(wrong)  # type: ignore[arg-type]
+            fast.gap(wrong_index)  # type: ignore[arg-type]
 
 
 def test_file_holds_numbers_and_words_only(fast: SweepResult) -> None:
@@ -502,9 +534,11 @@ def test_a_complete_sweep_is_not_computed_again(
         SweepResult.load(path)["response"][1, 1]
     )
     chunks = []
-    whole = sweep_jobs.solve_chunk
+    solve_chunk = sweep_jobs.solve_chunk
     monkeypatch.setattr(
-        sweep_jobs, "solve_chunk", lambda *given, **how: chunks.append(1) or whole(*given, **how)
+        sweep_jobs,
+        "solve_chunk",
+        lambda *given, **how: chunks.append(1) or solve_chunk(*given, **how),
     )
     written = []
     write = sweep.SweepFile.write
@@ -536,12 +570,12 @@ def test_ranks_give_the_same_table(
     paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any], kind: Over
 ) -> None:
     """1 and 2 to the bit, also where one has more to do."""
-    over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
-    scene = swept(paper_scene, over, kind)
-    alone = run_sweep(scene, tmp_path / "alone.h5")
-    assert alone.converged.all()
+    sweep_axes = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
+    scene = swept(paper_scene, sweep_axes, kind)
+    alone_sweep = run_sweep(scene, tmp_path / "alone.h5")
+    assert alone_sweep.converged.all()
     on_ranks(sweep_on, scene, tmp_path / "shared.h5")
-    assert_same(alone, SweepResult.load(tmp_path / "shared.h5"))
+    assert_same(alone_sweep, SweepResult.load(tmp_path / "shared.h5"))
 
 
 def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MPI.Comm) -> Any:
@@ -551,31 +585,33 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     with pytest.raises(fc.InputError) as error:
         run_sweep(refused, folder / "sweep.h5", comm)
     told.append(error.value.key)
-    whole, calls, met = sweep_case.CaseSolver.solve, [], folder / "met"
+    solve_case, calls, meeting_path = sweep_case.CaseSolver.solve, [], folder / "met"
 
     def broken(*given: Any) -> Any:
         calls.append(given)
         if comm.rank == 1 and len(calls) > 10:  # after its first chunk
-            met.touch()
+            meeting_path.touch()
             raise KeyError("unforeseen")
-        until = time.monotonic() + LIMIT
-        while comm.rank == 0 and not met.exists():  # until the other one has done something
-            assert time.monotonic() < until
+        deadline = time.monotonic() + LIMIT
+        while (
+            comm.rank == 0 and not meeting_path.exists()
+        ):  # until the other one has done something
+            assert time.monotonic() < deadline
             time.sleep(0.01)
-        return whole(*given)
+        return solve_case(*given)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep_case.CaseSolver, "solve", broken)
         with pytest.raises(RuntimeError) as failure:
             run_sweep(good, folder / "sweep.h5", comm)
     told.append(str(failure.value))
-    put, written = SweepFile._write_column, list[str]()
+    write_column, written = SweepFile._write_column, list[str]()
 
     def full(self: SweepFile, name: str, *given: Any) -> None:
         written.append(name)
         if written.count("state") > 2:  # of the first cases twice: pending, then done
             raise OSError(errno.ENOSPC, "full")
-        put(self, name, *given)
+        write_column(self, name, *given)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SweepFile, "_write_column", full)
@@ -595,8 +631,8 @@ def test_errors_reach_every_rank(
         assert refused == "sweep"
         assert "KeyError: 'unforeseen'" in unforeseen
         assert "(full)" in unwritten
-    left = SweepResult.load(tmp_path / "sweep.h5")
-    assert 0 < np.count_nonzero(left["state"]) < left["state"].size
+    stored_sweep = SweepResult.load(tmp_path / "sweep.h5")
+    assert 0 < np.count_nonzero(stored_sweep["state"]) < stored_sweep["state"].size
 
 
 # --- interruptions --------------------------------------------------------------------------------
@@ -656,8 +692,8 @@ def test_stops_at_ctrl_c(
 
     with monkeypatch.context() as patch:
         wrap(patch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
-        stopped = run_sweep(scene, path)
-    assert not stopped.complete and 0 < np.count_nonzero(stopped["state"]) < 4
+        stopped_sweep = run_sweep(scene, path)
+    assert not stopped_sweep.complete and 0 < np.count_nonzero(stopped_sweep["state"]) < 4
     assert_same(run_sweep(scene, tmp_path / "whole.h5"), run_sweep(scene, path))
 
 
@@ -670,20 +706,20 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         meshed.append(scene)
         return assemble_structure(scene, comm)
 
-    coarse = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
-    coarse["harmonic_balance.harmonics"] = 5
-    coarse |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
-    scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
-    over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
+    coarse_settings = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
+    coarse_settings["harmonic_balance.harmonics"] = 5
+    coarse_settings |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
+    scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse_settings})
+    sweep_axes = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
     monkeypatch.setattr(fenics_crack.fem.build, "assemble_structure", counted)
-    found = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
+    speed_sweep = fc.run_sweep(scene.replace({"sweep.over": sweep_axes}), tmp_path / "sweep.h5")
     assert len(meshed) == 2
     case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
-    one = fc.prepare(case, MPI.COMM_SELF)
-    solution = fc.solve_harmonic_balance(one.structure, 7200.0, one.contact, harmonics=5)
-    assert found["omega"][1, 1] == 7200.0
-    expected = solution.amplitude(one.watched[0].dof)
-    assert found["response"][1, 1] == pytest.approx(expected, rel=1e-5)
+    study = fc.prepare(case, MPI.COMM_SELF)
+    solution = fc.solve_harmonic_balance(study.structure, 7200.0, study.contact, harmonics=5)
+    assert speed_sweep["omega"][1, 1] == 7200.0
+    expected_amplitude = solution.amplitude(study.watched[0].dof)
+    assert speed_sweep["response"][1, 1] == pytest.approx(expected_amplitude, rel=1e-5)
 
 
 @pytest.mark.nightly
@@ -695,11 +731,15 @@ def test_sweeps_leave_no_memory(tmp_path: Path) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
-    coarse = {"mesh.size": 0.003, "mesh.lip_elements": 4, "reduction.modes": 8}
-    scene = cracked(600.0, -250.0).replace(coarse | {"curve": None})
+    coarse_settings = {"mesh.size": 0.003, "mesh.lip_elements": 4, "reduction.modes": 8}
+    scene = cracked(600.0, -250.0).replace(coarse_settings | {"curve": None})
     sizes = []
-    for at in range(5):
-        over = {"excitation.frequency": [900.0 + at, 950.0]}
-        fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / f"{at}.h5", verdicts=False)
+    for round_index in range(5):
+        sweep_axes = {"excitation.frequency": [900.0 + round_index, 950.0]}
+        fc.run_sweep(
+            scene.replace({"sweep.over": sweep_axes}),
+            tmp_path / f"{round_index}.h5",
+            verdicts=False,
+        )
         sizes.append(resident())
     assert sizes[-1] - sizes[1] < 12.0

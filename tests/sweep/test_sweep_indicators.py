@@ -25,9 +25,9 @@ REDUCED = {
 @pytest.fixture(scope="module")
 def scene(paper_scene: fc.Scene) -> fc.Scene:
     """Two frequencies, two clearances."""
-    over = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
+    sweep_axes = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
     base = paper_scene.replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
-    return base.replace({"sweep.over": over})
+    return base.replace({"sweep.over": sweep_axes})
 
 
 @pytest.fixture(scope="module")
@@ -59,57 +59,63 @@ def test_cases_have_the_indicators_of_their_solutions(
     names &= {field.name for field in dataclasses.fields(fc.Indicators)}
     assert {"amplitude", "mean_shift", "ratio_2_1", "harmonic_3"} < names
     study, solution = alone(scene.replace({"excitation.omega": 2000.0, "crack.clearance": 1e-7}))
-    assert [watched.name for watched in study.watched][::2] == ["corner.ux", "side.ux"]
-    for watched in study.watched:
-        found = solution.indicators(watched.dof)
+    assert [watched_point.name for watched_point in study.watched][::2] == ["corner.ux", "side.ux"]
+    for watched_point in study.watched:
+        indicators = solution.indicators(watched_point.dof)
         for name in names:
-            exact = pytest.approx(getattr(found, name), rel=1e-4, abs=1e-6 * found.harmonic_1)
-            assert result[f"{watched.name}.{name}"][1, 1] == exact, name
+            exact = pytest.approx(
+                getattr(indicators, name), rel=1e-4, abs=1e-6 * indicators.harmonic_1
+            )
+            assert result[f"{watched_point.name}.{name}"][1, 1] == exact, name
     for name in names:
         load = result["response" if name == "amplitude" else name]
         np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
-    known, stability = (
+    bilinear_frequencies, stability = (
         fc.bilinear_frequencies(study.structure),
         fc.floquet(study.structure, solution),
     )
-    np.testing.assert_allclose(result["omega_tied"], known.omega_tied[0], rtol=1e-9)
-    breathing = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
-    np.testing.assert_allclose(breathing, known.omega_bilinear[:3], rtol=1e-9)
-    np.testing.assert_allclose(result["over_open"][1], 2000.0 / known.omega_open[0], rtol=1e-9)
-    np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
+    np.testing.assert_allclose(result["omega_tied"], bilinear_frequencies.omega_tied[0], rtol=1e-9)
+    bilinear_omegas = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
+    np.testing.assert_allclose(bilinear_omegas, bilinear_frequencies.omega_bilinear[:3], rtol=1e-9)
+    np.testing.assert_allclose(
+        result["over_open"][1], 2000.0 / bilinear_frequencies.omega_open[0], rtol=1e-9
+    )
+    np.testing.assert_allclose(result["closed_share"][1, 1], indicators.closed_share, atol=2e-3)
     assert result["verdict"][1, 1] == stability.verdict
     assert result["multiplier"][1, 1] == pytest.approx(abs(stability.multipliers[0]), rel=1e-6)
 
 
 def test_without_verdicts(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -> None:
     """All else is the same, to the bit; a file keeps the verdicts that it has."""
-    plain = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
-    assert np.all(whole["verdict"] != "") and np.all(plain["verdict"] == "")
-    assert np.all(np.isnan(plain["multiplier"])) and not plain.not_stable.any()
-    told = zip(whole["status"].flat, plain["status"].flat, strict=True)
-    assert all(one.startswith(other) for one, other in told)
+    plain_sweep = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
+    assert np.all(whole["verdict"] != "") and np.all(plain_sweep["verdict"] == "")
+    assert np.all(np.isnan(plain_sweep["multiplier"])) and not plain_sweep.not_stable.any()
+    status_pairs = zip(whole["status"].flat, plain_sweep["status"].flat, strict=True)
+    assert all(own_status.startswith(plain_status) for own_status, plain_status in status_pairs)
     for name in set(whole.columns) - {"verdict", "multiplier", "seconds", "status"}:
-        np.testing.assert_array_equal(plain[name], whole[name], err_msg=name)
-    again = run_sweep(scene, whole.path, MPI.COMM_SELF, verdicts=False)
-    np.testing.assert_array_equal(again["multiplier"], whole["multiplier"])
+        np.testing.assert_array_equal(plain_sweep[name], whole[name], err_msg=name)
+    resumed_sweep = run_sweep(scene, whole.path, MPI.COMM_SELF, verdicts=False)
+    np.testing.assert_array_equal(resumed_sweep["multiplier"], whole["multiplier"])
 
 
 def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None:
     """Its error is missing, and all else is the same."""
-    reduced = scene.replace({"reduction.method": None, "reduction.modes": 5})
-    judged, plain = (
-        run_sweep(reduced, tmp_path / f"{how}.h5", MPI.COMM_SELF, verdicts=False, judged=how)
+    reduced_scene = scene.replace({"reduction.method": None, "reduction.modes": 5})
+    judged_sweep, plain_sweep = (
+        run_sweep(reduced_scene, tmp_path / f"{how}.h5", MPI.COMM_SELF, verdicts=False, judged=how)
         for how in (True, False)
     )
-    assert np.all(judged["reduction_error"] > 0.0) and np.all(np.isnan(plain["reduction_error"]))
+    assert np.all(judged_sweep["reduction_error"] > 0.0) and np.all(
+        np.isnan(plain_sweep["reduction_error"])
+    )
     for name in ("response", "ratio_2_1", "opening", "truncation_error", "omega_open_1"):
-        np.testing.assert_allclose(plain[name], judged[name], rtol=1e-6, err_msg=name)
+        np.testing.assert_allclose(plain_sweep[name], judged_sweep[name], rtol=1e-6, err_msg=name)
 
 
 def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -> None:
     """At some places of the last axis nothing else is found; elsewhere all is the same."""
-    path, how = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
-    part = run_sweep(scene, path, MPI.COMM_SELF, **how)  # type: ignore[arg-type]
+    path, options = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
+    part = run_sweep(scene, path, MPI.COMM_SELF, **options)  # type: ignore[arg-type]
     assert np.all(part["status"][:, 1] == "natural frequencies alone")
     assert np.all(np.isnan(part["response"][:, 1])) and part.converged[:, 0].all()
     np.testing.assert_array_equal(part["omega_open_1"], whole["omega_open_1"])
@@ -121,17 +127,19 @@ def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path
 def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> None:
     """Where some are missing, no others than those that it was begun with have empty columns."""
     path = tmp_path / "sweep.h5"
-    whole = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
+    first_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
     with h5py.File(path, "r+") as file:
         file["checksum"][0] = 0  # as of a case that was not finished
-    for asked, begun in (
+    for options, first_words in (
         ({}, "judged=False"),
         ({"verdicts": False}, "judged=False, verdicts=True"),
     ):
-        with pytest.raises(fc.InputError, match=f"begun with {begun}.*continued as it was begun"):
-            run_sweep(scene, path, MPI.COMM_SELF, **asked)
-    again = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
-    assert again.complete and np.all(again["verdict"] == whole["verdict"])
+        with pytest.raises(
+            fc.InputError, match=f"begun with {first_words}.*continued as it was begun"
+        ):
+            run_sweep(scene, path, MPI.COMM_SELF, **options)
+    second_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
+    assert second_sweep.complete and np.all(second_sweep["verdict"] == first_sweep["verdict"])
 
 
 def test_a_case_with_longer_words_is_written_again(
@@ -141,9 +149,9 @@ def test_a_case_with_longer_words_is_written_again(
     path = shutil.copy(whole.path, tmp_path)
     with h5py.File(path, "r+") as file:
         file["status"][0] = b"x" * 100
-    again = run_sweep(scene, path, MPI.COMM_SELF)
-    assert again.complete and np.all(again["verdict"] == whole["verdict"])
-    assert "x" not in again["status"].flat[0]
+    resumed_sweep = run_sweep(scene, path, MPI.COMM_SELF)
+    assert resumed_sweep.complete and np.all(resumed_sweep["verdict"] == whole["verdict"])
+    assert "x" not in resumed_sweep["status"].flat[0]
 
 
 def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
@@ -180,8 +188,8 @@ def test_default_quantities(whole: SweepResult) -> None:
 def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
     """A file that lost a column is not read: its cases are no longer what was written."""
     path = Path(shutil.copy(whole.path, tmp_path))
-    with changed(path) as opened:
-        del opened["ratio_2_1"]
+    with changed(path) as open_file:
+        del open_file["ratio_2_1"]
     with pytest.raises(fc.InputError, match="cases are damaged"):
         SweepResult.load(path)
 
@@ -190,23 +198,30 @@ def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
 def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCommand) -> None:
     """What 8 modes call stable the 18 of their reference do not, by a sweep with these; it is told,
     and of the case beside it nothing. Without verdicts, or what judges the modes, there is none."""
-    coarse = {
+    coarse_settings = {
         "mesh.size": 0.02, "mesh.lip_elements": 4, "crack.length": 0.05, "reduction.modes": 8,
         "curve": None, "sweep.over": {"excitation.omega": [9050.0, 9150.0]},
         "mesh.error": False, "contact.friction_error": False,
     }  # fmt: skip
-    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse)
-    told = run_command("sweep", scene, "--output", tmp_path).err
-    few = fc.SweepResult.load(tmp_path / "sweep.h5")
-    many = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
-    assert few["verdict"].tolist() == ["stable", "stable"] == [*many["verdict"][1:], "stable"]
-    assert many["verdict"][0] == "unstable"
-    [(place, said)] = few.contradicted
-    largest = f"largest multiplier {many['multiplier'][0]:.6g}"
-    assert place == (0,) and said == f"with 18 modes the orbit is unstable ({largest})"
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse_settings)
+    messages = run_command("sweep", scene, "--output", tmp_path).err
+    few_modes_sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
+    many_modes_sweep = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
+    assert (
+        few_modes_sweep["verdict"].tolist()
+        == ["stable", "stable"]
+        == [*many_modes_sweep["verdict"][1:], "stable"]
+    )
+    assert many_modes_sweep["verdict"][0] == "unstable"
+    [(place, contradiction)] = few_modes_sweep.contradicted
+    multiplier_text = f"largest multiplier {many_modes_sweep['multiplier'][0]:.6g}"
+    assert (
+        place == (0,)
+        and contradiction == f"with 18 modes the orbit is unstable ({multiplier_text})"
+    )
     depends = "1 case or more whose verdict depends on truncated modes, the first at omega = "
-    assert f"{depends}9050.0: {said}; raise reduction.modes" in told
+    assert f"{depends}9050.0: {contradiction}; raise reduction.modes" in messages
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
-    alone = scene.replace({"sweep": None, "excitation.omega": 9050.0})
-    assert said in run_command("solve", alone, "--output", tmp_path, code=4).err
+    alone_scene = scene.replace({"sweep": None, "excitation.omega": 9050.0})
+    assert contradiction in run_command("solve", alone_scene, "--output", tmp_path, code=4).err

@@ -30,35 +30,35 @@ def solve(problem: Problem) -> Answer:
         return np.concatenate([state[n:], inverse @ (problem.force(t) - pull)])
 
     atol = 1e-2 * RTOL * np.abs(problem.linear(20)).max() * np.repeat([1.0, problem.omega], n)
-    state, motion, done, change = np.zeros(2 * n), np.inf, 0, np.inf
-    while done < LONGEST and change > SETTLED:
-        start, done = done * problem.period, done + max(12, 6 * round(done / 12))
-        times = problem.period * (done - 6 + np.arange(6 * INSTANTS + 1) / INSTANTS)
+    state, motion, n_done, change = np.zeros(2 * n), np.inf, 0, np.inf
+    while n_done < LONGEST and change > SETTLED:
+        start, n_done = n_done * problem.period, n_done + max(12, 6 * round(n_done / 12))
+        times = problem.period * (n_done - 6 + np.arange(6 * INSTANTS + 1) / INSTANTS)
         run = solve_ivp(rates, (start, times[-1]), state, "LSODA", times, rtol=RTOL, atol=atol)
-        state, before, motion = run.y[:, -1], motion, run.y[:n, :-1].T
+        state, previous, motion = run.y[:, -1], motion, run.y[:n, :-1].T
         for periods in (1, 2, 3):
-            others = np.roll(motion, periods * INSTANTS, axis=0), before, motion.mean(axis=0)
-            again, moved, whole = (np.linalg.norm(motion - other) for other in others)
-            if (change := float(max(again, moved) / whole)) < SETTLED:
+            references = np.roll(motion, periods * INSTANTS, axis=0), previous, motion.mean(axis=0)
+            closure, step, size = (np.linalg.norm(motion - reference) for reference in references)
+            if (change := float(max(closure, step) / size)) < SETTLED:
                 break
     gap = gaps(problem, times[:-1], motion)[-periods * INSTANTS :: periods]
     answer = Answer(gap=gap, converged=change < SETTLED, periods=periods)
-    answer.message = f"{done} periods, change {change:.1e}; {run.message}"
+    answer.message = f"{n_done} periods, change {change:.1e}; {run.message}"
     answer.error, answer.verdict = (change, "stable") if answer.converged else (None, None)
     return answer
 
 
 def gaps(problem: Problem, times: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Gaps (times, p) at motions (times, n); of pairs without mass by Newton's method."""
-    gap = free = q @ problem.pairs - problem.clearance
+    gap = base = q @ problem.pairs - problem.clearance
     if problem.flexibility is not None:
         angles = problem.omega * np.outer(times, 1 + np.arange(len(lift := problem.lift) // 2))
-        gap = free = free + lift[0] + (np.exp(-1j * angles) @ (lift[1::2] + 1j * lift[2::2])).real
+        gap = base = base + lift[0] + (np.exp(-1j * angles) @ (lift[1::2] + 1j * lift[2::2])).real
         for _ in range(50):
             push, slope = problem.contact(gap)
             tangent = np.eye(gap.shape[1]) + problem.flexibility * slope[:, None, :]
-            left = gap + push @ problem.flexibility.T - free
-            if np.abs(left).max() <= 1e-13 * np.abs(free).max():
+            residual = gap + push @ problem.flexibility.T - base
+            if np.abs(residual).max() <= 1e-13 * np.abs(base).max():
                 break
-            gap = gap - np.linalg.solve(tangent, left[..., None])[..., 0]
+            gap = gap - np.linalg.solve(tangent, residual[..., None])[..., 0]
     return gap

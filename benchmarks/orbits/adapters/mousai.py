@@ -25,8 +25,8 @@ def solve(problem: Problem) -> Answer:
     def acceleration(x: np.ndarray, v: np.ndarray, params: dict[str, Any]) -> np.ndarray:
         push = problem.contact(x @ problem.pairs - problem.clearance)[0]
         force = problem.force(params["cur_time"]) - problem.pairs @ push
-        found = inverse @ (force - problem.stiffness @ x - problem.damping @ v)
-        return np.asarray(found)[:, None]
+        free_acceleration = inverse @ (force - problem.stiffness @ x - problem.damping @ v)
+        return np.asarray(free_acceleration)[:, None]
 
     rows = problem.linear(HARMONICS)
     angles = np.outer(2.0 * np.pi * np.arange(count) / count, np.arange(1, HARMONICS + 1))

@@ -42,12 +42,13 @@ def modelled(problem: Problem) -> tuple[fc.Structure, Any]:
 def answered(problem: Problem, **how: Any) -> Answer:
     """Solution, its stated error, the verdict."""
     structure, law = modelled(problem)
-    found = fc.solve_harmonic_balance(structure, problem.omega, law, throw=False, **how)
-    gap, slide = motions(problem, found)
-    error = found.report.total
+    solution = fc.solve_harmonic_balance(structure, problem.omega, law, throw=False, **how)
+    gap, slide = motions(problem, solution)
+    error = solution.report.total
     return Answer(
-        gap=gap, tangential=slide, converged=found.converged, message=found.status,
-        error=error if np.isfinite(error) else None, verdict=fc.floquet(structure, found).verdict,
+        gap=gap, tangential=slide, converged=solution.converged, message=solution.status,
+        error=error if np.isfinite(error) else None,
+        verdict=fc.floquet(structure, solution).verdict,
     )  # fmt: skip
 
 

@@ -20,9 +20,9 @@ def solve(problem: Problem) -> Answer:
     """From 0.9 of the frequency."""
     problem.only("penalty")
     logging.disable(logging.CRITICAL)
-    whole = problem.in_gaps()
-    parts = {"M": whole.mass, "K": whole.stiffness, "C": whole.damping}
-    load = whole.load(HARMONICS)
+    model = problem.in_gaps()
+    parts = {"M": model.mass, "K": model.stiffness, "C": model.damping}
+    load = model.load(HARMONICS)
     load = np.vstack([load[:1], np.zeros_like(load[:1]), load[1:]])
     links: dict[str, Any] = {}
     for order, (cos, sin) in enumerate(zip(load[::2], load[1::2], strict=True)):
@@ -32,7 +32,7 @@ def solve(problem: Problem) -> Answer:
                 "amp": np.hypot(cos, sin)[dof] if order else cos[dof],
                 "phi": np.arctan2(sin[dof], cos[dof]) if order else 0.0,
             }  # fmt: skip
-    for dof, (k, clearance) in enumerate(zip(whole.normal, whole.clearance, strict=True)):
+    for dof, (k, clearance) in enumerate(zip(model.normal, model.clearance, strict=True)):
         links[f"stop{dof}"] = {"type": "PenaltyUnilateralGap", "connect": {"body": [dof]},
                                "dirs": [0], "g": clearance, "k": k}  # fmt: skip
 
@@ -42,18 +42,18 @@ def solve(problem: Problem) -> Answer:
             "puls_start": begin, "ds0": STEP * problem.omega, "ds_max": STEP * problem.omega,
             "stopper_options": {"timeout": {"status": True, "timeout": LIMIT}}, "verbose": False,
         }  # fmt: skip
-        body = {"matrix": parts, "ndofs": 1, "nnodes": len(whole.mass), "matching": [0]}
+        body = {"matrix": parts, "ndofs": 1, "nnodes": len(model.mass), "matching": [0]}
         system = {"type": "Base", "nh": HARMONICS, "nti": SAMPLES}
         return Maestro({
             "system": system, "substructures": {"body": body}, "connectors": links,
             "kinematics": {}, "analysis": {"sweep": sweep},
         }).nls["sweep"]  # fmt: skip
 
-    sweep, last = study(FROM * problem.omega), study(problem.omega)
+    sweep, target = study(FROM * problem.omega), study(problem.omega)
     sweep.Solve()
-    good = [point.x for point in sweep.SolList if point.flag_accepted]
-    last.initialise(good[-1][:-1] if good else None)
-    point = last.SolList[0]
+    points = [point.x for point in sweep.SolList if point.flag_accepted]
+    target.initialise(points[-1][:-1] if points else None)
+    point = target.SolList[0]
     rows = point.x[:-1].reshape(2 * HARMONICS + 1, -1)
-    words = f"{len(good)} of {len(sweep.SolList)} points of the sweep accepted"
-    return Answer(gap=whole.gap(rows), converged=bool(point.flag_accepted), message=words)
+    words = f"{len(points)} of {len(sweep.SolList)} points of the sweep accepted"
+    return Answer(gap=model.gap(rows), converged=bool(point.flag_accepted), message=words)

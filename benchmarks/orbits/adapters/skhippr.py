@@ -61,17 +61,17 @@ def solve(problem: Problem) -> Answer:
 
     rows, rates = problem.linear(HARMONICS), np.arange(1, HARMONICS + 1)[:, None] * FROM * end
     order = np.r_[0, 1 : len(rows) : 2, 2 : len(rows) : 2]  # all cosines, then all sines
-    moved = np.hstack([rows, 0.0 * rows])
-    moved[1::2, n:], moved[2::2, n:] = rates * rows[2::2], -rates * rows[1::2]
-    solver, first = NewtonSolver(max_iterations=200), system(FROM * end, moved[order].ravel())
-    solver.solve(first)
-    for point in follow(first, solver, 0.1, (0.001, 0.1), 1, "omega", False, POINTS):
-        last, reached = point.X, float(np.squeeze(point.omega))
-        if reached > end:
+    states = np.hstack([rows, 0.0 * rows])
+    states[1::2, n:], states[2::2, n:] = rates * rows[2::2], -rates * rows[1::2]
+    solver, start = NewtonSolver(max_iterations=200), system(FROM * end, states[order].ravel())
+    solver.solve(start)
+    for point in follow(start, solver, 0.1, (0.001, 0.1), 1, "omega", False, POINTS):
+        unknowns, frequency = point.X, float(np.squeeze(point.omega))
+        if frequency > end:
             break
-    found = system(end, last)
-    solver.solve(found)
-    rows[order] = found.X.reshape(len(rows), 2 * n)[:, :n]
-    said = f"swept to {reached / end:.3f} w, {solver.num_iter} iterations"
-    word = {True: "stable", False: "unstable"}.get(found.stable)
-    return Answer(gap=problem.gap(rows), converged=bool(found.solved), verdict=word, message=said)
+    orbit = system(end, unknowns)
+    solver.solve(orbit)
+    rows[order] = orbit.X.reshape(len(rows), 2 * n)[:, :n]
+    text = f"swept to {frequency / end:.3f} w, {solver.num_iter} iterations"
+    word = {True: "stable", False: "unstable"}.get(orbit.stable)
+    return Answer(gap=problem.gap(rows), converged=bool(orbit.solved), verdict=word, message=text)

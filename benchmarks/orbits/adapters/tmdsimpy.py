@@ -23,12 +23,14 @@ HARMONICS, SAMPLES, FROM = 10, 256, 0.9
 def solve(problem: Problem) -> Answer:
     """From 0.9 of the frequency."""
     problem.only("penalty")
-    whole, h = problem.with_faces(), np.arange(HARMONICS + 1)
-    system = VibrationSystem(whole.mass, whole.stiffness, C=whole.damping)
-    for column, k, gap in zip(whole.pairs.T, whole.normal, whole.clearance, strict=True):
+    face_problem, h = problem.with_faces(), np.arange(HARMONICS + 1)
+    system = VibrationSystem(face_problem.mass, face_problem.stiffness, C=face_problem.damping)
+    for column, k, gap in zip(
+        face_problem.pairs.T, face_problem.normal, face_problem.clearance, strict=True
+    ):
         system.add_nl_force(UnilateralSpring(column[None], column[:, None], k, 0.0, gap))
-    load, solver = whole.load(HARMONICS).ravel(), NonlinearSolver({"verbose": False})
-    begin, end, n = FROM * whole.omega, whole.omega, len(whole.mass)
+    load, solver = face_problem.load(HARMONICS).ravel(), NonlinearSolver({"verbose": False})
+    begin, end, n = FROM * face_problem.omega, face_problem.omega, len(face_problem.mass)
 
     def residual(unknowns: np.ndarray) -> Any:
         return system.hbm_res(unknowns, load, h, Nt=SAMPLES)
@@ -40,7 +42,7 @@ def solve(problem: Problem) -> Answer:
         u, _, tangent, state = solver.nsolve(only, start, verbose=False)
         return u, np.linalg.norm(only(u)[0]) / np.linalg.norm(load), tangent, state
 
-    u, _, tangent, _ = at(begin, whole.linear(HARMONICS).ravel())
+    u, _, tangent, _ = at(begin, face_problem.linear(HARMONICS).ravel())
     start = np.append(u, begin)
     sizes = harmonic.harmonic_wise_conditioning(start, n, h, delta=1e-3 * np.abs(u).max())
     sizes[-1] = end
@@ -54,4 +56,4 @@ def solve(problem: Problem) -> Answer:
     u, left, _, state = at(end, path[-1, :-1])
     rows = u.reshape(2 * HARMONICS + 1, n)
     words = f"sweep to {path[-1, -1] / end:.3f} w, residual {left:.1e} of the load"
-    return Answer(gap=whole.gap(rows), converged=bool(state["success"]), message=words)
+    return Answer(gap=face_problem.gap(rows), converged=bool(state["success"]), message=words)

@@ -66,15 +66,25 @@ def finely(scene: fc.Scene) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Bilinear frequencies [Hz] and the ratios 2/1 at the points that are watched, with the names
     of these."""
     study = fc.prepare(scene, MPI.COMM_SELF)
-    natural = fc.bilinear_frequencies(study.structure)
-    omega = natural.omega_open if study.contact is None else natural.omega_bilinear
+    bilinear_frequencies = fc.bilinear_frequencies(study.structure)
+    omega = (
+        bilinear_frequencies.omega_open
+        if study.contact is None
+        else bilinear_frequencies.omega_bilinear
+    )
     ratios = np.zeros(2)
     if study.contact is not None:
         solution = fc.solve_harmonic_balance(
             study.structure, 2.0 * np.pi * 700.0, study.contact, harmonics=8
         )
-        ratios = np.array([solution.indicators(one.dof).ratio_2_1 for one in study.watched])
-    names = [one.name for one in study.watched] if study.contact else ["tip.ux", "tip.uy"]
+        ratios = np.array(
+            [solution.indicators(watched_point.dof).ratio_2_1 for watched_point in study.watched]
+        )
+    names = (
+        [watched_point.name for watched_point in study.watched]
+        if study.contact
+        else ["tip.ux", "tip.uy"]
+    )
     return omega[:5] / (2.0 * np.pi), ratios, names
 
 
@@ -106,33 +116,34 @@ def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
     """In a plate that is known exactly, to 3 % of the width and 5 % of the height; two of three, or
     more, in the stated regions (benchmarks/identification.py has sixty). With the priors all are in
     regions that are larger."""
-    held = 0
+    n_held = 0
     scene = scene.replace({"mesh.size": 0.02, "mesh.lip_elements": 3})
     for length, height in CRACKS:
         truth = {"crack.length": length, "crack.height": height}
         rows = measured(scene, dict(truth), int(1e4 * length))
-        found = fc.identify(scene.replace(EXACT), rows, folder=folder)
-        real = fc.identify(scene, rows, folder=folder)
-        assert real.verdict == "crack" and real.contains(truth)
+        identification = fc.identify(scene.replace(EXACT), rows, folder=folder)
+        real_identification = fc.identify(scene, rows, folder=folder)
+        assert real_identification.verdict == "crack" and real_identification.contains(truth)
         assert all(
-            real.posterior.compute_deviation(k) > found.posterior.compute_deviation(k)
+            real_identification.posterior.compute_deviation(k)
+            > identification.posterior.compute_deviation(k)
             for k in (0, 1)
         )
-        assert found.verdict == "crack" and found.log_bayes_factor > 3.0
-        assert all(one.startswith("interpolation between") for one in found.remarks)
-        assert found.estimate["crack.length"] == pytest.approx(length, abs=0.03 * 0.1)
-        assert found.estimate["crack.height"] == pytest.approx(height, abs=0.05 * 0.2)
-        held += found.contains(truth)
-    assert held >= 2
+        assert identification.verdict == "crack" and identification.log_bayes_factor > 3.0
+        assert all(one.startswith("interpolation between") for one in identification.remarks)
+        assert identification.estimate["crack.length"] == pytest.approx(length, abs=0.03 * 0.1)
+        assert identification.estimate["crack.height"] == pytest.approx(height, abs=0.05 * 0.2)
+        n_held += identification.contains(truth)
+    assert n_held >= 2
 
 
 def test_a_crack_is_found_on_five_lengths(scene: fc.Scene, tmp_path: Path) -> None:
     """At a height that is known, from natural frequencies."""
     rows = natural_of(measured(scene, {"crack.length": 0.022}, 3))
     lengths = {"crack.length": [0.008, 0.014, 0.02, 0.026, 0.032]}
-    found = fc.identify(scene, rows, lengths, folder=tmp_path)
-    assert found.verdict == "crack" and found.contains({"crack.length": 0.022})
-    worth = found.where_to_measure()
+    identification = fc.identify(scene, rows, lengths, folder=tmp_path)
+    assert identification.verdict == "crack" and identification.contains({"crack.length": 0.022})
+    worth = identification.where_to_measure()
     assert np.all(np.diff(worth.information) <= 0.0) and worth.information[0] > 0.0
     assert np.all(worth.deviations["crack.length"] <= worth.now["crack.length"] * 1.000001)
 
@@ -145,61 +156,81 @@ def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
     """Natural frequencies 4 and 5 of a longer plate have more waves along it than six heights tell:
     between these the interpolation is as far off as it says, and regions hold the cracks."""
     point = (0.1, 0.3)
-    own = {"geometry.height": 0.3, "excitation.point": point, "output.points": {"tip": point}}
-    scene = scene.replace(own | {"mesh.size": 0.03, "mesh.lip_elements": 3})
+    own_settings = {
+        "geometry.height": 0.3,
+        "excitation.point": point,
+        "output.points": {"tip": point},
+    }
+    scene = scene.replace(own_settings | {"mesh.size": 0.03, "mesh.lip_elements": 3})
     unknown = {
         "crack.length": {"start": 0.005, "stop": 0.06, "count": 6},
         "crack.height": {"start": 0.03, "stop": 0.27, "count": 6},
     }
-    whole = before(natural_of(measured(scene, {"crack": None, "contact": None}, 5)))
+    uncracked_rows = before(natural_of(measured(scene, {"crack": None, "contact": None}, 5)))
     for length, height in FEW_HEIGHTS:
         truth = {"crack.length": length, "crack.height": height}
         rows = natural_of(measured(scene, dict(truth), int(1e4 * length)))
-        found = fc.identify(scene, rows + whole, unknown, folder=tmp_path)
-        assert found.contains(truth) and found.misfit[1] > 1e-3
+        identification = fc.identify(scene, rows + uncracked_rows, unknown, folder=tmp_path)
+        assert identification.contains(truth) and identification.misfit[1] > 1e-3
 
 
 @pytest.mark.nightly
 def test_warmer_than_before(scene: fc.Scene, folder: Path) -> None:
     """A plate without a crack whose frequencies are all 0.3 % lower than before, as after fifteen
     degrees, has no crack; where nothing is allowed to differ there is one."""
-    plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
-    warmer = fc.Measurements(tuple(replace(row, value=0.997 * row.value) for row in plain.rows))
-    for allowed, claimed in ((0.002, False), (0.0, True)):
-        known = scene.replace(
-            {"identify.before_deviation": allowed, "identify.temperature_deviation": 5e3 * allowed}
+    plain_rows = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
+    warmer = fc.Measurements(
+        tuple(replace(row, value=0.997 * row.value) for row in plain_rows.rows)
+    )
+    for allowed_deviation, is_claimed in ((0.002, False), (0.0, True)):
+        changed_scene = scene.replace(
+            {
+                "identify.before_deviation": allowed_deviation,
+                "identify.temperature_deviation": 5e3 * allowed_deviation,
+            }
         )
-        found = fc.identify(known, warmer + before(plain), folder=folder)
-        assert (found.verdict == "crack") == claimed
+        identification = fc.identify(changed_scene, warmer + before(plain_rows), folder=folder)
+        assert (identification.verdict == "crack") == is_claimed
 
 
 @pytest.mark.nightly
 def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     """A crack that rests on one measurement, of a mode that was taken for another or is wrong, is
     reported; one that all of them show is not."""
-    plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
-    lower = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain.rows]
-    pairs = zip(plain.rows, lower, strict=True)
-    wrong = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
-    right = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4))
-    either = "frequency_bilinear of mode 3 or frequency_uncracked of mode 3: measure these again"
-    said = f"a plate without a crack explains all but {either}"
-    for rows, alone in ((wrong, True), (right, False)):
-        found = fc.identify(scene, rows + before(plain), folder=folder)
-        assert any(said in warning for warning in found.warnings) == alone
-    sound = fc.identify(scene, plain + before(plain), folder=folder)
+    plain_rows = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
+    lower_values = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain_rows.rows]
+    pairs = zip(plain_rows.rows, lower_values, strict=True)
+    measurements = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
+    cracked_rows = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4))
+    either_text = (
+        "frequency_bilinear of mode 3 or frequency_uncracked of mode 3: measure these again"
+    )
+    expected_warning = f"a plate without a crack explains all but {either_text}"
+    for rows, alone in ((measurements, True), (cracked_rows, False)):
+        identification = fc.identify(scene, rows + before(plain_rows), folder=folder)
+        assert (
+            any(expected_warning in warning_text for warning_text in identification.warnings)
+            == alone
+        )
+    sound = fc.identify(scene, plain_rows + before(plain_rows), folder=folder)
     assert sound.verdict == "no crack" and "an undetected one would be at" in sound.reason
     assert (
         ", or below 4 mm, outside the bounds of the search" in sound.reason and not sound.warnings
     )
     longest = value_in_words("crack.length", sound.intervals["crack.length"][1])
-    least = f"no crack above {longest} of crack length"
-    assert sound.conclusion == least and f"({least} (" in repr(sound) and "mm," not in repr(sound)
+    conclusion_text = f"no crack above {longest} of crack length"
+    assert (
+        sound.conclusion == conclusion_text
+        and f"({conclusion_text} (" in repr(sound)
+        and "mm," not in repr(sound)
+    )
     assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
-    closing = report_of_identification(
+    closing_text = report_of_identification(
         IdentificationOutput(scene, sound.summary(), folder)
     ).closing_sentence
-    assert sound.summary()["conclusion"] == least and closing.startswith(f"{least}; log")
+    assert sound.summary()["conclusion"] == conclusion_text and closing_text.startswith(
+        f"{conclusion_text}; log"
+    )
 
 
 TURN = 2.0 * np.pi
@@ -214,7 +245,9 @@ def arrivals_of(scene: fc.Scene, order: int, share: float, seed: int) -> fc.Arri
     solution = fc.solve_harmonic_balance(
         study.structure, 2.0 * np.pi * 700.0, study.contact, harmonics=14
     )
-    tip = next(one.dof for one in study.watched if one.name == "tip.ux")
+    tip = next(
+        watched_point.dof for watched_point in study.watched if watched_point.name == "tip.ux"
+    )
     size, speed = float(solution.indicators(tip).harmonic_1), 2.0 * np.pi * 700.0 / order
     return fc.tip_timing(
         solution, tip, probes=PROBES, tip_radius=0.5, order=order, revolutions=40,
@@ -228,26 +261,36 @@ def test_crack_from_arrivals(scene: fc.Scene, folder: Path) -> None:
     nor the harmonics are those of the scene: the truth is in the region, which is smaller than
     without them."""
     truth = {"crack.length": 0.026, "crack.height": 0.07}
-    few = fc.Measurements(measured(scene, dict(truth), 8).rows[:1])
+    measurements = fc.Measurements(measured(scene, dict(truth), 8).rows[:1])
     arrivals = arrivals_of(scene.replace(truth | FINER), 5, 0.01, 3)
     probes = fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
     assert probes.rows[0].frequency == 700.0
-    both = fc.identify(scene, few + probes, folder=folder)
-    assert both.verdict == "crack" and both.contains(truth) and both.misfit[1] > 0.01
-    alone = fc.identify(scene.replace({"identify.frequencies": (700.0,)}), few, folder=folder)
+    joint_identification = fc.identify(scene, measurements + probes, folder=folder)
+    assert (
+        joint_identification.verdict == "crack"
+        and joint_identification.contains(truth)
+        and joint_identification.misfit[1] > 0.01
+    )
+    single_identification = fc.identify(
+        scene.replace({"identify.frequencies": (700.0,)}), measurements, folder=folder
+    )
 
     def area(found: fc.Identification) -> float:
         return found.posterior.compute_deviation(0) * found.posterior.compute_deviation(1)
 
-    assert area(both) < 0.7 * area(alone)
+    assert area(joint_identification) < 0.7 * area(single_identification)
     # Where one more probe would stand.
-    worth = both.where_to_measure()
-    more = [row for row in worth.measurements if row.quantity == "displacement"]
-    assert len(more) == 24 and all(row.deviation == more[0].deviation for row in more)
+    worth = joint_identification.where_to_measure()
+    displacement_rows = [row for row in worth.measurements if row.quantity == "displacement"]
+    assert len(displacement_rows) == 24 and all(
+        row.deviation == displacement_rows[0].deviation for row in displacement_rows
+    )
     gains = [gain for row, gain in zip(worth.measurements, worth.information, strict=True)
              if row.quantity == "displacement"]  # fmt: skip
     assert gains[0] > 1.5 * gains[-1] >= 0.0
-    lone = alone.where_to_measure(more)  # one probe alone has no information on an unknown load
+    lone = single_identification.where_to_measure(
+        displacement_rows
+    )  # one probe alone has no information on an unknown load
     assert lone.information.max() < 0.02
 
 
@@ -288,30 +331,34 @@ def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunC
         noise=2e-8,
     )  # fmt: skip
     arrivals.to_csv(tmp_path / "2400.csv")
-    found = fc.identify(
+    identification = fc.identify(
         scene, fc.Measurements.from_arrivals(arrivals, 5, "tip.ux"), folder=tmp_path
     )
-    assert found.verdict == "crack" and found.misfit[1] > 0.01
-    assert found.contains({"crack.length": 0.008})
-    assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.1)
-    assert not any("between the solved cases" in one for one in found.remarks)  # far from resonance
+    assert identification.verdict == "crack" and identification.misfit[1] > 0.01
+    assert identification.contains({"crack.length": 0.008})
+    assert identification.estimate["crack.length"] == pytest.approx(0.008, rel=0.1)
+    assert not any(
+        "between the solved cases" in one for one in identification.remarks
+    )  # far from resonance
     hertz = fc.solve_modes(fc.build_structure(scene.replace({"identify": None})), 2).omega / TURN
-    natural = fc.Measurements.from_arrays("frequency_open", hertz, 1e-4 * hertz, mode=[1, 2])
+    natural_measurements = fc.Measurements.from_arrays(
+        "frequency_open", hertz, 1e-4 * hertz, mode=[1, 2]
+    )
     slower = scene.replace({"identify.frequencies": (200.0,)})
-    found = fc.identify(slower, natural, folder=tmp_path)
-    assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.05)
-    held = scene.replace(
+    identification = fc.identify(slower, natural_measurements, folder=tmp_path)
+    assert identification.estimate["crack.length"] == pytest.approx(0.008, rel=0.05)
+    held_scene = scene.replace(
         {"excitation.order": None, "excitation.frequency": 250.0, "tip_timing.order": 5}
     )
-    (tmp_path / "held.toml").write_text(held.as_toml(), encoding="utf-8")
+    (tmp_path / "held.toml").write_text(held_scene.as_toml(), encoding="utf-8")
     words = ["identify", str(tmp_path / "held.toml"), "--arrivals", str(tmp_path / "2400.csv")]
-    said = " ".join(run_command(*words, "--output", tmp_path, code=2).err.split())
-    assert "'2400 rpm': must be at 3000 rpm" in said and "excitation.order" in said
+    message = " ".join(run_command(*words, "--output", tmp_path, code=2).err.split())
+    assert "'2400 rpm': must be at 3000 rpm" in message and "excitation.order" in message
 
 
 def of_tip(scene: fc.Scene, noise: float, **true: float) -> fc.Measurements:
     """Arrivals of the tip of a blade that spins with a crack of a length."""
-    run = fc.solve(scene.replace({f"crack.{key}": one for key, one in true.items()}))
+    run = fc.solve(scene.replace({f"crack.{key}": true_value for key, true_value in true.items()}))
     arrivals = fc.tip_timing(
         run.result, run.watched_dof, probes=PROBES, tip_radius=0.5, order=5, revolutions=60,
         noise=noise,
@@ -327,12 +374,12 @@ def test_cases_are_added_next_to_resonance(tmp_path: Path) -> None:
     changes = {"excitation.force_sin": (34.0, 0.0), "rotation.rpm": 2800.0}
     scene = fc.Scene.from_text(SPINNING).replace(changes)
     rows = of_tip(scene.replace({"identify": None}), 1e-7, length=0.0073)
-    found = fc.identify(scene, rows, folder=tmp_path)
-    assert found.verdict == "crack" and found.contains({"crack.length": 0.0073})
-    assert found.estimate["crack.length"] == pytest.approx(0.0073, rel=0.1)
-    assert not any("between the solved cases" in one for one in found.remarks)
-    swept = [SweepResult.load(path).axes[0] for path in tmp_path.glob("forward_*")]
-    lengths = [length for axis in swept for length in axis.values]
+    identification = fc.identify(scene, rows, folder=tmp_path)
+    assert identification.verdict == "crack" and identification.contains({"crack.length": 0.0073})
+    assert identification.estimate["crack.length"] == pytest.approx(0.0073, rel=0.1)
+    assert not any("between the solved cases" in one for one in identification.remarks)
+    swept_axes = [SweepResult.load(path).axes[0] for path in tmp_path.glob("forward_*")]
+    lengths = [length for axis in swept_axes for length in axis.values]
     assert len(lengths) > 5 + 4 and len(set(lengths)) == len(lengths)  # 4 halfway between
 
 
@@ -355,11 +402,13 @@ def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
         ("geometry.width", "geometry.height", "crack.edge", "crack.height", "crack.length",
          "mesh.size", "mesh.lip_elements")
     )  # fmt: skip
-    own = scene.replace(of_files | {"mesh.layout": "file", "mesh.file": "0.008.msh"})
-    (tmp_path / "own.toml").write_text("\n".join([own.as_toml(), *tables]))
-    found = fc.identify(fc.Scene.load(tmp_path / "own.toml"), rows, folder=tmp_path)
-    assert found.verdict == "undecided" and found.contains({"crack.length": 0.0085})
-    assert any("the solved cases, near crack.length = 0.0105" in r for r in found.remarks)
+    changed_scene = scene.replace(of_files | {"mesh.layout": "file", "mesh.file": "0.008.msh"})
+    (tmp_path / "own.toml").write_text("\n".join([changed_scene.as_toml(), *tables]))
+    identification = fc.identify(fc.Scene.load(tmp_path / "own.toml"), rows, folder=tmp_path)
+    assert identification.verdict == "undecided" and identification.contains(
+        {"crack.length": 0.0085}
+    )
+    assert any("the solved cases, near crack.length = 0.0105" in r for r in identification.remarks)
 
 
 @pytest.mark.nightly
@@ -367,16 +416,18 @@ def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
 def test_resonances_of_cracks_that_a_load_holds(folder: Path, lips: str, verdict: str) -> None:
     """At speed a crack of 8 mm may stay open or shut, by the pull and how strongly it vibrates.
     Taken for one that breathes half of the time it was one of 10.5 mm, or none at all."""
-    sure = {"crack": 0.01, "young": 1e-3, "model": 5e-4, "clamp": 0.0, "density": 0.0}
-    changes = {f"identify.{name}_deviation": one for name, one in sure.items()}
+    deviations = {"crack": 0.01, "young": 1e-3, "model": 5e-4, "clamp": 0.0, "density": 0.0}
+    changes = {f"identify.{name}_deviation": deviation for name, deviation in deviations.items()}
     scene = fc.Scene.from_text(SPINNING).replace(changes)
-    true = scene.replace({"identify": None, "crack.length": 0.008})
-    natural = fc.bilinear_frequencies(fc.build_structure(true))
-    hertz = getattr(natural, f"omega_{lips}")[:2] / TURN
+    true_scene = scene.replace({"identify": None, "crack.length": 0.008})
+    bilinear_frequencies = fc.bilinear_frequencies(fc.build_structure(true_scene))
+    hertz = getattr(bilinear_frequencies, f"omega_{lips}")[:2] / TURN
     rows = fc.Measurements.from_arrays("frequency_resonance", hertz, 1e-3 * hertz, mode=[1, 2])
-    found = fc.identify(scene, rows, folder=folder)
-    assert found.verdict == verdict and found.contains({"crack.length": 0.008})
-    residuals = [row[-1] for row in found.fit_table().rows]  # of lips that do what is likeliest
+    identification = fc.identify(scene, rows, folder=folder)
+    assert identification.verdict == verdict and identification.contains({"crack.length": 0.008})
+    residuals = [
+        row[-1] for row in identification.fit_table().rows
+    ]  # of lips that do what is likeliest
     assert np.max(np.abs(residuals)) < 0.5
 
 
@@ -386,14 +437,14 @@ def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> No
     of three records of the model's own plate is no larger than by chance. It was twice as large,
     and all cracks were found at half of their height."""
     truth, chi2, heights = {"crack.length": 0.026, "crack.height": 0.07}, 0.0, []
-    exact, own = scene.replace(EXACT), {"mesh.size": 0.03, "mesh.lip_elements": 2}
-    few = fc.Measurements(measured(scene, own | truth, 8).rows[:1])
+    exact, own_settings = scene.replace(EXACT), {"mesh.size": 0.03, "mesh.lip_elements": 2}
+    measurements = fc.Measurements(measured(scene, own_settings | truth, 8).rows[:1])
     for seed in range(3):
         arrivals = arrivals_of(scene.replace({"identify": None} | truth), 5, 0.01, seed)
-        both = few + fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
-        found = fc.identify(exact, both, folder=folder)
-        chi2 += found.misfit[0]
-        heights.append(found.estimate["crack.height"])
+        joint_measurements = measurements + fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
+        identification = fc.identify(exact, joint_measurements, folder=folder)
+        chi2 += identification.misfit[0]
+        heights.append(identification.estimate["crack.height"])
     assert chi2 < chdtri(3 * 5, 0.05)
     assert np.mean(heights) == pytest.approx(0.07, rel=0.2)
 
@@ -404,7 +455,9 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
     plate that is known exactly: the
     ratio to 10 % at 1735 Hz, within half the width of a resonance at 1748 Hz; a load far below it
     has no information on it."""
-    plain = scene.replace(EXACT | {"identify.finer": 1.0, "identify.harmonic_deviation": 0.05})
+    plain_scene = scene.replace(
+        EXACT | {"identify.finer": 1.0, "identify.harmonic_deviation": 0.05}
+    )
     unknown = {
         "crack.length": [0.018, 0.0205, 0.023, 0.026],
         "crack.height": [0.08, 0.09, 0.1, 0.11],
@@ -412,13 +465,15 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
     }
     truth = {"crack.length": 0.022, "crack.height": 0.095, "damping.ratio": 0.011}
     rng = np.random.default_rng(11)
-    study = fc.prepare(plain.replace(truth | {"identify": None}), MPI.COMM_SELF)
-    natural = fc.bilinear_frequencies(study.structure).omega_bilinear[:5] / (2.0 * np.pi)
+    study = fc.prepare(plain_scene.replace(truth | {"identify": None}), MPI.COMM_SELF)
+    natural_frequencies = fc.bilinear_frequencies(study.structure).omega_bilinear[:5] / (
+        2.0 * np.pi
+    )
     rows = fc.Measurements.from_arrays(
-        "frequency_bilinear", natural * (1.0 + 1e-3 * rng.normal(size=5)), 1e-3 * natural,
-        mode=[1, 2, 3, 4, 5],
+        "frequency_bilinear", natural_frequencies * (1.0 + 1e-3 * rng.normal(size=5)),
+        1e-3 * natural_frequencies, mode=[1, 2, 3, 4, 5],
     )  # fmt: skip
-    found, spread = {}, {}
+    identifications, deviations = {}, {}
     loads = 700.0, 1735.0
     for load in loads:
         solution = fc.solve_harmonic_balance(
@@ -430,14 +485,14 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
             (0.02 * size).tolist(), frequency=[load, load],
             point=[one.name for one in study.watched],
         )  # fmt: skip
-        both = plain.replace({"identify.frequencies": loads})  # one sweep
-        found[load] = fc.identify(both, rows + harmonics, unknown, folder=folder)
-        spread[load] = found[load].posterior.compute_deviation(2)
-    near = found[1735.0]
-    assert near.estimate["damping.ratio"] == pytest.approx(0.011, rel=0.1)
-    assert near.contains(truth) and spread[1735.0] < 0.1 * 0.011
+        loaded_scene = plain_scene.replace({"identify.frequencies": loads})  # one sweep
+        identifications[load] = fc.identify(loaded_scene, rows + harmonics, unknown, folder=folder)
+        deviations[load] = identifications[load].posterior.compute_deviation(2)
+    near_identification = identifications[1735.0]
+    assert near_identification.estimate["damping.ratio"] == pytest.approx(0.011, rel=0.1)
+    assert near_identification.contains(truth) and deviations[1735.0] < 0.1 * 0.011
     prior = (0.02 - 0.006) / np.sqrt(12.0)
-    assert spread[700.0] > 0.7 * prior
+    assert deviations[700.0] > 0.7 * prior
 
 
 @pytest.mark.parametrize(("mode", "share"), [(1, 0.05), (2, 0.9)])
@@ -446,15 +501,20 @@ def test_resonances_are_near_bilinear_frequencies(scene: fc.Scene, mode: int, sh
     over what lies between the frequencies with lips open and tied."""
     changes = {"identify": None, "crack.length": 0.03, "damping.ratio": 0.004}
     study = fc.prepare(scene.replace(changes), MPI.COMM_SELF)
-    natural = fc.bilinear_frequencies(study.structure)
-    low, high = natural.omega_open[mode - 1], natural.omega_tied[mode - 1]
+    bilinear_frequencies = fc.bilinear_frequencies(study.structure)
+    open_omega, bonded_omega = (
+        bilinear_frequencies.omega_open[mode - 1],
+        bilinear_frequencies.omega_tied[mode - 1],
+    )
     curve = fc.continue_frequency(
-        study.structure, 0.99 * low, 1.01 * high, study.contact, harmonics=5
+        study.structure, 0.99 * open_omega, 1.01 * bonded_omega, study.contact, harmonics=5
     )
     size = curve.indicators(study.watched[0].dof).harmonic_1
     peak = curve.omega[int(np.argmax(size))]
-    assert abs(peak - natural.omega_bilinear[mode - 1]) < share * (high - low)
-    assert low < peak < high
+    assert abs(peak - bilinear_frequencies.omega_bilinear[mode - 1]) < share * (
+        bonded_omega - open_omega
+    )
+    assert open_omega < peak < bonded_omega
 
 
 @pytest.mark.nightly
@@ -472,40 +532,48 @@ def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
     truth = {"crack.length": 0.022}
     rows = natural_of(measured(scene, truth, 3))
     lengths = {"crack.length": [0.008, 0.014, 0.02, 0.026, 0.032]}
-    found = {
-        finer: fc.identify(
-            scene.replace(EXACT | {"identify.finer": finer}), rows, lengths, folder=tmp_path / name
+    identifications = {
+        refinement: fc.identify(
+            scene.replace(EXACT | {"identify.finer": refinement}),
+            rows,
+            lengths,
+            folder=tmp_path / name,
         )
-        for name, finer in (("half", 0.5), ("none", 1.0))
+        for name, refinement in (("half", 0.5), ("none", 1.0))
     }
     sizes = [SweepResult.load(path).scene.mesh.size for path in sorted(tmp_path.glob("half/f*.h5"))]
     assert set(sizes) == {0.03, 0.06} and sizes.count(0.03) == 1 and scene.identify is not None
     assert type(scene.identify)(scene.identify.unknown).finer == 0.5
-    off = [abs(one.estimate["crack.length"] - 0.022) for one in found.values()]
-    assert found[0.5].contains(truth) and off[0] < off[1]
+    length_errors = [
+        abs(identification.estimate["crack.length"] - 0.022)
+        for identification in identifications.values()
+    ]
+    assert identifications[0.5].contains(truth) and length_errors[0] < length_errors[1]
 
 
 @pytest.mark.nightly
 def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
     """It is said; and with the edge unknown both cracks are reported."""
     rows = measured(scene, {"crack.length": 0.02, "crack.height": 0.08}, 5)
-    natural = fc.Measurements(tuple(row for row in rows.rows if row.natural))
-    found = fc.identify(scene, natural, folder=folder)
-    assert "right edge" in found.remarks[0]
+    measurements = fc.Measurements(tuple(row for row in rows.rows if row.natural))
+    identification = fc.identify(scene, measurements, folder=folder)
+    assert "right edge" in identification.remarks[0]
     at_load = fc.Measurement("ratio_2_1", 0.01, 0.001, frequency=700.0)  # that of the scene
-    assert found.where_to_measure([at_load]).information[0] > 0.0
-    few = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
-    plain = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
-    both = fc.identify(plain, natural, few, folder=folder)
-    edges = {values["crack.edge"]: mass for values, mass in both.alternatives}
+    assert identification.where_to_measure([at_load]).information[0] > 0.0
+    few_values = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
+    plain_scene = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
+    joint_identification = fc.identify(plain_scene, measurements, few_values, folder=folder)
+    edges = {values["crack.edge"]: mass for values, mass in joint_identification.alternatives}
     assert set(edges) == {"left", "right"} and min(edges.values()) > 0.2
-    assert "cannot be distinguished" in both.warnings[0]
+    assert "cannot be distinguished" in joint_identification.warnings[0]
 
 
 def before(rows: fc.Measurements) -> fc.Measurements:
     """Frequencies of a plate, as those before it had a crack, beside its others."""
-    natural = (row for row in rows.rows if row.natural)
-    return fc.Measurements(tuple(replace(row, quantity="frequency_uncracked") for row in natural))
+    natural_rows = (row for row in rows.rows if row.natural)
+    return fc.Measurements(
+        tuple(replace(row, quantity="frequency_uncracked") for row in natural_rows)
+    )
 
 
 def natural_of(rows: fc.Measurements) -> fc.Measurements:
@@ -519,21 +587,29 @@ def test_a_stiffer_plate(scene: fc.Scene, folder: Path) -> None:
     with the priors it is held, and nearer with the plate's own frequencies, which is advised."""
     changes = {"crack.length": 0.02, "crack.height": 0.08}
     stiffer = scene.replace({"material.young": 2.1e11 * 1.01**2})
-    natural = natural_of(measured(stiffer, dict(changes), 5))
+    natural_measurements = natural_of(measured(stiffer, dict(changes), 5))
     bare = natural_of(measured(stiffer, {"crack": None, "contact": None}, 6))
-    own = [replace(row, quantity="frequency_uncracked") for row in bare.rows]
-    sure = fc.identify(scene.replace(EXACT), natural, folder=folder)
-    blind = fc.identify(scene, natural, folder=folder)
-    found = fc.identify(scene, fc.Measurements((*natural.rows, *own)), folder=folder)
-    assert not sure.contains(changes) and blind.contains(changes) and found.contains(changes)
-    assert found.verdict == "crack" and found.posterior.compute_deviation(
+    uncracked_rows = [replace(row, quantity="frequency_uncracked") for row in bare.rows]
+    sure_identification = fc.identify(scene.replace(EXACT), natural_measurements, folder=folder)
+    blind = fc.identify(scene, natural_measurements, folder=folder)
+    identification = fc.identify(
+        scene, fc.Measurements((*natural_measurements.rows, *uncracked_rows)), folder=folder
+    )
+    assert (
+        not sure_identification.contains(changes)
+        and blind.contains(changes)
+        and identification.contains(changes)
+    )
+    assert identification.verdict == "crack" and identification.posterior.compute_deviation(
         1
     ) < 0.6 * blind.posterior.compute_deviation(1)
-    assert found.estimate["crack.length"] == pytest.approx(0.02, abs=0.003)
+    assert identification.estimate["crack.length"] == pytest.approx(0.02, abs=0.003)
     assert blind.advice[0].startswith("natural frequencies 1, 2, 3, 4, 5 before there was a crack")
-    said = float(blind.advice[0].split("height of the crack to ")[1].split(" mm")[0])
-    assert said == pytest.approx(1e3 * found.posterior.compute_deviation(1), rel=0.5)
-    assert "before there was a crack" not in found.advice[0]
+    stated_height = float(blind.advice[0].split("height of the crack to ")[1].split(" mm")[0])
+    assert stated_height == pytest.approx(
+        1e3 * identification.posterior.compute_deviation(1), rel=0.5
+    )
+    assert "before there was a crack" not in identification.advice[0]
 
 
 @pytest.mark.nightly
@@ -548,10 +624,10 @@ def test_plates_without_a_crack_that_are_not_the_scene_s(
     plate = scene.replace(changes | {"excitation.point": (0.1, changes.get("geometry.height", 0.2)),
                                      "output": None})  # fmt: skip
     rows = natural_of(measured(plate, {"crack": None, "contact": None}, 3))
-    sure = fc.identify(scene.replace(EXACT), rows, folder=folder)
-    assert sure.log_bayes_factor > 3.0 or sure.verdict == "undecided"
-    for made in (rows, rows + before(rows)):
-        assert fc.identify(scene, made, folder=folder).verdict != "crack"
+    sure_identification = fc.identify(scene.replace(EXACT), rows, folder=folder)
+    assert sure_identification.log_bayes_factor > 3.0 or sure_identification.verdict == "undecided"
+    for measurements in (rows, rows + before(rows)):
+        assert fc.identify(scene, measurements, folder=folder).verdict != "crack"
 
 
 def exactly(scene: fc.Scene, changes: dict[str, object], noise: float) -> fc.Measurements:
@@ -583,56 +659,68 @@ def test_another_clamp_than_before(
     frequency: no crack is claimed, though noise is 1e-5. One is of 0.9 %, more than the prior of
     changes, as one of 8 % of the width is, on the condition that it was not the clamp; one of 30 %
     is without."""
-    plain = before(exactly(scene, WHOLE, 1e-5))
-    found = fc.identify(scene, exactly(scene, changes, 1e-5) + plain, folder=folder)
-    assert (found.verdict == "crack") == claimed
-    said = "open the clamp, close it, measure again" in found.reason
-    assert said == (conditional or not claimed)
-    assert ("IF ITS CLAMP HOLDS AS BEFORE" in repr(found)) == conditional
+    plain_rows = before(exactly(scene, WHOLE, 1e-5))
+    identification = fc.identify(scene, exactly(scene, changes, 1e-5) + plain_rows, folder=folder)
+    assert (identification.verdict == "crack") == claimed
+    is_advised = "open the clamp, close it, measure again" in identification.reason
+    assert is_advised == (conditional or not claimed)
+    assert ("IF ITS CLAMP HOLDS AS BEFORE" in repr(identification)) == conditional
 
 
 def test_nothing_fits(scene: fc.Scene, folder: Path) -> None:
     """Frequencies of no such plate: undecided, and the reason is given."""
     rows = natural_of(measured(scene, {"crack": None, "contact": None}, 3))
-    odd = [replace(row, value=row.value * (1.1, 0.9)[row.mode % 2]) for row in rows.rows]
-    found = fc.identify(scene, fc.Measurements(tuple(odd)), folder=folder)
-    assert found.verdict == "undecided" and found.reason.startswith("neither a crack of this")
-    assert "two cracks, one of another kind or elsewhere, or a wrong measurement" in found.reason
+    odd_rows = [replace(row, value=row.value * (1.1, 0.9)[row.mode % 2]) for row in rows.rows]
+    identification = fc.identify(scene, fc.Measurements(tuple(odd_rows)), folder=folder)
+    assert identification.verdict == "undecided" and identification.reason.startswith(
+        "neither a crack of this"
+    )
+    assert (
+        "two cracks, one of another kind or elsewhere, or a wrong measurement"
+        in identification.reason
+    )
 
 
 @pytest.mark.nightly
 def test_one_wrong_measurement(scene: fc.Scene, folder: Path) -> None:
     """Is named where no crack explains them all; frequencies that are said to be known better than
     they can be are said."""
-    plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
+    plain_rows = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
     rows = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4)).rows
-    wrong = [replace(row, value=row.value * (0.97 if row.mode == 3 else 1.0)) for row in rows]
-    found = fc.identify(scene, fc.Measurements(tuple(wrong)) + before(plain), folder=folder)
-    [said] = found.warnings
-    total, left = re.findall(
-        r"chi\^2 = (\S+) of 10, (\S+) without frequency_bilinear of mode 3", said
+    wrong_rows = [replace(row, value=row.value * (0.97 if row.mode == 3 else 1.0)) for row in rows]
+    identification = fc.identify(
+        scene, fc.Measurements(tuple(wrong_rows)) + before(plain_rows), folder=folder
+    )
+    [warning_text] = identification.warnings
+    total, remaining_misfit = re.findall(
+        r"chi\^2 = (\S+) of 10, (\S+) without frequency_bilinear of mode 3", warning_text
     )[0]
-    assert float(left) < 0.1 * float(total) and found.verdict == "undecided"
-    sure = [replace(row, deviation=1e-3) for row in (plain + before(plain)).rows]
-    found = fc.identify(scene, fc.Measurements(tuple(sure)), folder=folder)
-    hertz = f"{1e-3 * sure[0].value:.3g} Hz"
-    assert found.warnings[0].endswith(f"if a relative one is meant, it is {hertz}")
+    assert float(remaining_misfit) < 0.1 * float(total) and identification.verdict == "undecided"
+    sure_rows = [replace(row, deviation=1e-3) for row in (plain_rows + before(plain_rows)).rows]
+    identification = fc.identify(scene, fc.Measurements(tuple(sure_rows)), folder=folder)
+    hertz = f"{1e-3 * sure_rows[0].value:.3g} Hz"
+    assert identification.warnings[0].endswith(f"if a relative one is meant, it is {hertz}")
 
 
 @pytest.mark.nightly
 def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
     """Are not one crack, of which these frequencies are so far off as chance has them in one of 200
     measurements."""
-    one = '{ edge = "left", height = 0.1, length = 0.02 }'
+    crack_text = '{ edge = "left", height = 0.1, length = 0.02 }'
     two = '{ edge = "left", height = 0.097, length = 0.0155 }, '
     two += '{ edge = "left", height = 0.048, length = 0.0231 }'
-    both = PLATE.split("[identify]")[0].replace(f"crack = {one}", f"cracks = [{two}]")
-    rows = natural_of(measured(fc.Scene.from_text(both), {}, 5)).rows
-    whole = before(measured(scene, {"crack": None, "contact": None}, 4)).rows
+    two_crack_text = PLATE.split("[identify]")[0].replace(
+        f"crack = {crack_text}", f"cracks = [{two}]"
+    )
+    rows = natural_of(measured(fc.Scene.from_text(two_crack_text), {}, 5)).rows
+    uncracked_rows = before(measured(scene, {"crack": None, "contact": None}, 4)).rows
     for count in (3, 5):
-        made = fc.Measurements((*rows[:count], *whole[:count]))
-        found = fc.identify(scene, made, folder=folder)
-        assert found.verdict == "undecided" and 1e-3 * (count == 3) < found.misfit[1] < 0.01
+        measurements = fc.Measurements((*rows[:count], *uncracked_rows[:count]))
+        identification = fc.identify(scene, measurements, folder=folder)
+        assert (
+            identification.verdict == "undecided"
+            and 1e-3 * (count == 3) < identification.misfit[1] < 0.01
+        )
 
 
 @pytest.mark.nightly
@@ -640,14 +728,14 @@ def test_as_few_modes_as_two_cracks_have_unknowns(scene: fc.Scene, folder: Path)
     """Let a crack be claimed, and where only if it is one, in the same sentence; more do not need
     that."""
     rows = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1)).rows
-    whole = before(measured(scene, {"crack": None, "contact": None}, 4)).rows
+    uncracked_rows = before(measured(scene, {"crack": None, "contact": None}, 4)).rows
     for count in (4, 5):
-        made = fc.Measurements((*rows[:count], *whole[:count]))
-        found = fc.identify(scene, made, folder=folder)
-        assert found.verdict == "crack"
+        measurements = fc.Measurements((*rows[:count], *uncracked_rows[:count]))
+        identification = fc.identify(scene, measurements, folder=folder)
+        assert identification.verdict == "crack"
         few = count == 4
-        assert ("two of them, or one elsewhere, may have the same" in found.reason) == few
-        assert ("IF IT IS ONE CRACK" in repr(found)) == few
+        assert ("two of them, or one elsewhere, may have the same" in identification.reason) == few
+        assert ("IF IT IS ONE CRACK" in repr(identification)) == few
 
 
 @pytest.mark.nightly
@@ -657,46 +745,46 @@ def test_intervals_that_the_bounds_cut(
 ) -> None:
     """Are said, though the best estimate is not at the bound."""
     rows = measured(scene, {"crack.length": 0.03, "crack.height": height}, 2)
-    found = fc.identify(scene, natural_of(rows), folder=folder)
-    said = [text for text in found.warnings if "outside the bounds of the search" in text]
-    assert len(said) == cut and all("above" in text for text in said)
-    assert 0.03 < found.posterior.best_words_and_unknowns[1][1] < 0.15
+    identification = fc.identify(scene, natural_of(rows), folder=folder)
+    bound_warnings = [
+        text for text in identification.warnings if "outside the bounds of the search" in text
+    ]
+    assert len(bound_warnings) == cut and all("above" in text for text in bound_warnings)
+    assert 0.03 < identification.posterior.best_words_and_unknowns[1][1] < 0.15
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "kHz"), (1e3, "mHz")])
 def test_loads_in_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) -> None:
     """Are named, before anything is solved."""
     rows = measured(scene, {"crack.length": 0.02}, 1).rows
-    wrong = [one if one.natural else replace(one, frequency=factor * 700.0) for one in rows]
-    words = (
-        rf"{wrong[-1].frequency:g} Hz.*the scene has 700 Hz, so that this seems to be in {unit}$"
-    )
+    wrong_rows = [row if row.natural else replace(row, frequency=factor * 700.0) for row in rows]
+    words = rf"{factor * 700.0:g} Hz.*the scene has 700 Hz, so that this seems to be in {unit}$"
     with pytest.raises(fc.InputError, match=words):
-        fc.identify(scene, fc.Measurements(tuple(wrong)), folder=folder / "nothing")
+        fc.identify(scene, fc.Measurements(tuple(wrong_rows)), folder=folder / "nothing")
 
 
 def test_one_frequency_in_another_unit_of_an_unknown_plate(scene: fc.Scene, folder: Path) -> None:
     """No plate has one frequency alone that is a thousandth of the scene's."""
     rows = natural_of(measured(scene, {"crack.length": 0.02}, 1)).rows
-    one = (*rows[:2], replace(rows[2], value=1e-3 * rows[2].value), *rows[3:])
+    mistyped_rows = (*rows[:2], replace(rows[2], value=1e-3 * rows[2].value), *rows[3:])
     unknown = {
         key: [(0.8 + 0.1 * k) * middle for k in range(4)]
         for key, middle in (("crack.length", 0.02), ("material.young", 2.1e11))
     }
     with pytest.raises(fc.InputError, match=f"{rows[2].name}.*seems to be in kHz"):
-        fc.identify(scene, fc.Measurements(one), unknown, folder=folder / "nothing")
+        fc.identify(scene, fc.Measurements(mistyped_rows), unknown, folder=folder / "nothing")
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(2.0 * np.pi, "rad/s"), (1e-3, "kHz"), (1e3, "mHz")])
 def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) -> None:
     """Are recognised, before anything is solved."""
     rows = natural_of(measured(scene, {"crack.length": 0.02}, 1))
-    wrong = [replace(row, value=factor * row.value, deviation=factor) for row in rows.rows]
+    wrong_rows = [replace(row, value=factor * row.value, deviation=factor) for row in rows.rows]
     with pytest.raises(fc.InputError, match=f"must be in Hz; .*seems to be in {unit}$"):
-        fc.identify(scene, fc.Measurements(tuple(wrong)), folder=folder / "nothing")
-    one = (replace(rows.rows[0], value=factor * rows.rows[0].value), *rows.rows[1:])
+        fc.identify(scene, fc.Measurements(tuple(wrong_rows)), folder=folder / "nothing")
+    mistyped_rows = (replace(rows.rows[0], value=factor * rows.rows[0].value), *rows.rows[1:])
     with pytest.raises(fc.InputError, match=rf"seems to be in {unit}, or of another mode$"):
-        fc.identify(scene, fc.Measurements(one), folder=folder / "nothing")
+        fc.identify(scene, fc.Measurements(mistyped_rows), folder=folder / "nothing")
     assert not (folder / "nothing").exists()
 
 
@@ -704,11 +792,13 @@ def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) ->
 def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
     """With little information the estimate is within its own intervals, which are narrower of a
     smaller probability; the key of that and the priors are in the result."""
-    one = fc.Measurements(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1).rows[:1])
-    found = fc.identify(scene, one, folder=folder)
-    half = fc.identify(scene.replace({"identify.confidence": 0.5}), one, folder=folder)
-    for key, (low, high) in found.intervals.items():
-        assert low < found.estimate[key] < high
+    measurements = fc.Measurements(
+        measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1).rows[:1]
+    )
+    identification = fc.identify(scene, measurements, folder=folder)
+    half = fc.identify(scene.replace({"identify.confidence": 0.5}), measurements, folder=folder)
+    for key, (low, high) in identification.intervals.items():
+        assert low < identification.estimate[key] < high
         assert low < half.intervals[key][0] < half.intervals[key][1] < high
     assert (half.priors["confidence"], half.priors["young_deviation"]) == (0.5, 0.03)
 
@@ -716,31 +806,37 @@ def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
 def test_command(scene: fc.Scene, folder: Path, tmp_path: Path, run_command: RunCommand) -> None:
     """The table, the files and the picture; from the sweeps that are there it takes seconds."""
     measured(scene, {"crack.length": 0.015, "crack.height": 0.11}, 1).to_csv(tmp_path / "m.csv")
-    few = {"crack.length": [0.01, 0.014, 0.018, 0.022]}
-    plate = scene.replace({"identify.unknown": few, "crack.height": 0.11})
+    few_lengths = {"crack.length": [0.01, 0.014, 0.018, 0.022]}
+    plate = scene.replace({"identify.unknown": few_lengths, "crack.height": 0.11})
     words = ["identify", plate, tmp_path / "m.csv", "--output", folder]
-    printed = run_command(*words, "--pictures", "svg")
-    assert printed.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
-    closing = printed.err.strip().splitlines()[-1]
-    assert closing.startswith("crack; crack length ") and "; log Bayes factor" in closing
-    assert "next to measure: " in printed.err
+    process = run_command(*words, "--pictures", "svg")
+    assert process.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
+    last_line = process.err.strip().splitlines()[-1]
+    assert last_line.startswith("crack; crack length ") and "; log Bayes factor" in last_line
+    assert "next to measure: " in process.err
     summary = json.loads((folder / "identify.json").read_text())
     assert summary["verdict"] == "crack"
     assert summary["estimate"]["crack.length"] == pytest.approx(0.015, abs=0.003)
-    made = {"identify.h5", "posterior.png", "posterior.svg", "fit.csv", "where_to_measure.csv"}
-    assert made <= {path.name for path in folder.iterdir()}
-    with ExitStack() as held:  # by another call at this moment
+    expected_files = {
+        "identify.h5",
+        "posterior.png",
+        "posterior.svg",
+        "fit.csv",
+        "where_to_measure.csv",
+    }
+    assert expected_files <= {path.name for path in folder.iterdir()}
+    with ExitStack() as exit_stack:  # by another call at this moment
         for path in folder.glob("*_*.h5"):
-            fcntl.flock(held.enter_context(path.open("rb")), fcntl.LOCK_EX)
+            fcntl.flock(exit_stack.enter_context(path.open("rb")), fcntl.LOCK_EX)
         run_command(*words)
 
 
 def command_of_one_unknown(folder: Path) -> list[str]:
     """The words of a command for one unknown and a frequency; its results are in "out"."""
-    few = {"crack.length": [0.01, 0.018, 0.026, 0.034]}
-    plain = fc.Scene.from_text(PLATE)
-    plain = plain.replace(EXACT | {"identify.unknown": few, "output": None})
-    (folder / "plate.toml").write_text(plain.as_toml())
+    few_lengths = {"crack.length": [0.01, 0.018, 0.026, 0.034]}
+    plain_scene = fc.Scene.from_text(PLATE)
+    plain_scene = plain_scene.replace(EXACT | {"identify.unknown": few_lengths, "output": None})
+    (folder / "plate.toml").write_text(plain_scene.as_toml())
     rows = fc.Measurements.from_arrays("frequency_open", [1700.0], 2.0, mode=[1])
     rows.to_csv(folder / "m.csv")
     words = ["identify", str(folder / "plate.toml"), str(folder / "m.csv")]
@@ -754,29 +850,31 @@ def test_up_to_which_length_there_may_be_a_crack(tmp_path: Path, run_command: Ru
     scene = fc.Scene.load(words[1]).replace({"crack.length": 0.002, "mesh.lip_elements": 2})
     hertz = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0]) / (2.0 * np.pi)
     fc.Measurements.from_arrays("frequency_open", [hertz], 5.0, mode=[1]).to_csv(words[2])
-    said = re.search(r"no crack above ([\d.]+) mm of crack length; log", run_command(*words).err)
-    assert said is not None and bounds[0] < 1e-3 * float(said[1]) < bounds[1]
-    found = json.loads((tmp_path / "out" / "identify.json").read_text("utf-8"))
-    assert found["conclusion"] == f"no crack above {said[1]} mm of crack length"
+    match = re.search(r"no crack above ([\d.]+) mm of crack length; log", run_command(*words).err)
+    assert match is not None and bounds[0] < 1e-3 * float(match[1]) < bounds[1]
+    summary = json.loads((tmp_path / "out" / "identify.json").read_text("utf-8"))
+    assert summary["conclusion"] == f"no crack above {match[1]} mm of crack length"
     page = tmp_path / "page.html"
     assert main(["report", str(tmp_path / "out" / "identify.h5"), "--output", str(page)]) == 0
-    assert html.escape(found["conclusion"][1:]) in page.read_text("utf-8")
+    assert html.escape(summary["conclusion"][1:]) in page.read_text("utf-8")
 
 
 @pytest.mark.nightly
 def test_beside_other_results(tmp_path: Path, run_command: RunCommand) -> None:
     """A report has what was inferred; it is refused without the picture beside its file."""
     assert main(command_of_one_unknown(tmp_path)) == 0
-    own, page = tmp_path / "out" / "identify.h5", tmp_path / "page.html"
-    picture = own.with_name("posterior.png")
+    own_path, page = tmp_path / "out" / "identify.h5", tmp_path / "page.html"
+    picture = own_path.with_name("posterior.png")
     before = picture.read_bytes()
-    report = ["report", str(own), "--output", str(page)]
-    assert main(report) == main(["plot", str(own)]) == 0 and picture.read_bytes() == before
-    found = json.loads(own.with_suffix(".json").read_text("utf-8"))
-    said = [found["reason"], *found["remarks"], *found["warnings"], *found["advice"]]
-    said += [str(row[0]) for row in found["measurements"]] + list(found["priors"])
-    assert said and all(one[1:] in html.unescape(page.read_text("utf-8")) for one in said)
-    assert main(["plot", str(own), "--pictures", "pdf"]) == 2  # which identify has not drawn
+    report = ["report", str(own_path), "--output", str(page)]
+    assert main(report) == main(["plot", str(own_path)]) == 0 and picture.read_bytes() == before
+    summary = json.loads(own_path.with_suffix(".json").read_text("utf-8"))
+    all_texts = [summary["reason"], *summary["remarks"], *summary["warnings"], *summary["advice"]]
+    all_texts += [str(row[0]) for row in summary["measurements"]] + list(summary["priors"])
+    assert all_texts and all(
+        text[1:] in html.unescape(page.read_text("utf-8")) for text in all_texts
+    )
+    assert main(["plot", str(own_path), "--pictures", "pdf"]) == 2  # which identify has not drawn
     for beside in ("link", "text", "nothing"):
         picture.unlink(missing_ok=True)
         if beside == "link":  # of somebody else's folder, to any picture of mine
@@ -784,7 +882,7 @@ def test_beside_other_results(tmp_path: Path, run_command: RunCommand) -> None:
             picture.symlink_to(tmp_path / "mine.png")
         elif beside == "text":
             picture.write_text("no picture")
-        for command in (["plot", str(own)], report):
+        for command in (["plot", str(own_path)], report):
             assert "must be with posterior.png in its folder" in run_command(*command, code=2).err
 
 
@@ -802,8 +900,8 @@ def test_crack_from_frequency_responses(
         waves = []
         for omega in np.split(grid, 2):
             if study.contact is None:
-                every = [fc.solve_linear(study.structure, one) for one in omega]
-                waves += [one.coefficients_at([dof])[1:3, 0] for one in every]
+                solutions = [fc.solve_linear(study.structure, one) for one in omega]
+                waves += [one.coefficients_at([dof])[1:3, 0] for one in solutions]
             else:
                 curve = fc.continue_frequency(
                     study.structure, omega[0], omega[-1], study.contact, harmonics=5
@@ -815,15 +913,21 @@ def test_crack_from_frequency_responses(
         return universal_file(path, grid / (2.0 * np.pi), (cosine - 1j * sine)[None], **form)
 
     crack = {"crack.length": 0.025, "crack.height": 0.07}
-    measured = file_of(crack, folder / "measured.uff")
-    before = file_of({"crack": None, "contact": None}, folder / "before.uff")
+    measured_path = file_of(crack, folder / "measured.uff")
+    earlier_path = file_of({"crack": None, "contact": None}, folder / "before.uff")
     (folder / "plate.toml").write_text(PLATE)
-    command = ["identify", str(folder / "plate.toml"), str(measured), "--before", str(before)]
+    command = [
+        "identify",
+        str(folder / "plate.toml"),
+        str(measured_path),
+        "--before",
+        str(earlier_path),
+    ]
     words = run_command(*command, "--output", folder, code=2).err
     assert "frequency_uncracked of mode 2 = 68" in words and "its mode 3 has" in words
-    rows = fc.Measurements.read(measured)
+    rows = fc.Measurements.read(measured_path)
     assert [row.mode for row in rows.rows] == [1, 2, 3]
-    rows += fc.Measurements.from_responses(before, [1, 3], quantity="frequency_uncracked")
-    found = fc.identify(scene, rows, folder=folder)
-    assert found.verdict == "crack" and found.contains(crack)
-    assert found.estimate["crack.length"] == pytest.approx(0.025, abs=0.006)
+    rows += fc.Measurements.from_responses(earlier_path, [1, 3], quantity="frequency_uncracked")
+    identification = fc.identify(scene, rows, folder=folder)
+    assert identification.verdict == "crack" and identification.contains(crack)
+    assert identification.estimate["crack.length"] == pytest.approx(0.025, abs=0.006)

@@ -46,9 +46,9 @@ def test_errors_at_nodes_left_out() -> None:
     line = np.linspace(0.0, 1.0, 8) ** 1.3
     errors = compute_leave_one_out_errors(line, np.column_stack([line**3 - line, line**5]))
     np.testing.assert_allclose(errors[:, 0], 0.0, atol=1e-13)
-    others = np.delete(line, 3)
-    expected = line[3] ** 5 - CubicSpline(others, others**5)(line[3])
-    assert errors[3, 1] == pytest.approx(expected, rel=1e-9) and abs(expected) > 1e-5
+    other_nodes = np.delete(line, 3)
+    expected_error = line[3] ** 5 - CubicSpline(other_nodes, other_nodes**5)(line[3])
+    assert errors[3, 1] == pytest.approx(expected_error, rel=1e-9) and abs(expected_error) > 1e-5
     assert errors[0, 1] == errors[1, 1] and errors[-1, 1] == errors[-2, 1]
 
 
@@ -103,20 +103,24 @@ def test_what_failed_between_others() -> None:
     none of four may be spared; at an end it is said that nothing stands beyond."""
     cube = UnknownGrid((np.linspace(0.0, 3.0, 8),))
     values = np.exp(cube.nodes) * np.sin(2.0 * cube.nodes)
-    for lost in range(8):
-        found = Interpolation(cube, np.where(np.arange(8)[:, None] == lost, np.nan, values))
-        assert found.has_enough_nodes.all() and found.is_between_known.all() == (0 < lost < 7)
-        at = cube.nodes[[lost]]
-        missed = abs(found.interpolate(at) - values[lost]).item()
-        stated = np.sqrt(np.sum(found.compute_weighted_errors(at) ** 2)).item()
-        assert missed < 3.0 * stated or not found.is_between_known.all()
+    for lost_node in range(8):
+        interpolation = Interpolation(
+            cube, np.where(np.arange(8)[:, None] == lost_node, np.nan, values)
+        )
+        assert interpolation.has_enough_nodes.all() and interpolation.is_between_known.all() == (
+            0 < lost_node < 7
+        )
+        node = cube.nodes[[lost_node]]
+        true_error = abs(interpolation.interpolate(node) - values[lost_node]).item()
+        stated_error = np.sqrt(np.sum(interpolation.compute_weighted_errors(node) ** 2)).item()
+        assert true_error < 3.0 * stated_error or not interpolation.is_between_known.all()
     for count in (20, 21):
-        few = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(SQUARE, few).has_enough_nodes.all() == (count == 21)
+        few_values = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(SQUARE, few_values).has_enough_nodes.all() == (count == 21)
     four = UnknownGrid((np.linspace(0.0, 3.0, 4),))
     for count in (3, 4):
-        own = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(four, own).has_enough_nodes.all() == (count == 4)
+        own_values = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(four, own_values).has_enough_nodes.all() == (count == 4)
     holes = np.ones((42, 3))
     holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
     np.testing.assert_array_equal(
@@ -162,8 +166,8 @@ class Linear:
 
 def exact(values: np.ndarray) -> MeasurementPrediction:
     """Predictions (m, q) without an error."""
-    (m, q), known = values.shape, np.ones(values.shape[1], dtype=bool)
-    return MeasurementPrediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
+    (m, q), is_known = values.shape, np.ones(values.shape[1], dtype=bool)
+    return MeasurementPrediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), is_known)
 
 
 def test_ridge_that_is_narrower_than_the_grid() -> None:
@@ -171,19 +175,19 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
     little as of that of a bound, and not that of a thin one."""
     cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     rng = np.random.default_rng(7)
-    for deviation, resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
+    for deviation, is_resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
         model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
         likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
         posterior = Posterior({"": Branch(likelihood)})
-        assert (posterior.unresolved_probability < 0.01) == resolved
-        assert (posterior.unresolved_probability > 0.3) != resolved
+        assert (posterior.unresolved_probability < 0.01) == is_resolved
+        assert (posterior.unresolved_probability > 0.3) != is_resolved
         # Of that posterior: along the ridge both are uniform.
         y = rng.uniform(0.0, 20.0, 4000)
         x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
-        inside = (x > 0.0) & (x < 10.0)
-        heights = likelihood(np.column_stack([x, y])[inside])
-        held = np.mean(heights >= posterior.find_region_level(0.95))
-        assert (abs(held - 0.95) < 0.03) == resolved
+        is_inside = (x > 0.0) & (x < 10.0)
+        heights = likelihood(np.column_stack([x, y])[is_inside])
+        held_share = np.mean(heights >= posterior.find_region_level(0.95))
+        assert (abs(held_share - 0.95) < 0.03) == is_resolved
 
 
 def test_linear_model() -> None:
@@ -211,14 +215,16 @@ def test_linear_model() -> None:
     volume = 2.0 * math.pi * math.sqrt(np.linalg.det(covariance))
     assert posterior.log_evidence == pytest.approx(math.log(volume / 200.0), abs=0.02)
     assert [round(part[2], 2) for part in posterior.find_region_parts(0.95, 0.03)] == [0.95]
-    again = fc.Measurement("harmonic_1", 1.0, 0.1, frequency=10.0)
-    worth = rank_measurements(likelihood, truth, [again], (1e-3, 0.05))
-    more = np.linalg.inv(
+    repeated_measurement = fc.Measurement("harmonic_1", 1.0, 0.1, frequency=10.0)
+    worth = rank_measurements(likelihood, truth, [repeated_measurement], (1e-3, 0.05))
+    later_covariance = np.linalg.inv(
         weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
     )
-    assert worth.deviations["crack.length"][0] == pytest.approx(math.sqrt(more[0, 0]), rel=1e-3)
-    before = np.linalg.inv(weights.T @ weights + np.diag([0.12, 0.03]))
-    gain = 0.5 * math.log(np.linalg.det(before) / np.linalg.det(more))
+    assert worth.deviations["crack.length"][0] == pytest.approx(
+        math.sqrt(later_covariance[0, 0]), rel=1e-3
+    )
+    earlier_covariance = np.linalg.inv(weights.T @ weights + np.diag([0.12, 0.03]))
+    gain = 0.5 * math.log(np.linalg.det(earlier_covariance) / np.linalg.det(later_covariance))
     assert worth.information[0] == pytest.approx(gain, rel=1e-3)
 
 
@@ -238,9 +244,9 @@ def test_misfit_of_what_is_fitted() -> None:
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
     posterior = Posterior({"": Branch(likelihood)})
-    left = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
-    assert [one[0] for one in posterior.misfits_without_measurement] == pytest.approx(
-        left, rel=1e-3
+    remaining_misfits = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
+    assert [misfit[0] for misfit in posterior.misfits_without_measurement] == pytest.approx(
+        remaining_misfits, rel=1e-3
     )
 
 
@@ -261,16 +267,16 @@ def test_picture_of_one_unknown() -> None:
     for key, middle, sigma in (("crack.length", 0.03, 1e-3), ("crack.height", 0.08, 4e-3)):
         [panel] = fc.draw_posterior(found, key).axes
         x, density = np.transpose(panel.lines[0].get_xydata())
-        near = np.abs(x - middle) < 3.0 * sigma
-        expected = np.exp(-0.5 * ((x - middle) / sigma) ** 2)
-        assert near.sum() > 10
-        np.testing.assert_allclose(density[near], expected[near], atol=0.02)
-        shaded = panel.collections[0].get_paths()[0].vertices[:, 0]
-        assert np.ptp(shaded) == pytest.approx(2.0 * 1.96 * sigma, rel=0.05)
+        is_near = np.abs(x - middle) < 3.0 * sigma
+        expected_density = np.exp(-0.5 * ((x - middle) / sigma) ** 2)
+        assert is_near.sum() > 10
+        np.testing.assert_allclose(density[is_near], expected_density[is_near], atol=0.02)
+        shaded_x = panel.collections[0].get_paths()[0].vertices[:, 0]
+        assert np.ptp(shaded_x) == pytest.approx(2.0 * 1.96 * sigma, rel=0.05)
         assert panel.get_xlabel() in ("crack length [mm]", "height of the crack [mm]")
-    for wrong in (("crack.length", "crack.length"), ("crack.depth",)):
+    for wrong_keys in (("crack.length", "crack.length"), ("crack.depth",)):
         with pytest.raises(fc.InputError, match="one or two different ones of "):
-            fc.draw_posterior(found, *wrong)
+            fc.draw_posterior(found, *wrong_keys)
 
 
 class Advised(Linear):
@@ -295,14 +301,16 @@ def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     rows = (fc.Measurement("frequency_open", 100.0, 0.1, 1),) * 2
     model = Advised(matrix, offset, cube, rows=rows)
     likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
-    more, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
-    said = list_advice(likelihood, x, rank_measurements(likelihood, x, [more], (1e-3, 0.05)))
-    assert len(said) == (2 if slope else 0)
-    for text in said:
+    more_measurement, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
+    advice_text = list_advice(
+        likelihood, x, rank_measurements(likelihood, x, [more_measurement], (1e-3, 0.05))
+    )
+    assert len(advice_text) == (2 if slope else 0)
+    for text in advice_text:
         assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
     now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
     left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
-    [*_, text] = list_advice(likelihood, x, Worth((more,), np.ones(1), left, now))
+    [*_, text] = list_advice(likelihood, x, Worth((more_measurement,), np.ones(1), left, now))
     assert text == "frequency_tied of mode 1: height of the crack to 1 mm in place of 2 mm"
 
 
@@ -324,8 +332,8 @@ class Even(Linear):
 def test_two_that_cannot_be_told_apart() -> None:
     """Both are reported, each with half of the probability."""
     cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
-    even = Even(np.zeros((2, 2)), np.zeros(2), cube)
-    likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even)  # type: ignore[arg-type]
+    even_likelihood = Even(np.zeros((2, 2)), np.zeros(2), cube)
+    likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even_likelihood)  # type: ignore[arg-type]
     parts = Posterior({"": Branch(likelihood)}).find_region_parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
@@ -343,45 +351,59 @@ def test_soft_clamps() -> None:
     }  # fmt: skip
     scene = fc.Scene.from_text(identification.SCENE)
     table = scene.given("identify")
-    found = UncrackedPlate(
+    frequency_deviations = UncrackedPlate(
         scene.replace(changes | {"identify": None}), table
     ).compute_baseline_sensitivities(1.0)[0]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
-        bending = found[:3, column]
+        bending = frequency_deviations[:3, column]
         np.testing.assert_allclose(bending / bending[0], expected, rtol=0.03)
-    assert np.hypot(*found[0, :2]) == pytest.approx(table.before_deviation, rel=1e-12)
+    assert np.hypot(*frequency_deviations[0, :2]) == pytest.approx(
+        table.before_deviation, rel=1e-12
+    )
 
 
 def test_units_at_other_speeds() -> None:
     """At 9000 rpm a blade has 1.3 times the frequency of 3000: no other unit, and no other mode. A
     stiffer material moves what is elastic alone, by half of it: at rest all."""
     scene = fc.Scene.from_text(SPINNING)
-    plain = scene.replace({"identify": None, "crack": None, "contact": None})
+    plain_scene = scene.replace({"identify": None, "crack": None, "contact": None})
 
     def hertz(**rotor: float | None) -> float:
-        turning = {f"rotation.{key}": one for key, one in rotor.items()}
-        structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
+        rotor_settings = {f"rotation.{key}": rotor_value for key, rotor_value in rotor.items()}
+        structure = fc.build_structure(
+            plain_scene.replace(rotor_settings) if rotor else plain_scene.at_rest()
+        )
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
-    whole, fast = UncrackedPlate(plain, scene.given("identify")), hertz(rpm=9000.0)
-    assert fast > 1.3 * whole.natural_frequencies[0]
+    whole_model, fast = UncrackedPlate(plain_scene, scene.given("identify")), hertz(rpm=9000.0)
+    assert fast > 1.3 * whole_model.natural_frequencies[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
-    whole.check_units_and_modes(fc.Measurements((row,)), [], may_be_other_plate=False)
+    whole_model.check_units_and_modes(fc.Measurements((row,)), [], may_be_other_plate=False)
     with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
-        wrong = replace(row, value=2.0 * np.pi * fast)
-        whole.check_units_and_modes(fc.Measurements((wrong,)), [], may_be_other_plate=False)
+        wrong_row = replace(row, value=2.0 * np.pi * fast)
+        whole_model.check_units_and_modes(
+            fc.Measurements((wrong_row,)), [], may_be_other_plate=False
+        )
     young = 0.5 * scene.given("identify").young_deviation
-    still, own, faster = (whole.compute_prior_sensitivities(one)[0, 0] for one in (0.0, 1.0, 3.0))
-    assert still == pytest.approx(young)
-    assert own == pytest.approx(young * (hertz() / hertz(rpm=3000.0)) ** 2, rel=0.01)
+    change_at_rest, own_change, faster = (
+        whole_model.compute_prior_sensitivities(speed)[0, 0] for speed in (0.0, 1.0, 3.0)
+    )
+    assert change_at_rest == pytest.approx(young)
+    assert own_change == pytest.approx(young * (hertz() / hertz(rpm=3000.0)) ** 2, rel=0.01)
     assert faster == pytest.approx(young * (hertz() / fast) ** 2, rel=0.01)
     # Of another modulus at another speed: all of the change to 1 %, at 0 that of the root.
-    softer = plain.replace({"material.young": 0.98 * plain.material.young, "rotation.rpm": 9000.0})
+    softer = plain_scene.replace(
+        {"material.young": 0.98 * plain_scene.material.young, "rotation.rpm": 9000.0}
+    )
     changed = fc.solve_modes(fc.build_structure(softer), 1).omega[0] / (2.0 * np.pi * fast) - 1.0
-    assert whole.compute_stiffening_factors(3.0, 0.98)[0] - 1.0 == pytest.approx(changed, rel=0.01)
-    assert whole.compute_stiffening_factors(0.0, 0.98)[0] == pytest.approx(np.sqrt(0.98), rel=1e-9)
+    assert whole_model.compute_stiffening_factors(3.0, 0.98)[0] - 1.0 == pytest.approx(
+        changed, rel=0.01
+    )
+    assert whole_model.compute_stiffening_factors(0.0, 0.98)[0] == pytest.approx(
+        np.sqrt(0.98), rel=1e-9
+    )
 
 
 PASSED = fc.PassageFit(
@@ -413,13 +435,13 @@ def test_modes_of_resonances(
     """That between whose frequencies with lips open and tied one is, or to a tenth; and why none is
     used."""
     fit = replace(PASSED, **changes)
-    both = 1500.0 * np.array([opened, tied])
-    diagram: Any = SimpleNamespace(between=lambda speed: both)
+    frequencies = 1500.0 * np.array([opened, tied])
+    diagram: Any = SimpleNamespace(between=lambda speed: frequencies)
     mode, said = match_mode(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
     words = describe_passage(fit, mode, said)
-    where = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
-    assert words == (f"not used: {where} ({said})" if why else f"mode 1: {where}")
+    message_text = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
+    assert words == (f"not used: {message_text} ({said})" if why else f"mode 1: {message_text}")
 
 
 @pytest.mark.parametrize(
@@ -474,11 +496,11 @@ def test_displacements_whatever_the_load_is() -> None:
     passages = ProbeDisplacements(range(12), made, [])
     both = np.stack([wave, wave * [1, 2, 1, 1, 1, 1]])
     values, turns, free, _ = passages.fit_harmonics(both)
-    left = np.abs(values - [row.value for row in made])
-    assert left[0].max() < 1e-9 and left[1].max() > 1e-6
-    more = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
+    errors = np.abs(values - [row.value for row in made])
+    assert errors[0].max() < 1e-9 and errors[1].max() > 1e-6
+    steps = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
     expected = [motion(wave, 1.7 * 1.001, 2.5), motion(wave, 1.7, 2.501)]
-    for place, (step, after) in enumerate(zip(more, expected, strict=False)):
+    for place, (step, after) in enumerate(zip(steps, expected, strict=False)):
         scale = (1.0 / 1.7, np.pi / np.sqrt(3.0))[place]
         difference = (after - motion(wave, 1.7, 2.5)) / step
         size = np.abs(difference).max()
@@ -505,31 +527,31 @@ def test_arrivals_become_displacements(tmp_path: Path) -> None:
     u = motion(angles)
     time = marks[:-1, None] + angles / speed + 2e-8 * rng.normal(size=angles.shape)
     arrivals = fc.ArrivalTimes(time, marks, probes, radius)
-    found = fc.Measurements.from_arrivals(arrivals, order, "tip.ux")
-    for row, angle, value in zip(found.rows, angles[0], u[0], strict=True):
+    measurements = fc.Measurements.from_arrivals(arrivals, order, "tip.ux")
+    for row, angle, value in zip(measurements.rows, angles[0], u[0], strict=True):
         assert row.deviation == pytest.approx(2e-8 * radius * speed / math.sqrt(50.0), rel=0.2)
         assert abs(row.value - value) < 4.0 * row.deviation
         assert row.phase == pytest.approx(order * angle % (2.0 * np.pi), abs=1e-5)
         assert row.frequency == pytest.approx(400.0 / (2.0 * np.pi)) and row.point == "tip.ux"
-    wrong = time.copy()
-    wrong[[7, 20], 2] -= 2e-5  # another blade, or a pulse of something else
-    beside = fc.Measurements.from_arrivals(replace(arrivals, time=wrong), order)
-    for row, value in zip(beside.rows, u[0], strict=True):
-        assert row.deviation < 1.5 * found.rows[0].deviation
+    wrong_time = time.copy()
+    wrong_time[[7, 20], 2] -= 2e-5  # another blade, or a pulse of something else
+    skewed_measurements = fc.Measurements.from_arrivals(replace(arrivals, time=wrong_time), order)
+    for row, value in zip(skewed_measurements.rows, u[0], strict=True):
+        assert row.deviation < 1.5 * measurements.rows[0].deviation
         assert abs(row.value - value) < 4.0 * row.deviation
-    found.to_csv(tmp_path / "m.csv")
-    assert str(fc.Measurements.from_csv(tmp_path / "m.csv").rows) == str(found.rows)
-    [other, *_] = fc.Measurements.from_arrivals(
+    measurements.to_csv(tmp_path / "m.csv")
+    assert str(fc.Measurements.from_csv(tmp_path / "m.csv").rows) == str(measurements.rows)
+    [other_row, *_] = fc.Measurements.from_arrivals(
         arrivals, order, against=True, noise=1e-6, angle_deviation=1e-5
     ).rows
-    assert other.value == -found.rows[0].value
-    expected = radius * math.hypot(1e-6 * speed / math.sqrt(50.0), 1e-5)
-    assert other.deviation == pytest.approx(expected)
+    assert other_row.value == -measurements.rows[0].value
+    expected_deviation = radius * math.hypot(1e-6 * speed / math.sqrt(50.0), 1e-5)
+    assert other_row.deviation == pytest.approx(expected_deviation)
     with pytest.raises(fc.InputError, match="noise is missing: must be given"):
         fc.Measurements.from_arrivals(arrivals.between(3, 4), order)
     with pytest.raises(fc.InputError, match="those of 4 probes or more"):
-        few = fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius)
-        fc.Measurements.from_arrivals(few, order)
+        few_arrivals = fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius)
+        fc.Measurements.from_arrivals(few_arrivals, order)
     with pytest.raises(fc.InputError, match="those of a constant speed"):
         fc.Measurements.from_arrivals(
             fc.ArrivalTimes(time[:3], np.array([0.0, 0.06, 0.13, 0.19]), probes, radius), order
@@ -542,15 +564,17 @@ def test_displacements_of_few_revolutions_have_true_errors(revolutions: int) -> 
     and 1.16, of tails that few arrivals have by chance, and of a scatter that they hardly tell."""
     probes, radius, speed, order = np.radians([10.0, 95.0, 200.0, 310.0]), 0.5, 100.0, 4
     marks = 2.0 * np.pi / speed * np.arange(revolutions + 1)
-    targets, off = probes + np.zeros((revolutions, 1)), []
+    targets, errors = probes + np.zeros((revolutions, 1)), []
     angles = passing_angles(targets, lambda angle: 1e-4 * np.cos(order * angle), radius)
     u = 1e-4 * np.cos(order * angles)
     for seed in range(100):
         noise = 2e-8 * np.random.default_rng(seed).normal(size=angles.shape)
         arrivals = fc.ArrivalTimes(marks[:-1, None] + angles / speed + noise, marks, probes, radius)
         rows = fc.Measurements.from_arrivals(arrivals, order).rows
-        off += [(row.value - value) / row.deviation for row, value in zip(rows, u[0], strict=True)]
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.1)
+        errors += [
+            (row.value - value) / row.deviation for row, value in zip(rows, u[0], strict=True)
+        ]
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.1)
 
 
 # --- measurements ---------------------------------------------------------------------------------
@@ -576,18 +600,20 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
     assert str(found.rows) == str(fc.Measurements.from_csv(path).rows)  # nan is not equal to nan
     arrays = fc.Measurements.from_arrays("frequency_bilinear", [841.1], 0.8, mode=[1])
     assert str(arrays.rows[0]) == str(found.rows[0])
-    own = fc.Measurements.from_arrays("frequency_open", [841.1, 5e3], 0.8, mode=np.array([1, 2]))
-    assert [row.mode for row in own.rows] == [1, 2]
+    own_measurements = fc.Measurements.from_arrays(
+        "frequency_open", [841.1, 5e3], 0.8, mode=np.array([1, 2])
+    )
+    assert [row.mode for row in own_measurements.rows] == [1, 2]
 
 
 def test_phases_in_degrees() -> None:
     """Are refused, and written as they should be."""
-    given = {"frequency": 100.0, "point": "tip.ux"}
-    fc.Measurement("displacement", -1e-5, 1e-7, phase=-2.0, **given)  # type: ignore[arg-type]
+    columns = {"frequency": 100.0, "point": "tip.ux"}
+    fc.Measurement("displacement", -1e-5, 1e-7, phase=-2.0, **columns)  # type: ignore[arg-type]
     with pytest.raises(
         fc.InputError, match=r"phase = 90.0: .* 0 to 2 pi; in degrees\? then 1.5708"
     ):
-        fc.Measurement("displacement", -1e-5, 1e-7, phase=90.0, **given)  # type: ignore[arg-type]
+        fc.Measurement("displacement", -1e-5, 1e-7, phase=90.0, **columns)  # type: ignore[arg-type]
 
 
 HEAD = TABLE.split("frequency_bilinear")[0]
@@ -639,15 +665,17 @@ def test_harmonics_that_the_model_does_not_have() -> None:
     """A ratio of the third one is none of a scene with two; with a tolerance, which may choose two
     for a case, it is not, either. A displacement is compared with what there is."""
     scene = fc.Scene.from_text(identification.SCENE).replace({"harmonic_balance.harmonics": 2})
-    where = {"frequency": 700.0, "point": "tip.ux"}
-    third = fc.Measurement("ratio_3_1", 1e-3, 1e-4, **where)
-    for changed in (scene, scene.replace({"harmonic_balance.tolerance": 0.01})):
+    columns = {"frequency": 700.0, "point": "tip.ux"}
+    third = fc.Measurement("ratio_3_1", 1e-3, 1e-4, **columns)
+    for changed_scene in (scene, scene.replace({"harmonic_balance.tolerance": 0.01})):
         for row in (third, replace(third, quantity="harmonic_3")):
             with pytest.raises(fc.InputError) as error:
-                fc.Measurements((row,)).check(changed)
-            said = f"harmonic_balance.harmonics = 2: must be at least 3 for {row.quantity}"
-            assert str(error.value) == said
-    fits = [fc.Measurement("ratio_2_1", 1e-3, 1e-4, **where), *displaced(np.zeros(1), np.ones(1))]
+                fc.Measurements((row,)).check(changed_scene)
+            expected_message = (
+                f"harmonic_balance.harmonics = 2: must be at least 3 for {row.quantity}"
+            )
+            assert str(error.value) == expected_message
+    fits = [fc.Measurement("ratio_2_1", 1e-3, 1e-4, **columns), *displaced(np.zeros(1), np.ones(1))]
     fc.Measurements(tuple(fits)).check(scene)
     fc.Measurements((third,)).check(scene.replace({"harmonic_balance.harmonics": 3}))
 
@@ -661,12 +689,12 @@ def test_remark_on_the_size_of_the_load() -> None:
     row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
     assert list_measurement_remarks(scene, fc.Measurements((row,))) == ()
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
-        changed = scene.replace({key: value})
-        [remark] = list_measurement_remarks(changed, fc.Measurements((row,)))
+        changed_scene = scene.replace({key: value})
+        [remark] = list_measurement_remarks(changed_scene, fc.Measurements((row,)))
         assert remark.startswith("a clearance or a steady load")
         assert (
             list_measurement_remarks(
-                changed, fc.Measurements((replace(row, quantity="harmonic_1"),))
+                changed_scene, fc.Measurements((replace(row, quantity="harmonic_1"),))
             )
             == ()
         )
@@ -685,30 +713,30 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
         modes = fc.solve_modes(fc.build_structure(scene.replace(changes)), 4)
         return np.log(modes.omega)
 
-    changed = []
+    log_changes = []
     for side in (1.0, -1.0):
         path = tmp_path / "inclined.msh"
         identification.inclined_mesh(np.array([length, height]), side * 10.0, path)
         tilted = logs(files | {"mesh.file": str(path)})
         straight = logs({"crack.length": length, "crack.height": height + side * rise * length})
-        changed.append((side * tilted, side * straight))
-    tilted, straight = np.sum(changed, axis=0)
+        log_changes.append((side * tilted, side * straight))
+    tilted, straight = np.sum(log_changes, axis=0)
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    spread = compute_crack_deviations(
+    deviations = compute_crack_deviations(
         np.array([[length, height]]), ("crack.length", "crack.height"), scene
     )
-    assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
+    assert deviations[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
 
 
 def test_tables_of_spreadsheets(tmp_path: Path) -> None:
     """Semicolons, tabs, decimal commas, numbered rows and other units: the same measurements."""
     (path := tmp_path / "table.csv").write_text(TABLE)
     rows, lines = fc.Measurements.from_csv(path).rows, TABLE.splitlines()[1:]
-    numbered = [",".join(pair) for pair in zip(["", "0", "1"], lines, strict=True)]
+    numbered_lines = [",".join(pair) for pair in zip(["", "0", "1"], lines, strict=True)]
     for text in (
         "\n".join(lines).replace(",", ";").replace("0.", "0,").replace("841.", "841,"),
         "\n".join(lines).replace(",", "\t"),
-        "\n".join(numbered).replace("[Hz]", "(kHz)").replace("250", "0.25"),
+        "\n".join(numbered_lines).replace("[Hz]", "(kHz)").replace("250", "0.25"),
     ):
         path.write_text(text)
         assert str(fc.Measurements.from_csv(path).rows) == str(rows)
@@ -743,8 +771,8 @@ def test_stops_at_ctrl_c(
         record(*arguments)
 
     wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
-    said = run_command(*little, code=3).err
-    assert "fenics-crack: identification was stopped; the same command goes on" in said
+    messages = run_command(*little, code=3).err
+    assert "fenics-crack: identification was stopped; the same command goes on" in messages
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
     left = 1
@@ -788,22 +816,22 @@ def test_cases_that_failed(
         {"identify.unknown": {"crack.length": [0.01, 0.015, 0.02, 0.025, 0.03]}}
     )
     (tmp_path / "plate.toml").write_text(scene.as_toml())
-    alone = fc.Measurements.read(tmp_path / "m.csv")
+    single_measurements = fc.Measurements.read(tmp_path / "m.csv")
     ratio = fc.Measurements.from_arrays("ratio_2_1", [0.01], 1e-3, frequency=[700.0])
-    (alone + ratio).to_csv(tmp_path / "m.csv")
-    said = run_command(*little, code=3).err
+    (single_measurements + ratio).to_csv(tmp_path / "m.csv")
+    messages = run_command(*little, code=3).err
     value = (0.01, 0.015, 0.02, 0.025, 0.03)[lost[0]]
-    assert f"failed, the first at length = {value}, frequency = 700.0: no luck" in said
-    assert ("ratio_2_1 at 700 Hz is not used: too few" in said) == (not used)
+    assert f"failed, the first at length = {value}, frequency = 700.0: no luck" in messages
+    assert ("ratio_2_1 at 700 Hz is not used: too few" in messages) == (not used)
     assert ("ratio_2_1" in (tmp_path / "out" / "fit.csv").read_text()) == used
-    written = (tmp_path / "out" / "identify.json").read_text()
-    summary = json.loads(written)
-    assert "no luck" in summary["warnings"][0] and "NaN" not in written
-    found = fc.identify(scene, alone, folder=tmp_path / "out")
-    same = (found.estimate, found.log_bayes_factor) == (
+    written_text = (tmp_path / "out" / "identify.json").read_text()
+    summary = json.loads(written_text)
+    assert "no luck" in summary["warnings"][0] and "NaN" not in written_text
+    repeated_identification = fc.identify(scene, single_measurements, folder=tmp_path / "out")
+    is_same = (repeated_identification.estimate, repeated_identification.log_bayes_factor) == (
         summary["estimate"], summary["log_bayes_factor"]
     )  # fmt: skip
-    assert same == (not used) and not found.doubts
+    assert is_same == (not used) and not repeated_identification.doubts
     if not used:
         with pytest.raises(fc.ConvergenceError, match=r"no measurement can be .* no luck"):
             fc.identify(scene, ratio, folder=tmp_path / "out")
@@ -836,8 +864,10 @@ def test_arrivals_of_a_solid_are_its_circumferential_motion(
     identify = Mock(side_effect=fc.InputError("identify", None, "asked for no more"))
     monkeypatch.setattr("fenics_crack.monitoring.identification.identify.identify", identify)
     words, values = ["identify", box, "--arrivals", tmp_path / "a.csv", "--output", tmp_path], []
-    given = [f"tip_timing.tangential={share}" for share in (1.0, -0.5)]  # of u_x, along or against
-    for sets, point in (([], "tip.uz"), (given[:1], "tip.ux"), (given[1:], "tip.ux")):
+    options = [
+        f"tip_timing.tangential={share}" for share in (1.0, -0.5)
+    ]  # of u_x, along or against
+    for sets, point in (([], "tip.uz"), (options[:1], "tip.ux"), (options[1:], "tip.ux")):
         run_command(*words, sets=sets, code=2)
         rows = identify.call_args.args[1].rows
         assert [row.point for row in rows] == [point] * len(PROBES)

@@ -45,9 +45,9 @@ def written(folder: Path, scene: fc.Scene) -> str:
             numbers = f'"crack.height" = {height}, "crack.length" = {length}'
             lines.append(f'"{name}" = {{ {numbers} }}')
     fc.write_msh(scene.replace({"crack": None, "contact": None}), folder / "whole.msh")
-    own = scene.replace(OF_FILES | {"mesh.file": "10_40.msh"})
+    changed_scene = scene.replace(OF_FILES | {"mesh.file": "10_40.msh"})
     # The files in any order, and the numbers, too.
-    return own.as_toml() + "\n".join([*lines[:3], *lines[:2:-1]]) + "\n"
+    return changed_scene.as_toml() + "\n".join([*lines[:3], *lines[:2:-1]]) + "\n"
 
 
 @pytest.fixture(scope="module")
@@ -75,18 +75,26 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
     paths are those of the scene's folder. Between meshes of one's
     own nothing can be solved, so that the errors of the interpolation are a little smaller."""
     unknown = {"crack.height": list(HEIGHTS), "crack.length": list(LENGTHS)}
-    made = fc.Scene.from_text(PLATE).replace({"identify.unknown": unknown, "identify.finer": 1.0})
-    expected = fc.identify(made, rows, folder=tmp_path / "made")
+    made_scene = fc.Scene.from_text(PLATE).replace(
+        {"identify.unknown": unknown, "identify.finer": 1.0}
+    )
+    expected_identification = fc.identify(made_scene, rows, folder=tmp_path / "made")
     scene = fc.Scene.load(own)
-    found = fc.identify(scene, rows, folder=own.parent / "sweeps")
-    assert found.unknown == expected.unknown == ("crack.height", "crack.length")
-    for key, value in expected.estimate.items():
-        assert found.estimate[key] == pytest.approx(value, rel=1e-3)
-    assert found.log_bayes_factor == pytest.approx(expected.log_bayes_factor, rel=0.02)
-    [more] = set(found.remarks) - set(expected.remarks)
-    assert "its error is in no interval" in more
-    assert found.verdict == "crack"
-    assert found.contains({"crack.length": 0.022, "crack.height": 0.08})
+    identification = fc.identify(scene, rows, folder=own.parent / "sweeps")
+    assert (
+        identification.unknown
+        == expected_identification.unknown
+        == ("crack.height", "crack.length")
+    )
+    for key, value in expected_identification.estimate.items():
+        assert identification.estimate[key] == pytest.approx(value, rel=1e-3)
+    assert identification.log_bayes_factor == pytest.approx(
+        expected_identification.log_bayes_factor, rel=0.02
+    )
+    [more_remark] = set(identification.remarks) - set(expected_identification.remarks)
+    assert "its error is in no interval" in more_remark
+    assert identification.verdict == "crack"
+    assert identification.contains({"crack.length": 0.022, "crack.height": 0.08})
     assert fc.Scene.from_text(scene.as_toml()) == scene
     # Results of the scene itself do not depend on the others.
     modes = fc.solve_modes(fc.prepare(scene, MPI.COMM_SELF).structure, 1)
@@ -100,18 +108,22 @@ def test_command_without_a_mesh_of_no_crack(
 ) -> None:
     """There is nothing to compare with; of one height."""
     rows.to_csv(tmp_path / "m.csv")
-    alone = own.with_name("alone.toml")
+    alone_path = own.with_name("alone.toml")
     text = own.read_text().replace('uncracked = "whole.msh"', "")
     text = text.replace('"crack.height" = 0.07, ', "")
     lines = [line for line in text.splitlines() if '"crack.height"' not in line]
-    alone.write_text("\n".join(lines))
-    words = ["identify", str(alone), str(tmp_path / "m.csv")]
+    alone_path.write_text("\n".join(lines))
+    words = ["identify", str(alone_path), str(tmp_path / "m.csv")]
     words += ["--output", str(own.parent / "sweeps")]
-    said = run_command(*words).err
-    assert "undecided; there is no plate without a crack" in said
-    assert "priors: " in said and "young_deviation = 0.03" in said and "confidence = 0.95" in said
-    before = replace(rows.rows[0], quantity="frequency_uncracked")
-    (rows + fc.Measurements((before,))).to_csv(tmp_path / "m.csv")
+    messages = run_command(*words).err
+    assert "undecided; there is no plate without a crack" in messages
+    assert (
+        "priors: " in messages
+        and "young_deviation = 0.03" in messages
+        and "confidence = 0.95" in messages
+    )
+    uncracked_row = replace(rows.rows[0], quantity="frequency_uncracked")
+    (rows + fc.Measurements((uncracked_row,))).to_csv(tmp_path / "m.csv")
     assert "not allowed where the crack cannot be taken out" in run_command(*words, code=2).err
 
 
@@ -136,9 +148,9 @@ def test_meshes_that_cannot_be_used(own: Path, old: str, new: str, message: str)
     """Are refused by name, before anything is solved."""
     text = own.read_text()
     assert old in text
-    changed = text.replace(old, new)
+    changed_text = text.replace(old, new)
     with pytest.raises(fc.InputError, match=message):
-        fc.Scene.from_text(changed, folder=own.parent)
+        fc.Scene.from_text(changed_text, folder=own.parent)
 
 
 def write_box(path: Path, length: float) -> None:
@@ -154,9 +166,9 @@ def write_box(path: Path, length: float) -> None:
         occ.synchronize()
         for _, tag in model.getEntities(2):
             x, y, z = occ.getCenterOfMass(2, tag)
-            inside = abs(y - 0.03) < 1e-9 and 0.0 < x < length and 0.0 < z < 0.006
-            if abs(y) < 1e-9 or inside:
-                name = "crack" if inside else "clamp"
+            is_inside = abs(y - 0.03) < 1e-9 and 0.0 < x < length and 0.0 < z < 0.006
+            if abs(y) < 1e-9 or is_inside:
+                name = "crack" if is_inside else "clamp"
                 model.setPhysicalName(2, model.addPhysicalGroup(2, [tag]), name)
         model.addPhysicalGroup(3, [1])
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.012)
@@ -195,11 +207,11 @@ uncracked = "0.msh"
         hertz = modes.omega / (2.0 * np.pi)
         rows += fc.Measurements.from_arrays(quantity, hertz, 1e-3 * hertz, mode=[1, 2, 3, 4]).rows
     rows = fc.Measurements(rows)
-    found = fc.identify(scene, rows, folder=tmp_path / "sweeps")
-    assert found.unknown == ("notch", "material.young")
-    low, high = found.intervals["notch"]
-    assert low < 10.0 < high < 16.0 and found.verdict == "crack"
-    assert "notch = " in str(found)
+    identification = fc.identify(scene, rows, folder=tmp_path / "sweeps")
+    assert identification.unknown == ("notch", "material.young")
+    low, high = identification.intervals["notch"]
+    assert low < 10.0 < high < 16.0 and identification.verdict == "crack"
+    assert "notch = " in str(identification)
 
 
 def test_thousands_of_meshes_are_checked_at_once() -> None:

@@ -31,23 +31,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def scene() -> fc.Scene:
     """A blade whose crack the pull of its rotor opens."""
-    changes = {f"identify.{name}_deviation": one for name, one in SURE.items()}
+    changes = {f"identify.{name}_deviation": deviation for name, deviation in SURE.items()}
     return fc.Scene.from_text(SPINNING).replace(changes)
 
 
 def natural(scene: fc.Scene, rpm: float, kind: str, mode: int = 1) -> float:
     """A natural frequency of the blade at a speed [Hz]."""
-    own = scene.replace({"identify": None} | TRUE)
-    own = own.replace({"rotation.rpm": rpm}) if rpm else own.at_rest()
-    found = fc.bilinear_frequencies(fc.build_structure(own))
-    return float(getattr(found, f"omega_{kind}")[mode - 1]) / TURN
+    own_scene = scene.replace({"identify": None} | TRUE)
+    own_scene = own_scene.replace({"rotation.rpm": rpm}) if rpm else own_scene.at_rest()
+    bilinear_frequencies = fc.bilinear_frequencies(fc.build_structure(own_scene))
+    return float(getattr(bilinear_frequencies, f"omega_{kind}")[mode - 1]) / TURN
 
 
 def rows(scene: fc.Scene, quantity: str, kinds: dict[float, str]) -> fc.Measurements:
     """Natural frequencies at some speeds, to 2e-4."""
     hertz = np.array([natural(scene, rpm, kind) for rpm, kind in kinds.items()])
-    where = {"mode": [1] * len(hertz), "rpm": list(kinds)}
-    return fc.Measurements.from_arrays(quantity, hertz, 2e-4 * hertz, **where)
+    columns = {"mode": [1] * len(hertz), "rpm": list(kinds)}
+    return fc.Measurements.from_arrays(quantity, hertz, 2e-4 * hertz, **columns)
 
 
 @pytest.mark.nightly
@@ -55,15 +55,21 @@ def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
     """Of lips open at 1500, 3000 and 4000 rpm and at rest: the length to less than the crack's own
     2.5 %. Each taken for one of 3000 rpm excludes it but the one that is."""
     speeds = dict.fromkeys((0.0, 1500.0, 3000.0, 4000.0), "open")
-    seen = rows(scene, "frequency_open", speeds)
-    found = fc.identify(scene, seen, folder=folder)
-    assert found.verdict == "crack" and found.contains(TRUE) and found.misfit[1] > 0.5
-    assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.02)
-    assert found.fit_table().rows[1][0] == "frequency_open of mode 1 at 1500 rpm"
-    for row in seen.rows:
-        alone = fc.Measurements((fc.Measurement("frequency_open", row.value, row.deviation, 1),))
-        wrong = fc.identify(scene, alone, folder=folder)
-        assert wrong.contains(TRUE) == (row.rpm == 3000.0)
+    measured_rows = rows(scene, "frequency_open", speeds)
+    identification = fc.identify(scene, measured_rows, folder=folder)
+    assert (
+        identification.verdict == "crack"
+        and identification.contains(TRUE)
+        and identification.misfit[1] > 0.5
+    )
+    assert identification.estimate["crack.length"] == pytest.approx(0.008, rel=0.02)
+    assert identification.fit_table().rows[1][0] == "frequency_open of mode 1 at 1500 rpm"
+    for row in measured_rows.rows:
+        measurements = fc.Measurements(
+            (fc.Measurement("frequency_open", row.value, row.deviation, 1),)
+        )
+        wrong_identification = fc.identify(scene, measurements, folder=folder)
+        assert wrong_identification.contains(TRUE) == (row.rpm == 3000.0)
 
 
 @pytest.mark.nightly
@@ -84,18 +90,23 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
             )
         )
 
-    before = record("frequency_uncracked", 1.0 / 0.99, np.nan)
-    found = fc.identify(scene, record("frequency_open", 1.0, np.nan) + before, folder=folder)
-    assert found.verdict != "crack" and "Young's modulus" in found.reason
-    [warmer] = re.findall(r"as about (\d+) K more make it", found.reason)
+    earlier_record = record("frequency_uncracked", 1.0 / 0.99, np.nan)
+    identification = fc.identify(
+        scene, record("frequency_open", 1.0, np.nan) + earlier_record, folder=folder
+    )
+    assert identification.verdict != "crack" and "Young's modulus" in identification.reason
+    [warmer] = re.findall(r"as about (\d+) K more make it", identification.reason)
     assert float(warmer) == pytest.approx(25.0, rel=0.3)
-    assert found.priors["temperature_deviation"] == 25.0
+    assert identification.priors["temperature_deviation"] == 25.0
     higher = [
-        replace(row, quantity="frequency_open", value=1.005 * row.value) for row in before.rows
+        replace(row, quantity="frequency_open", value=1.005 * row.value)
+        for row in earlier_record.rows
     ]
-    found = fc.identify(scene, fc.Measurements(tuple(higher)) + before, folder=folder)
-    assert found.verdict != "crack"
-    blind, sure = (
+    identification = fc.identify(
+        scene, fc.Measurements(tuple(higher)) + earlier_record, folder=folder
+    )
+    assert identification.verdict != "crack"
+    blind, sure_identification = (
         fc.identify(
             scene,
             record("frequency_open", 1.0, now, "open")
@@ -104,16 +115,20 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
         )
         for now, then in ((np.nan, np.nan), (45.0, 20.0))
     )
-    assert blind.contains(TRUE) and sure.contains(TRUE) and sure.verdict == "crack"
-    assert sure.posterior.compute_deviation(0) < blind.posterior.compute_deviation(0)
+    assert (
+        blind.contains(TRUE)
+        and sure_identification.contains(TRUE)
+        and sure_identification.verdict == "crack"
+    )
+    assert sure_identification.posterior.compute_deviation(0) < blind.posterior.compute_deviation(0)
 
 
 def _hertz(blade: fc.Scene, rpm: float, kind: str) -> float:
     """The first natural frequency of a blade at a speed, with a crack or without [Hz]."""
-    own = fc.build_structure(blade.replace({"identify": None, "rotation.rpm": rpm}))
+    structure = fc.build_structure(blade.replace({"identify": None, "rotation.rpm": rpm}))
     if kind:
-        return float(getattr(fc.bilinear_frequencies(own), f"omega_{kind}")[0]) / TURN
-    return float(fc.solve_modes(own, 1).omega[0]) / TURN
+        return float(getattr(fc.bilinear_frequencies(structure), f"omega_{kind}")[0]) / TURN
+    return float(fc.solve_modes(structure, 1).omega[0]) / TURN
 
 
 @pytest.mark.nightly
@@ -122,12 +137,14 @@ def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
     """Open at all speeds, or breathing half of the time at all: no frequency distinguishes them, so
     that both lengths are in the region; at rest the crack breathes in any case, which decides."""
     speeds = dict.fromkeys((1500.0, 3000.0, 4000.0), kind)
-    found = fc.identify(scene, rows(scene, "frequency_resonance", speeds), folder=folder)
-    assert found.verdict == "crack" and found.contains(TRUE)
-    both = rows(scene, "frequency_resonance", {0.0: "bilinear"} | speeds)
-    known = fc.identify(scene, both, folder=folder)
-    assert known.verdict == "crack" and known.contains(TRUE)
-    assert known.posterior.compute_deviation(0) < 0.7 * found.posterior.compute_deviation(0)
+    identification = fc.identify(scene, rows(scene, "frequency_resonance", speeds), folder=folder)
+    assert identification.verdict == "crack" and identification.contains(TRUE)
+    both_rows = rows(scene, "frequency_resonance", {0.0: "bilinear"} | speeds)
+    known_identification = fc.identify(scene, both_rows, folder=folder)
+    assert known_identification.verdict == "crack" and known_identification.contains(TRUE)
+    assert known_identification.posterior.compute_deviation(
+        0
+    ) < 0.7 * identification.posterior.compute_deviation(0)
 
 
 def test_speeds_that_mean_nothing(scene: fc.Scene) -> None:
@@ -149,21 +166,23 @@ def swept(scene: fc.Scene, kind: str, path: Path, orders: tuple[int, ...]) -> No
     whose frequency is that of each order where it meets it; 2 um of noise."""
     speeds = np.linspace(2200.0, 3000.0, 5) * TURN / 60.0
     diagram = fc.campbell(scene.replace({"identify": None}), speeds, 1)
-    low, high, turns, radius = speeds[0], speeds[-1], 600, 0.5
-    total = turns * TURN * 2.0 / (low + high)
+    start_speed, end_speed, turns, radius = speeds[0], speeds[-1], 600, 0.5
+    total = turns * TURN * 2.0 / (start_speed + end_speed)
     grid = np.linspace(0.0, total, 200_000)
-    angle = low * grid + 0.5 * (high - low) * grid**2 / total
-    at = (low + (high - low) * grid / total) ** 2
-    omega = np.sqrt(np.interp(at, speeds**2, getattr(diagram, f"omega_{kind}")[:, 0] ** 2))
+    angle = start_speed * grid + 0.5 * (end_speed - start_speed) * grid**2 / total
+    squared_speed = (start_speed + (end_speed - start_speed) * grid / total) ** 2
+    omega = np.sqrt(
+        np.interp(squared_speed, speeds**2, getattr(diagram, f"omega_{kind}")[:, 0] ** 2)
+    )
     # The blade's phase in place of the time: its frequency is 1 in it.
     phase = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) * np.diff(grid))])
-    even = np.linspace(0.0, phase[-1], len(grid))
-    push = sum(np.cos(order * np.interp(even, phase, angle)) for order in orders)
-    step, root = even[1], complex(-0.002, np.sqrt(1.0 - 0.002**2))
+    even_phase = np.linspace(0.0, phase[-1], len(grid))
+    push = sum(np.cos(order * np.interp(even_phase, phase, angle)) for order in orders)
+    step, root = even_phase[1], complex(-0.002, np.sqrt(1.0 - 0.002**2))
     motion = lfilter([step], [1.0, -np.exp(root * step)], 3e-7 * push).imag / root.imag
     targets = TURN * np.arange(turns - 1)[:, None] + PROBES
     targets = targets + 4e-6 * np.random.default_rng(1).standard_normal(targets.shape)
-    moved = angle + np.interp(phase, even, motion) / radius
+    moved = angle + np.interp(phase, even_phase, motion) / radius
     marks = np.interp(TURN * np.arange(turns), angle, grid)
     fc.ArrivalTimes(np.interp(targets, moved, grid), marks, PROBES, radius).to_csv(path)
 
@@ -175,34 +194,36 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, run_command: RunCom
     lightly["excitation.force_mean"] = (40.0, 0.0)  # its crack stays open
     blade = scene.replace(lightly | {"tip_timing.probes": tuple(np.degrees(PROBES))})
     (tmp_path / "blade.toml").write_text(blade.as_toml(), encoding="utf-8")
-    stiff = blade.replace({"material.young": 2.11e11} | TRUE)
-    now, before = tmp_path / "now.csv", tmp_path / "before.csv"
-    swept(stiff, "open", now, (5, 6))
-    swept(stiff.replace({"crack": None, "contact": None}), "open", before, (6, 7))
+    stiff_scene = blade.replace({"material.young": 2.11e11} | TRUE)
+    later_path, earlier_path = tmp_path / "now.csv", tmp_path / "before.csv"
+    swept(stiff_scene, "open", later_path, (5, 6))
+    swept(stiff_scene.replace({"crack": None, "contact": None}), "open", earlier_path, (6, 7))
     words = ["identify", str(tmp_path / "blade.toml"), "--output", str(tmp_path / "found")]
-    said = run_command(*words, "--arrivals", str(now), "--before", str(before))
-    used = re.findall(
-        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", said.err
+    process = run_command(*words, "--arrivals", str(later_path), "--before", str(earlier_path))
+    used_lines = re.findall(
+        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", process.err
     )
-    kinds = dict(zip(used, ("open", "open", "bare", "bare"), strict=True))
+    kinds = dict(zip(used_lines, ("open", "open", "bare", "bare"), strict=True))
     assert sorted(int(order) for *_, order, _ in kinds) == [5, 6, 6, 7]
     for (hertz, error, order, rpm), kind in kinds.items():
         assert float(hertz) == pytest.approx(int(order) * float(rpm) / 60.0, rel=1e-5)
         if kind == "open":
             assert float(hertz) == pytest.approx(
-                natural(stiff, float(rpm), kind), abs=4.0 * float(error)
+                natural(stiff_scene, float(rpm), kind), abs=4.0 * float(error)
             )
-    assert "log Bayes factor" in said.err
-    length = float(said.out.splitlines()[2].split()[1])
+    assert "log Bayes factor" in process.err
+    length = float(process.out.splitlines()[2].split()[1])
     assert length == pytest.approx(0.008, rel=0.1)
     # In Python.
-    [fit, *others] = fc.find_passages(fc.ArrivalTimes.from_csv(now), [5, 6], stiffening=0.11)
-    seen = fc.Measurements.from_passages([fit, *others], [1, 0])
-    assert [row.name for row in seen.rows] == [
+    [fit, *other_fits] = fc.find_passages(
+        fc.ArrivalTimes.from_csv(later_path), [5, 6], stiffening=0.11
+    )
+    measurements = fc.Measurements.from_passages([fit, *other_fits], [1, 0])
+    assert [row.name for row in measurements.rows] == [
         f"frequency_resonance of mode 1 at {float(f'{fit.speed * 60.0 / TURN:.7g}'):g} rpm"
     ]
     with pytest.raises(fc.InputError, match="one of each of 2 passages"):
-        fc.Measurements.from_passages([fit, *others], [1])
+        fc.Measurements.from_passages([fit, *other_fits], [1])
 
 
 @pytest.mark.parametrize(
@@ -216,8 +237,8 @@ def test_a_record_without_a_resonance(
     rows(scene, "frequency_open", {3000.0: "open"}).to_csv(tmp_path / "rows.csv")
     turns, steady = TURN * np.arange(41), str(tmp_path / "steady.csv")
     time = (turns[:-1, None] + PROBES) / 300.0, turns / 300.0
-    seen, marks = (one / (1.0 + rise * one / time[1][-1]) for one in time)
-    fc.ArrivalTimes(seen, marks, PROBES, 0.5).to_csv(steady)
+    seen_times, marks = (time_row / (1.0 + rise * time_row / time[1][-1]) for time_row in time)
+    fc.ArrivalTimes(seen_times, marks, PROBES, 0.5).to_csv(steady)
     words = ["identify", str(tmp_path / "blade.toml"), str(tmp_path / "rows.csv")]
     assert "--before = 'ArrivalTimes(40 revol" in (
         error := run_command(

@@ -19,10 +19,12 @@ def responses(frequency: np.ndarray, noise: float = 0.0) -> np.ndarray:
     """Displacements of two points over a force at the first, with a noise of their largest."""
     w = 2.0 * np.pi * frequency[:, None]
     modes = SHAPES[0] / (OMEGA**2 - w**2 + 2j * DAMPING * OMEGA * w)
-    found = np.array([modes @ shape for shape in SHAPES])
+    response_array = np.array([modes @ shape for shape in SHAPES])
     rng = np.random.default_rng(4)
-    both = rng.standard_normal((2, *found.shape))
-    return np.asarray(found + noise * np.abs(found).max() * (both[0] + 1j * both[1]))
+    both = rng.standard_normal((2, *response_array.shape))
+    return np.asarray(
+        response_array + noise * np.abs(response_array).max() * (both[0] + 1j * both[1])
+    )
 
 
 def universal(
@@ -30,16 +32,19 @@ def universal(
 ) -> bytes:
     """Dataset 58 of a response: "even" or "uneven" lines as text, or "<" or ">", 58b."""
     values = values * (2j * np.pi * frequency) ** derived
-    even, digits = form != "uneven", {5: 5, 6: 12}[stored]
+    is_even, digits = form != "uneven", {5: 5, 6: 12}[stored]
     own = f"{58:6}"
     pairs = np.column_stack([values.real, values.imag])
     if form in "<>":
         body = pairs.astype(form + {5: "f4", 6: "f8"}[stored]).tobytes()
         own += f"b{'<>'.index(form) + 1:6}{2:6}{11:12}{len(body):12}{0:6}{0:6}{0:12}{0:12}"
-    elif even:
-        width, many = (13, 6) if stored == 5 else (20, 4)
+    elif is_even:
+        width, numbers_per_line = (13, 6) if stored == 5 else (20, 4)
         words = [f"{x:{width}.{digits}E}" for x in pairs.ravel()]
-        rows = ["".join(words[at : at + many]) for at in range(0, len(words), many)]
+        rows = [
+            "".join(words[start : start + numbers_per_line])
+            for start in range(0, len(words), numbers_per_line)
+        ]
         body = ("\n".join(rows) + "\n").encode()
     else:
         width = 13 if stored == 5 else 20
@@ -48,12 +53,12 @@ def universal(
             for f, (x, y) in zip(frequency, pairs, strict=True)
         ]
         body = ("\n".join(rows) + "\n").encode()
-    step = frequency[1] - frequency[0] if even else 0.0
+    step = frequency[1] - frequency[0] if is_even else 0.0
     motion = {0: 8, 1: 11, 2: 12}[derived]
     lines = [
         f"{-1:6}", own, "a response", "NONE", "22-Nov-26  15:00:00", "NONE", "NONE",
         f"{4:5}{0:10}{1:5}{0:10} {'NONE':10}{12:10}{3:4} {'NONE':10}{7:10}{3:4}",
-        f"{stored:10}{len(values):10}{int(even):10}{frequency[0]:13.5E}{step:13.5E}{0.0:13.5E}",
+        f"{stored:10}{len(values):10}{int(is_even):10}{frequency[0]:13.5E}{step:13.5E}{0.0:13.5E}",
         f"{18:10}{0:5}{0:5}{0:5} {'Frequency':20} {'Hz':20}",
         f"{motion:10}{0:5}{0:5}{0:5} {'motion':20} {'SI':20}",
         f"{13:10}{0:5}{0:5}{0:5} {'Force':20} {'N':20}",
@@ -68,7 +73,7 @@ def file_of(path: Path, frequency: np.ndarray, values: np.ndarray, **how: object
     spectrum = universal(frequency, values[0]).replace(
         f"{4:5}{0:10}".encode(), f"{2:5}{0:10}".encode()
     )
-    parts = [universal(frequency, one, **how) for one in values]  # type: ignore[arg-type]
+    parts = [universal(frequency, number, **how) for number in values]  # type: ignore[arg-type]
     path.write_bytes(units + spectrum + b"".join(parts))
     return path
 
@@ -80,14 +85,14 @@ def file_of(path: Path, frequency: np.ndarray, values: np.ndarray, **how: object
 def test_modes_of_responses(form: str, stored: int, derived: int, tmp_path: Path) -> None:
     """Three modes from two responses in all forms of the file, to a hundredth of their width."""
     frequency = np.linspace(50.0, 450.0, 1601)
-    how = {"form": form, "stored": stored, "derived": derived}
-    path = file_of(tmp_path / "one.uff", frequency, responses(frequency), **how)
+    options = {"form": form, "stored": stored, "derived": derived}
+    path = file_of(tmp_path / "one.uff", frequency, responses(frequency), **options)
     rows = fc.Measurements.read(path).rows
     assert [(row.quantity, row.mode) for row in rows] == [
         ("frequency_resonance", mode) for mode in (1, 2, 3)
     ]
-    found = np.array([row.value for row in rows])
-    assert np.all(np.abs(found - OMEGA / (2.0 * np.pi)) < 0.01 * DAMPING * found)
+    row_values = np.array([row.value for row in rows])
+    assert np.all(np.abs(row_values - OMEGA / (2.0 * np.pi)) < 0.01 * DAMPING * row_values)
 
 
 @pytest.mark.parametrize("form", ["even", "<", ">"])
@@ -118,9 +123,11 @@ def test_errors_of_responses_with_noise(tmp_path: Path) -> None:
     path = file_of(tmp_path / "one.unv", frequency, responses(frequency, 1e-3), stored=6)
     rows = fc.Measurements.from_responses(path, [1, 2, 4], quantity="frequency_uncracked").rows
     assert [row.mode for row in rows] == [1, 2, 4]
-    off = np.array([row.value for row in rows]) - OMEGA / (2.0 * np.pi)
+    frequency_errors = np.array([row.value for row in rows]) - OMEGA / (2.0 * np.pi)
     errors = np.array([row.deviation for row in rows])
-    assert np.all(np.abs(off) < 3.0 * errors) and np.all(errors < 0.1 * DAMPING * OMEGA / 6.28)
+    assert np.all(np.abs(frequency_errors) < 3.0 * errors) and np.all(
+        errors < 0.1 * DAMPING * OMEGA / 6.28
+    )
     with pytest.raises(fc.InputError, match=r"modes = \[1, 2\].*3 numbers.* 112\.29"):
         fc.Measurements.from_responses(path, [1, 2])
 
@@ -137,10 +144,10 @@ def test_a_breathing_crack(tmp_path: Path) -> None:
         curve = fc.continue_frequency(mode, 980.0, 1070.0, law, harmonics=8)
         omega = np.linspace(982.0, 1068.0, 300)
         wave = curve.coefficients_at(0)
-        first = np.interp(omega, curve.omega, wave[:, 1]) - 1j * np.interp(
+        first_harmonic = np.interp(omega, curve.omega, wave[:, 1]) - 1j * np.interp(
             omega, curve.omega, wave[:, 2]
         )
-        path = file_of(tmp_path / "one.uff", omega / (2.0 * np.pi), first[None] / force)
+        path = file_of(tmp_path / "one.uff", omega / (2.0 * np.pi), first_harmonic[None] / force)
         [row] = fc.Measurements.read(path).rows
         found.append(row)
     bilinear = 2.0 * 1000.0 * np.sqrt(1.1e6) / (1000.0 + np.sqrt(1.1e6)) / (2.0 * np.pi)
@@ -162,11 +169,11 @@ def test_a_breathing_crack(tmp_path: Path) -> None:
 def test_files_that_cannot_be_used(old: bytes, new: bytes, words: str, tmp_path: Path) -> None:
     frequency = np.linspace(50.0, 450.0, 1601)
     path = file_of(tmp_path / "one.uff", frequency, responses(frequency), stored=6)
-    whole = path.read_bytes()
-    path.write_bytes(whole.replace(old, new))
+    file_content = path.read_bytes()
+    path.write_bytes(file_content.replace(old, new))
     with pytest.raises(fc.InputError, match=rf"^measurements = .*{words}"):
         fc.Measurements.read(path)
-    path.write_bytes(whole[:-200])
+    path.write_bytes(file_content[:-200])
     with pytest.raises(fc.InputError, match=r"^measurements = .*ends early"):
         fc.Measurements.read(path)
 
