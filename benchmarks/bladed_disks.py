@@ -116,7 +116,7 @@ def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
     return [
         wheel.sector.n_sectors, wheel.sector.structure.n_dofs, reduced_wheel.n_modes,
         assembly_time, reduction_time,
-        again, solution, len(curve.omega), curve_time, verdict_time, len(orbits.omega), exact,
+        repeat_time, solution, len(curve.omega), curve_time, verdict_time, len(orbits.omega), exact,
     ]  # fmt: skip
 
 

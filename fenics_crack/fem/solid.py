@@ -154,7 +154,7 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             <= INNER_FRONT_DISTANCE_RATIO
         )
         inner_nodes = crack_front.node_positions[is_inner]
-        inner_frames, _ = crack_front.frame_and_curvature(crack_front.parameters[is_inner])
+        inner_frames = crack_front.frame_and_curvature(crack_front.parameters[is_inner])[0]
         ligament = min(
             (
                 ray_length(node, frame[0], surface_triangles)
