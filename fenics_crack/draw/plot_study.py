@@ -328,7 +328,7 @@ def _draw_contributions(
     right.
     """
     quantity_names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
-    colours = dict(zip(ERROR_CAUSES, COLOURS_BY_NAME.values(), strict=False))
+    colours = dict(zip(ERROR_CAUSES, distinct_colours(len(ERROR_CAUSES)), strict=True))
     for row_height, quantity_name in enumerate(quantity_names):
         total_percent = 100.0 * verification.relative(
             quantity_name, verification.total(quantity_name)

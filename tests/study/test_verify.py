@@ -169,6 +169,8 @@ def test_samples_of_a_smoothed_law() -> None:
     smoothed_scene = smoothed_scene.replace({"harmonic_balance.harmonics": 2})
     verification = fc.verify(smoothed_scene)
     assert verification.counts["samples"] == (1024, 2048, 4096)
+    legend = fc.draw_verification(verification).axes[1].get_legend()
+    assert "samples" in "".join(text.get_text() for text in legend.get_texts())
     verification = fc.verify(plate({"harmonic_balance.samples": 32}))
     assert verification.counts["samples"] == (32, 64, 128) and verification.counts["harmonics"] == (
         5,
