@@ -116,11 +116,11 @@ class Verification(SavedResult):
         """Return everything but the scene as text, a dataset of a file."""
         return to_json_text(self, "", {})
 
-    def _packed(self) -> Datasets:
+    def _pack_fields(self) -> Datasets:
         return {"verification": self.text()}
 
     @classmethod
-    def _unpacked(cls, parts: Datasets, scene: Scene | None) -> Verification:
+    def _unpack_fields(cls, parts: Datasets, scene: Scene | None) -> Verification:
         return dataclass_from_json(cls, parts["verification"], scene)
 
     # --- numbers ----------------------------------------------------------------------------------
