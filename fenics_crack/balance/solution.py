@@ -439,7 +439,8 @@ class Solver:
     ) -> tuple[Search, ContactPoint, Wave]:
         """Search for a solution in the condensed equations.
 
-        ``compliance`` is that of the problem, ``budget_fraction`` the part of the budget to use.
+        ``compliance_model`` is that of the problem, ``budget_fraction`` the part of the budget to
+        use.
 
         Returns
         -------

@@ -27,10 +27,10 @@ class ResultKind(NamedTuple):
     report_function_path : str
         Builds a :class:`Report` from a result.
     reader_function_path : str
-        Builds a result from a :class:`Stored` file.
+        Builds a result from a :class:`StoredFile`.
     drawing_function_path : str
-        Draws a result: into ``file``, :class:`PictureFiles`; with a ``caption`` one picture, to
-        ``path``.
+        Draws a result: into ``picture_files``, :class:`PictureFiles`; with a ``caption`` one
+        picture, to ``path``.
     caption : str
         Sentence below the only picture; empty if there may be several.
     """

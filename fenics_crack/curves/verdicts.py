@@ -97,7 +97,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 def _growth_factors_along(curve: ResponseCurve, is_undecided: np.ndarray) -> np.ndarray:
     """Measure the growth of disturbances at some points without a verdict.
 
-    ``is_open`` (n,) is True at points without a verdict.
+    ``is_undecided`` (n,) is True at points without a verdict.
 
     Returns
     -------

@@ -875,7 +875,7 @@ def _collect_growth_remarks(
 def _describe_crack_turning(K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray) -> list[str]:
     """Return a remark if a crack would turn.
 
-    K_max and K_II_max (n,) are at its lengths.
+    The largest K_I and K_II, ``K_max`` and ``K_II`` (n,), belong to its ``lengths`` (n,) [m].
     """
     K_I = np.maximum(K_max, SMALLEST_NORMAL)
     kink_angles = 2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))

@@ -57,7 +57,8 @@ def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
 def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
     """Return a value as JSON text, without scenes.
 
-    Arrays are added to ``array_by_name``; their names begin with ``path`` and stand in the text.
+    Arrays are added to ``array_by_name``; their names begin with the field's name and stand in
+    the text.
     """
 
     def to_json_value(value: Any, dataset_name: str) -> Any:
@@ -163,7 +164,7 @@ class _DatasetReader(NamedTuple):
     def convert_value(self, declared_type: Any, stored_content: Any, field_name: str) -> Any:
         """Return a field's value, or an entry, in the declared type.
 
-        ``stored_value`` is a dataset, or a part of a JSON text.
+        ``stored_content`` is a dataset, or a part of a JSON text.
         """
         generic_type, inner_types = get_origin(declared_type), get_args(declared_type)
         is_composed = (
@@ -216,7 +217,7 @@ class _DatasetReader(NamedTuple):
 def check_arrays(datasets: Mapping[str, Any]) -> None:
     """Raise ValueError unless all numbers in datasets are usable or nan.
 
-    Numbers are usable up to ``LARGEST``; an array's kind must fit its field.
+    Numbers are usable up to ``MAX_ALLOWED_MAGNITUDE``; an array's kind must fit its field.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):

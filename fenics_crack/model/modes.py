@@ -384,8 +384,8 @@ def _solve_near_zero(
 def krylov_size(n_modes: int) -> int:
     """Return the number of Krylov vectors for some modes.
 
-    SLEPc's default is twice the number of modes. For many modes fewer vectors are as quick; for few
-    modes some more avoid a second sweep.
+    SLEPc's default is twice the number of modes, or 15 more than them if that is larger. For more
+    than 150 modes fewer vectors are as quick.
     """
     return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 

@@ -462,8 +462,8 @@ def _choose_speed_or_order(
     Raises
     ------
     InputError
-        As :func:`engine_order`; or the curve of a rotor is of one speed, while stiffness and mean
-        load change in a run-up.
+        As :func:`get_engine_order`; or the curve of a rotor has one speed, while stiffness and
+        mean load change in a run-up.
     """
     owner_text = "" if source is None else f" of {str(source)!r}"
     curve = get_response_curve(run)
@@ -489,7 +489,7 @@ def _choose_speed_or_order(
 def get_engine_order(timing_table: TipTiming, scene: Scene, owner_text: str = "") -> int:
     """Return the engine order of the load, by ``[excitation]`` or ``[tip_timing]``.
 
-    ``owner``: words for the owner of the scene, as " of 'curve.h5'".
+    ``owner_text``: words for the owner of the scene, as " of 'curve.h5'".
 
     Raises
     ------

@@ -281,8 +281,8 @@ class Homotopy:
         p (z(T) - a) - (z - a) = 0
 
     Unknowns are the state z at phase zero; z(T) is the state after a period. At p = 0 the solution
-    is a, at p = 1 an orbit. States are scaled like the unknowns x of ``orbits``; a is
-    ``orbits.start_unknown``.
+    is a, at p = 1 an orbit. States are scaled like the unknowns x of
+    ``orbit_equations``; a is its ``start_unknown``.
 
     Attributes
     ----------

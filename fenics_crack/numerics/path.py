@@ -692,7 +692,7 @@ class Path:
 
         Parameters
         ----------
-        n_known : int
+        n_known_points : int
             Number of points from earlier calls, at the beginning.
         first_step_length : float
             Length of the first new step.
@@ -742,7 +742,7 @@ class Path:
 
         Parameters
         ----------
-        n_remaining : int
+        n_remaining_points : int
             Maximum number of new points.
 
         Returns

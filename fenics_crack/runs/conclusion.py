@@ -79,8 +79,9 @@ LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is line
 def describe_linearity(closed_share: np.ndarray) -> list[str]:
     """Return a sentence if the vibration is linear, else an empty list.
 
-    It is linear if no pair opens and closes in any solution. ``closed_share`` (...) is the share of
-    the period with closed pairs; nan without pairs, for which the list is empty.
+    It is linear if in every solution all pairs stay closed, or all stay open. ``closed_share``
+    (...) is the fraction of the period in which a pair is closed, a mean over the pairs. The list
+    is empty also without pairs, nan, and where some pairs stay closed and the others open.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))
