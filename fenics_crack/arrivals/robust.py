@@ -1,16 +1,16 @@
 """Model errors of arrivals by Student's t, and define confidence levels.
 
-Some arrivals are wrong by far more than the general scatter. Residuals r then follow Student's t
-with nu degrees of freedom and a scale s, both fitted (Lange, Little and Taylor, Journal of the
-American Statistical Association 84, 1989, 881); nu is large for normal residuals. The estimate is
-least squares with the weights
+Some arrivals are wrong by far more than the general scatter. Residuals r then follow Student's t,
+with fitted degrees of freedom nu and scale s; nu is large for normal residuals (Lange, Little and
+Taylor, Journal of the American Statistical Association 84, 1989, 881). Least squares have the
+weights
 
     w = (nu + 1) / (nu + r^2 / s^2),
 
-found in turns with the residuals. The covariance is H^-1 M H^-1, as for an M-estimator (Huber,
-Robust Statistics, 1981), with psi = w r and the columns X of the fit: H = mean(psi') X^T X and
-M = X^T C X. The matrix C is the covariance of psi. It has correlations between the probes in a
-revolution, which share marks, and between revolutions, if they are significant.
+found in turns with the residuals. With psi = w r and the fit's columns X, the coefficients have the
+covariance H^-1 M H^-1, where H = mean(psi') X^T X and M = X^T C X (an M-estimator: Huber, Robust
+Statistics, 1981). The matrix C is the covariance of psi, with significant correlations between
+revolutions, and between probes in a revolution, which share marks.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 ROBUST_ROUNDS, ROBUST_SETTLED = 30, 1e-2
 """Maximum rounds of weights, and maximum change in the last round.
 
-The change is that of weights, and of residuals over their scale: some hundredths of a standard
-error.
+Both weights and scaled residuals change less in the end: by some hundredths of a standard error.
 """
 DEPENDENT = 1e-12
 """Columns are dependent below this fraction of the largest eigenvalue."""
@@ -329,7 +328,7 @@ def refined(
     ----------
     function : callable
         Return residuals (n,) and their derivatives (n, m) at unknowns with natural size 1. The last
-        call is at the solution, unless an earlier result for the same unknowns is at hand.
+        call is at the solution.
     lower_bounds, upper_bounds : (m,)
         Bounds of the unknowns, widened to include 0.
     min_reduction : float
