@@ -519,7 +519,7 @@ class TipTrack(HarmonicFit):
         a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
         Amplitudes with standard errors. Both are nan if too many arrivals are missing; errors also
-        with two or fewer spare arrivals.
+        without a spare arrival, or with two or fewer degrees of freedom in all.
     misfit : float
         Probability that chance correlates residuals as much between revolutions. If it is tiny,
         harmonics are missing, and folded onto the fitted ones. nan without more probes than
