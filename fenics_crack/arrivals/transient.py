@@ -440,8 +440,8 @@ class Fit:
         """Indices (n,) of probes with pulses from another source than the blade.
 
         A vibration of any phase is fitted at each probe, in units of the first mode's motion. Blind
-        probes are a minority with less than half the median amplitude. Their amplitudes are over
-        five times farther from the median than all others.
+        probes are a minority with less than half the median in-phase amplitude. Their amplitudes
+        are over five times farther from the median than all others.
         """
         count = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((count, 2, 2)), np.zeros((count, 2))
