@@ -1,8 +1,9 @@
 """Hold, read and write arrival times of a blade tip at stationary probes.
 
 Measured records from data systems have a row for each revolution. It has the rotor's speed, or the
-time of the first mark, and for each blade and probe the angle or time of arrival. A missed passage
-is an empty cell. Probe angles are often unknown: the median arrival is then their zero.
+time of the mark at its beginning, and for each blade and probe the angle or time of arrival. A
+missed passage is an empty cell. Probe angles are often unknown: the median arrival is then their
+zero.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class ArrivalTimes(Tabular):
     """Hold the times at which one blade's tip passed stationary probes.
 
     A mark on the shaft, seen once per revolution, gives the rotor angle alpha(t). The angle is 0 at
-    the first mark of revolution 0, and 2 pi n at the mark before revolution n. A cubic spline
+    the first mark of revolution 0, and 2 pi n at the mark that begins revolution n. A cubic spline
     connects the marks; it is exact for constant speed and constant acceleration. A blade tip
     arrives early if a vibration moves it in the direction of rotation. With tip radius R, time t,
     probe angle phi and speed W, its displacement u at an arrival in revolution n is
