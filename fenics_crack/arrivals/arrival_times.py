@@ -1,4 +1,4 @@
-"""Hold, read and write arrival times of a blade tip at stationary probes.
+"""Hold, read and write a blade tip's arrival times at stationary probes.
 
 Measured records from data systems have a row for each revolution. It has the rotor's speed, or the
 time of the mark at its beginning, and for each blade and probe the angle or time of arrival. A
@@ -127,7 +127,7 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """True if the speed varies by at most 1 %, False in a run-up."""
+        """True if the speed varies by at most 1 %."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 
@@ -206,7 +206,7 @@ class ArrivalTimes(Tabular):
         return replace(self, probes=self.probes - median_displacement / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """Keep only the arrivals of revolutions begin to end - 1, counted from 0."""
+        """Keep only the arrivals in revolutions begin to end - 1, from 0."""
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
         is_kept = np.zeros(len(self), dtype=bool)
@@ -393,7 +393,7 @@ def _number(cell: str) -> float:
 
 
 def _read_passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read the required columns (5, rows) of a file, and radii (rows,) or None."""
+    """Read a file's required columns (5, rows), and radii (rows,) or None."""
     names, lines, columns = _read_table(path)
     for name in ARRIVAL_COLUMNS:
         if name not in names:
@@ -424,8 +424,9 @@ def read_record(
     tip_radius: float | None = None,
     probes: Sequence[float] | np.ndarray | Mapping[int, np.ndarray] | None = None,
 ) -> dict[int, ArrivalTimes]:
-    """Read the arrivals of one or more blades, a row for each revolution.
+    """Read the arrivals of one or more blades.
 
+    The file has a row for each revolution.
     Headings identify the columns, in any order, with units in brackets. Other columns are ignored,
     and so are lines that begin with #. The radius may be in mm, too. Commas, semicolons or tabs
     separate the cells.
@@ -504,7 +505,7 @@ def has_probe_angles(path: str | Path) -> bool:
 
 
 def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[int, np.ndarray]:
-    """Return angles of probes (n_probes,) from each blade's tip at the mark [rad].
+    """Return probe angles (n_probes,) [rad] from each blade's tip at the mark.
 
     Keys are the numbers of the blades, from 1 to count; blade j + 1 is 2 pi / count ahead of
     blade j.
@@ -576,8 +577,9 @@ def _read_turns(path: str | Path, column: np.ndarray) -> np.ndarray:
 
 
 def _read_marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) -> np.ndarray:
-    """Return times of the marks (revolutions + 1,) [s], from marks or speeds.
+    """Return times of the marks: (revolutions + 1,) [s].
 
+    The file has marks or speeds.
     Marks of missing rows are interpolated; the last one ends the last revolution.
     """
     all_turns = np.arange(turns[0], turns[-1] + 1)

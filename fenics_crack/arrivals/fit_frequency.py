@@ -151,7 +151,7 @@ def find_lines(
 
 
 class _FrequencySearch:
-    """Fit a vibration in time, and a constant for each probe, by least squares.
+    """Fit a vibration in time, and constants, by least squares.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ class _FrequencySearch:
             self._stiffness = (scatter / self._tip_deviation) ** 2
 
     def _eliminate(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Subtract the best constants from values (n,) or (n, m), with weights (n,)."""
+        """Subtract the weighted best constants from values (n,) or (n, m)."""
         columns, count = weights[:, None] * self._constants, self._constants.shape[1]
         square = self._constants.T @ columns + self._stiffness * (np.eye(count) - 1.0 / count)
         return np.asarray(values - self._constants @ np.linalg.solve(square, columns.T @ values))
@@ -239,7 +239,7 @@ class _FrequencySearch:
         return coefficients, target - columns @ coefficients, np.column_stack([columns, slope])
 
     def _refine(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
-        """Refine a frequency [rad/s] by least squares, and return it with the fit."""
+        """Return a frequency [rad/s] refined by least squares, and its fit."""
         unit, root = np.pi / self._span, np.sqrt(weights)[:, None]
         best_omega, fit = omega, None
 
@@ -284,7 +284,7 @@ class _FrequencySearch:
         return self._describe(candidates), 1.0 if self._is_hidden(self.columns) else chance
 
     def _is_hidden(self, columns: np.ndarray) -> bool:
-        """Return True if constants absorb at least half the squares of some vibration."""
+        """Return True if constants absorb half of some vibration's squares or more."""
         waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(waves.T @ waves)[0] < 0.25 * len(columns))
 

@@ -282,8 +282,9 @@ class _Sample:
     def _whiten(
         self, columns: np.ndarray, values: np.ndarray, slope: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Divide columns (g, m) and values (g,) by slopes (g,) and standard deviations.
+        """Divide columns and values by slopes and standard deviations.
 
+        Columns are (g, m), values and slopes (g,).
         Correlated values are decorrelated, by the Cholesky factor of their covariance.
         """
         block = np.column_stack([columns, values]) / slope[:, None]
@@ -483,8 +484,9 @@ class Means(_Sample):
         return displacement - fit.displacement(angle)
 
     def wave_sum_of_squares(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
-        """Return residual squares, in variances, of an order fitted to a wave (g,) [m].
+        """Return the residual squares after fitting an order to a wave.
 
+        The squares are in variances; the wave is (g,) [m].
         Both are at the nominal angles.
         """
         columns = fourier_basis(order * self.nominal, multiples)
@@ -762,8 +764,9 @@ def _variance(residuals: np.ndarray, mask: np.ndarray, freedom: np.ndarray) -> t
 
 
 def _quartile_variance(squares: np.ndarray, freedom: np.ndarray) -> float:
-    """Return the variance from sums of squares (n,) with degrees of freedom (n,).
+    """Return the variance from sums of squares (n,).
 
+    Each sum has degrees of freedom (n,).
     The lower quartile is robust: nearly three quarters of the sums may have wrong arrivals.
     """
     return float(np.quantile(squares / chdtri(freedom, 0.75), 0.25))

@@ -192,8 +192,9 @@ class TipFit(HarmonicFit):
 
     @property
     def seen_once(self) -> bool:
-        """True if no probe sees the same motion twice, as in one revolution.
+        """True if no probe sees the same motion twice.
 
+        An example is a single revolution.
         Errors of arrivals then follow from the residuals alone, and nothing tests that the
         harmonics are enough.
         """
@@ -286,7 +287,7 @@ def in_words(orders: Sequence[float]) -> str:
 def compute_amplitudes(
     coefficients: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitudes (..., K) and standard errors (..., K) of coefficients (..., 2K+1).
+    """Return amplitudes (..., K) and standard errors of coefficients (..., 2K+1).
 
     A tangential error e of a pair (a_k, b_k), normal to the pair, lengthens the amplitude A by e^2
     / (2 A). The mean square is 3/4 (E e^2 / A)^2, with the expected value E. If A is below the

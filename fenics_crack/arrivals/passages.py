@@ -55,7 +55,9 @@ MAX_STIFFENING = 0.9
 
 @dataclass(frozen=True, repr=False)
 class PassageFit(Tabular):
-    """Hold a mode's resonance with an engine order, from all its passages in a record.
+    """Hold the fit to all passages through one resonance.
+
+    One mode meets one engine order.
 
     Attributes
     ----------
@@ -158,7 +160,7 @@ class PassageFit(Tabular):
 
     @property
     def disagree(self) -> bool:
-        """True if single passages differ by more than three errors in frequency or damping.
+        """True if passages differ by over three errors in frequency or damping.
 
         Amplitudes may differ: the load need not be the same.
         """
@@ -176,8 +178,9 @@ class PassageFit(Tabular):
 
     @property
     def in_doubt(self) -> bool:
-        """True if residuals are correlated, or if ``whiteness`` is nan and nothing tests them.
+        """True if residuals are correlated, or cannot be tested.
 
+        ``whiteness`` is nan without a test.
         Causes are another vibration near this speed, drift, or a nonlinear blade. Frequency,
         damping and order may then be wrong by more than their errors.
         """
@@ -512,7 +515,7 @@ class _Search:
             self.resonances.remove(resonance)
 
     def _compare_with_neighbour(self, resonance: _Resonance) -> bool:
-        """Compare the orders of a resonance and its largest neighbour in joint fits.
+        """Compare the orders of a resonance and its largest neighbour jointly.
 
         Resonances covered by either may be residuals of wrong orders, and are dropped. Return False
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
@@ -570,7 +573,7 @@ class _Search:
 def _clearness(
     record: Record, values: np.ndarray, speed: float, rounds: int = 1
 ) -> tuple[float, float]:
-    """Return how much a steady vibration near a speed reduces the sum of squares.
+    """Return how clearly a steady vibration near a speed reduces squares.
 
     The vibration has any phase at each probe. From the second round on, arrivals have the weights
     of Student's t.
@@ -690,7 +693,7 @@ class _Resonance:
         return self.is_near(resonance, 2.0 * self.best_fit.mode.damping)
 
     def may_be_residual_of(self, resonance: _Resonance) -> bool:
-        """Return True if another resonance of the same order is larger, and covers this one."""
+        """Return True if a larger resonance with the same order covers this one."""
         larger_fit, own_fit = resonance.best_fit, self.best_fit
         is_near = resonance.covers(self) and larger_fit.mode.order == own_fit.mode.order
         return is_near and larger_fit.amplitude > own_fit.amplitude
@@ -708,8 +711,9 @@ class _Resonance:
         return self.is_clear
 
     def _weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
-        """Return weights (R, P) of the best fit for the same arrivals, otherwise 1.
+        """Return initial weights (R, P) for runs.
 
+        They are the best fit's weights for the same arrivals, otherwise 1.
         Runs have R revolutions and P probes; weights are 0 without an arrival.
         """
         if [run.has_arrival.tobytes() for run in runs] == [
@@ -821,8 +825,9 @@ class _Resonance:
 def _find_best_modes(
     runs: Iterable[tuple[Run, np.ndarray]], orders: np.ndarray, speed: float, damping: float
 ) -> list[tuple[float, Mode]]:
-    """Find the best mode of each order, with its reduction of the sum of squares [m^2].
+    """Find the best mode for each order.
 
+    The list pairs reductions of the sum of squares [m^2] with modes.
     Frequencies are from a grid about a speed, spaced by half the damping ratio.
     """
     omegas = orders[:, None] * speed * (1.0 + damping * np.linspace(-2.5, 2.5, 11))
@@ -836,7 +841,7 @@ def _find_best_modes(
 def _reductions_by_pairs(
     runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return how much each pair of modes reduces the sum of squares: (n, m) [m^2].
+    """Return reductions of the sum of squares by mode pairs: (n, m) [m^2].
 
     The first list has n modes, the second m.
     """
@@ -856,8 +861,9 @@ def _reductions_by_pairs(
 
 
 def _choose_pairs(gains: np.ndarray) -> set[tuple[int, int]]:
-    """Choose the index pairs to refine: each of the best few modes with its best partner.
+    """Choose the index pairs to refine.
 
+    Each of the best few modes has its best partner.
     ``gains`` (n, m) [m^2] are reductions of the sum of squares.
     """
     best_rows, best_columns = (
@@ -871,7 +877,7 @@ def _choose_pairs(gains: np.ndarray) -> set[tuple[int, int]]:
 def _margins(
     gains: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
 ) -> dict[float, float]:
-    """Return for each order the difference in -2 log likelihood from the best fit.
+    """Return each order's -2 log likelihood less that of the best fit.
 
     An order without a fit has an estimate, from its reduction ``gains`` [m^2] of the sum of
     squares.

@@ -237,8 +237,9 @@ def student(freedom: float) -> float:
 
 
 def trend(values: np.ndarray, places: Places) -> float:
-    """Return the probability that white values are at least as correlated between revolutions.
+    """Return the probability that white values are at least as correlated.
 
+    The correlation is between successive revolutions.
     ``values`` (n,) belong to the revolutions and probes in ``places``; nan for one revolution.
     """
     _, _, [(total, count), _] = _sum_neighbours(values, places)
@@ -262,7 +263,7 @@ def _sum_neighbours(values: np.ndarray, places: Places) -> tuple[list[Total], in
 
 
 def _sum_products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Total]]:
-    """Yield products of values (n,) at each lag, for one probe and for two."""
+    """Yield sums of products in values (n,), by lag, at one probe and two."""
     arrays = [_arrange_by_revolution(part, places) for part in (values, np.ones(len(values)))]
     revolution_sums = [array.sum(axis=1) for array in arrays]
     for lag in lags:
@@ -274,7 +275,7 @@ def _sum_products(values: np.ndarray, lags: Iterable[int], places: Places) -> It
 
 
 def _arrange_by_revolution(values: np.ndarray, places: Places) -> np.ndarray:
-    """Arrange values (n, ...) by revolution and probe, with 0 for missing arrivals."""
+    """Arrange values (n, ...) by revolution and probe, otherwise 0."""
     revolution, probe = places[0] - places[0].min(), places[1]
     table = np.zeros((int(revolution.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
     table[revolution, probe] = values
@@ -322,7 +323,7 @@ def refined(
     upper_bounds: Sequence[float] | np.ndarray,
     min_reduction: float = ROBUST_SETTLED,
 ) -> np.ndarray:
-    """Minimise squared residuals from unknowns (m,) = 0; return the residuals (n,).
+    """Return the least-squares residuals (n,), from unknowns (m,) = 0 on.
 
     Parameters
     ----------

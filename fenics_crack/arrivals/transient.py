@@ -1,4 +1,4 @@
-"""Model modes that a rotor sweeps through, and fit the transient to arrivals.
+"""Model the transient of modes that a rotor sweeps through, and fit it.
 
 A mode has the natural frequency w_n and the damping ratio zeta. Under engine order p, on a rotor
 with angle alpha(t) and speed W = alpha', the mode moves the blade tip by
@@ -153,8 +153,9 @@ class Run:
         return 1.0 - self._stiffening(omega / order, omega)
 
     def _parts(self, rate: float) -> list[slice]:
-        """Split arrivals into parts, so that exp does not overflow as it undoes the decay.
+        """Split arrivals into parts without overflow in exp.
 
+        The exponential undoes the decay.
         The decay rate [1/s] is negative; each part begins with the last arrival of the previous
         part.
         """
@@ -198,7 +199,7 @@ class Run:
         return matrices, np.einsum("arp,rp->pa", parts, values), np.array(parts), values
 
     def gains(self, orders: np.ndarray, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return how much each vibration reduces the weighted sum of squares: (n, m) [m^2].
+        """Return reductions of the weighted sum of squares: (n, m) [m^2].
 
         Vibrations have orders (n,), equidistant roots lambda (n, m), any F; weights are (R, P).
         """
@@ -233,8 +234,9 @@ class Record:
         return self.arrivals.speed
 
     def runs(self, values: np.ndarray, speed: float) -> list[Run]:
-        """Return the runs through a speed [rad/s], each in 10 revolutions or more.
+        """Return the runs through a speed [rad/s].
 
+        Each has 10 revolutions or more.
         ``values`` (revolutions, probes) [m] are displacements.
         """
         offsets = self.speed / speed - 1.0
@@ -256,7 +258,7 @@ def pole(omega: np.ndarray, damping: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Mode:
-    """Hold a mode under an engine order: order p, and root lambda [1/s]."""
+    """Hold an engine order p, and a mode's root lambda [1/s]."""
 
     order: float
     root: complex
@@ -277,7 +279,7 @@ class Mode:
         return self.omega / self.order
 
     def with_step(self, step: np.ndarray) -> Mode:
-        """Return the mode after a step of ln w_n, in units of zeta, and of ln zeta."""
+        """Return the mode after a step (2,) in ln w_n, over zeta, and ln zeta."""
         omega = self.omega * math.exp(self.damping * step[0])
         return Mode(self.order, complex(pole(omega, self.damping * math.exp(step[1]))))
 
@@ -288,7 +290,7 @@ class Mode:
 
 
 class Fit:
-    """Fit frequencies and dampings by least squares, in turns with weights of arrivals.
+    """Fit frequencies and dampings by least squares, in turns with weights.
 
     Forces and drifts are linear, and fitted again at each step of the others (variable projection).
 
