@@ -54,7 +54,10 @@ from fenics_crack.numerics.fourier import fourier_basis
 N_FOLDED = 3
 """Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
 FOLDED_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
-"""Trial ratios between an omitted harmonic and the last fitted harmonic."""
+"""Trial sizes of an omitted harmonic, relative to the last fitted harmonic.
+
+In a run-up, neighbouring groups are compared relative to the whole vibration.
+"""
 NEIGHBOURS = 16
 """Number of groups on either side with the same ratios for omitted harmonics."""
 

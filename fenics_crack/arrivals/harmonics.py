@@ -42,8 +42,8 @@ class Candidates(Tabular):
         True for orders that fit as well as the best, or could explain the best fit at the probes'
         angles, within errors.
     hidden : (n,) bool
-        True if these probes cannot measure the order, which looks like a constant, or in which
-        harmonics look alike. Also if it is so nearly so that errors of the arrivals dominate.
+        True if these probes cannot measure the order: constants absorb the vibration, harmonics
+        look alike, or errors grow so large that the fitted blade tip moves backwards.
     """
 
     orders: np.ndarray

@@ -67,8 +67,8 @@ class PassageFit(Tabular):
         Natural frequency, and its standard error from the scatter of the arrivals alone. The stated
         error is :attr:`deviation`, in Hz ``frequency_error``.
     damping, damping_error : float
-        Ratio of critical damping, and its standard error. A fit with s = 0 gives a ratio
-        1 / (1 - s) times as large.
+        Ratio of critical damping, and its standard error. A fit without stiffening gives
+        a ratio 1 / (1 - s) times as large.
     amplitude : float [m]
         Largest amplitude in the passages.
     forces : (passages,) complex [m]
