@@ -1,8 +1,12 @@
-"""Arrival times of blade tips at probes, and the vibration that is fitted to them.
+"""Read arrival times of blade tips at probes, and fit their vibration.
 
-The folder needs ``basics`` and ``numerics`` alone: neither meshes, structures nor scenes, which
-``monitoring`` ties to it. ``arrival_times`` holds the times of one blade, and reads and writes
-records. ``fit_order`` finds engine orders and tracks one through a run-up, ``fit_frequency`` a
-frequency that is no multiple of the speed, ``passages`` the resonances that a run-up passes.
-``harmonics`` has the result of a fit, ``robust`` and ``transient`` their numerical methods.
+The folder needs ``basics`` and ``numerics`` alone. ``monitoring`` connects it with meshes,
+structures and scenes.
+
+- ``arrival_times`` holds the times for one blade, and reads and writes records.
+- ``fit_order`` finds engine orders, and tracks one through a run-up.
+- ``fit_frequency`` finds a frequency that is no multiple of the speed.
+- ``passages`` finds the resonances in a run-up.
+- ``harmonics`` holds the result of a fit.
+- ``robust`` and ``transient`` hold the numerical methods.
 """

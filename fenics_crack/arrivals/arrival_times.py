@@ -1,9 +1,9 @@
-"""Arrival times of a blade tip at stationary probes, measured or simulated.
+"""Hold, read and write a blade tip's arrival times at stationary probes.
 
-Measured records, as data systems write them, have a row for each revolution: the rotor's speed, or
-the time of the mark that begins it, and for each blade and probe the angle of arrival or its time.
-A passage that was missed is an empty cell. Where the probes stand is often not known: their zero is
-then the median arrival.
+Measured records from data systems have a row for each revolution. It has the rotor's speed, or the
+time of the mark at its beginning, and for each blade and probe the angle or time of arrival. A
+missed passage is an empty cell. Probe angles are often unknown: the median arrival is then their
+zero.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ FEWEST_REVOLUTIONS = 10
 
 @dataclass(frozen=True, repr=False)
 class ArrivalTimes(Tabular):
-    """Times at which the tip of one blade passed stationary probes.
+    """Hold the times at which one blade's tip passed stationary probes.
 
-    The rotor's angle alpha(t) follows from a mark on the shaft, seen once per revolution: it is 0
-    at the first mark of revolution 0 and 2 pi n at the mark that begins revolution n, with a cubic
-    spline between the marks, which constant speed and constant acceleration meet exactly. A
-    vibration that moves the blade tip by u in the direction of rotation makes it arrive early. At
-    its arrival
+    A mark on the shaft, seen once per revolution, gives the rotor angle alpha(t). The angle is 0 at
+    the first mark of revolution 0, and 2 pi n at the mark that begins revolution n. A cubic spline
+    connects the marks; it is exact for constant speed and constant acceleration. A blade tip
+    arrives early if a vibration moves it in the direction of rotation. With tip radius R, time t,
+    probe angle phi and speed W, its displacement u at an arrival in revolution n is
 
-        u = R (phi + 2 pi n - alpha(t)),    at constant speed W:  u = -R W (t - t_expected)
+        u = R (phi + 2 pi n - alpha(t)),    at constant speed W:  u = -R W (t - t_expected).
 
-    is the displacement at that very instant, not at the expected one: nothing is linearised.
+    This is the displacement at the arrival, not at the expected arrival: nothing is linearised.
 
     Attributes
     ----------
     time : (revolutions, probes) [s]
-        Arrivals; nan where one is missing.
+        Arrivals; nan for a missing arrival.
     marks : (revolutions + 1,) [s]
-        Beginnings of the revolutions, and the end of the last one.
+        Beginnings of the revolutions, and the end of the last revolution.
     probes : (probes,) [rad]
-        Angles phi of the probes from the blade tip's place at a mark, without vibration, in the
-        direction of rotation; from 0 to 2 pi, increasing.
+        Angles phi between the probes and the undisturbed blade tip at a mark, in the direction of
+        rotation; from 0 to 2 pi, increasing.
     tip_radius : float [m]
-        R.
+        Radius R.
     first : int
         Number of the first revolution.
 
@@ -120,20 +120,20 @@ class ArrivalTimes(Tabular):
 
     @property
     def mean_speed(self) -> float:
-        """Speed over the revolutions from which there are arrivals [rad/s]."""
+        """Mean speed between the first and last revolutions with arrivals [rad/s]."""
         turns = np.flatnonzero(np.isfinite(self.time).any(axis=1))
         begin, end = int(turns[0]), int(turns[-1]) + 1
         return float(2.0 * np.pi * (end - begin) / (self.marks[end] - self.marks[begin]))
 
     @property
     def steady(self) -> bool:
-        """True if the speed varies by at most 1 %, False in a run-up."""
+        """True if the speed varies by at most 1 %."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 
     @cached_property
     def nominal_angle(self) -> np.ndarray:
-        """Rotor angle phi + 2 pi n of arrivals without vibration: (revolutions, probes)."""
+        """Rotor angle phi + 2 pi n at arrivals without vibration: (revolutions, probes) [rad]."""
         turns = self.first + np.arange(len(self))
         return np.asarray(2.0 * np.pi * turns[:, None] + self.probes)
 
@@ -145,7 +145,7 @@ class ArrivalTimes(Tabular):
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """Times at the nominal angles, seen or not: (revolutions, probes) [s]."""
+        """Times at the nominal angles, with or without arrivals: (revolutions, probes) [s]."""
         turns = self.first + np.arange(len(self.marks))
         return between(RAD_PER_TURN * turns, self.marks, self.nominal_angle)
 
@@ -156,16 +156,16 @@ class ArrivalTimes(Tabular):
 
     @cached_property
     def rounding(self) -> float:
-        """Rounding of displacements [m]: of the angles, and 1e-9 of the motion."""
+        """Rounding of displacements [m]: by rounded angles, and 1e-9 of the motion."""
         angle, motion = (float(np.nanmax(np.abs(x))) for x in (self.angle, self.displacement))
         return 1e-9 * motion + 4.0 * float(np.spacing(angle)) * self.tip_radius
 
     def check_places(self, angle_deviation: float) -> None:
-        """Check that arrivals are at their probes, but for a common shift.
+        """Check that arrivals are at their probes, apart from a common shift.
 
-        Raise InputError if they are nearer to another probe or in another revolution, which a fit
-        would take for a vibration, or if the standard deviation of the probes' angles [rad] is no
-        number >= 0.
+        Raise InputError if arrivals are nearer to another probe, or in another revolution: a fit
+        would take the difference for a vibration. The standard deviation of the probes' angles
+        [rad] must be a number >= 0.
         """
         check_number("angle_deviation", angle_deviation, 0.0)
         with warnings.catch_warnings():
@@ -200,13 +200,13 @@ class ArrivalTimes(Tabular):
     def zeroed(self, begin: int, end: int) -> Self:
         """Return these arrivals with displacements from quiet revolutions.
 
-        The probes are put at the median blade tip in revolutions begin to end - 1, counted from 0.
+        The probes move to the median blade tip in revolutions begin to end - 1, counted from 0.
         """
         median_displacement = np.nanmedian(self.between(begin, end).displacement[begin:end], axis=0)
         return replace(self, probes=self.probes - median_displacement / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """Keep only the arrivals of revolutions begin to end - 1, counted from 0."""
+        """Keep only the arrivals in revolutions begin to end - 1, from 0."""
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
         is_kept = np.zeros(len(self), dtype=bool)
@@ -220,19 +220,19 @@ class ArrivalTimes(Tabular):
 
     @classmethod
     def from_csv(cls, path: str | Path, *, tip_radius: float | None = None) -> Self:
-        """Read arrivals from a CSV file with these columns, in any order, and any others.
+        """Read arrivals from a CSV file with a row for each passage.
 
-        ``revolution`` (a whole number), ``angle [rad]`` of the probe, ``mark [s]`` and
-        ``next_mark [s]`` (begin and end of the revolution), ``arrival [s]``; and ``tip_radius [m]``
-        unless it is given here. Other units are converted, as by :func:`read_record`. A row is a
-        passage; passages may be missing, revolutions may not. :meth:`to_csv` writes such a file,
-        from which the same arrivals are read to the last bit.
+        Columns have any order, and others are ignored: ``revolution`` (a whole number), ``angle
+        [rad]`` of the probe, ``mark [s]`` and ``next_mark [s]`` (begin and end of the revolution),
+        ``arrival [s]``; and ``tip_radius [m]`` unless given as an argument. Other units are
+        converted, as by :func:`read_record`. Passages may be missing, but revolutions may not.
+        :meth:`to_csv` writes such a file; the same arrivals are read back to the last bit.
 
         Raises
         ------
         InputError
-            The file cannot be read, a column is missing, or rows contradict each other or the
-            radius given.
+            The file cannot be read, a column is missing, or rows contradict each other or the given
+            radius.
         """
         (turn, angle, mark, next_mark, arrival), radius = _read_passages(path)
         tip_radius = choose_radius(path, radius, tip_radius)
@@ -288,11 +288,12 @@ def between(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.nda
 
 
 def smooth_series(values: np.ndarray) -> np.ndarray:
-    """Smooth values (n,) of successive revolutions, which removes their errors.
+    """Smooth values (n,) in successive revolutions, to reduce their errors.
 
     Quadratics are fitted over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36,
-    1964, 1627). Of h = 0, 2, 4, 8, ... the one of the least risk is taken, by Stein's estimate
-    (Annals of Statistics 9, 1981, 1135) with the variance of errors from fourth differences.
+    1964, 1627). The half width h = 0, 2, 4, 8, ... has the least risk by Stein's estimate (Annals
+    of Statistics 9, 1981, 1135). Fourth differences give the variance of errors. Fewer than 10
+    values are returned unchanged.
     """
     if len(values) < FEWEST_REVOLUTIONS:
         return values
@@ -313,8 +314,8 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
 def check_turns(name: str, turns: np.ndarray, first_turn: int = 0) -> None:
     """Raise InputError unless durations of revolutions (n,) [s] vary smoothly.
 
-    A duration more than 1.4 times the median of five, or less than 1 / 1.4 of it, shows that a mark
-    was missed, or another signal taken for one.
+    A duration more than 1.4 times the median of five, or less than 1 / 1.4 times, shows a missed
+    mark or a false one.
     """
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(turns, 2, mode="symmetric"), 5)
     medians = np.median(windows, axis=1)
@@ -339,9 +340,9 @@ def check_probes(probes: np.ndarray) -> None:
 
 
 def choose_radius(path: str | Path, file_radii: np.ndarray | None, radius: float | None) -> float:
-    """Return the tip radius [m], from a file's column or stated.
+    """Return the tip radius [m], from a file's column or as given.
 
-    Raise InputError if there is none, or more than one.
+    Raise InputError without a radius, or for contradictory ones.
     """
     if file_radii is None:
         if radius is None:
@@ -363,9 +364,9 @@ def _read_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
     Returns
     -------
     headings : list of str
-        In SI if they name a unit.
+        Headings, with units converted to SI.
     line_numbers : list of int
-        Numbers of the other lines (n,).
+        Numbers of the lines (n,) below the headings.
     table : (columns, n)
         Numbers in SI; nan in cells without a number.
     """
@@ -384,7 +385,7 @@ def _read_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
 
 
 def _number(cell: str) -> float:
-    """Return the number in a cell, nan if it has none."""
+    """Return the number in a cell, or nan without one."""
     try:
         return float(cell)
     except ValueError:
@@ -392,7 +393,7 @@ def _number(cell: str) -> float:
 
 
 def _read_passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read the required columns (5, rows) of a file, and radii (rows,) or None."""
+    """Read a file's required columns (5, rows), and radii (rows,) or None."""
     names, lines, columns = _read_table(path)
     for name in ARRIVAL_COLUMNS:
         if name not in names:
@@ -423,34 +424,36 @@ def read_record(
     tip_radius: float | None = None,
     probes: Sequence[float] | np.ndarray | Mapping[int, np.ndarray] | None = None,
 ) -> dict[int, ArrivalTimes]:
-    """Read the arrivals of one or more blades, a row for each revolution.
+    """Read the arrivals of one or more blades.
 
-    Columns are known by their headings, in any order, with units in brackets; others, and lines
-    that begin with #, are left out. The radius may be in mm, as well; cells are
-    separated by commas, semicolons or tabs.
+    The file has a row for each revolution.
+    Headings identify the columns, in any order, with units in brackets. Other columns are ignored,
+    and so are lines that begin with #. The radius may be in mm, too. Commas, semicolons or tabs
+    separate the cells.
 
     ``revolution``
-        Its number; rows may be missing. Without it they are counted.
+        Number of the revolution; rows may be missing. Without this column rows are counted.
     ``speed [rpm]`` (or rad/s, Hz; "shaft speed" too)
-        Mean speed of the revolution; or ``mark [s]``, when the mark on the shaft begins it.
+        Mean speed of the revolution; or ``mark [s]``, the time of the shaft's mark at its
+        beginning.
     ``blade 2 probe 1 [rad]`` (or deg; "AoA" does no harm)
-        Rotor's angle from the mark to the arrival; or ``[s]``, its time (with ``mark [s]``). Empty
-        or nan where it was missed; without "blade 2" the file has one blade.
+        Rotor angle from the mark to the arrival; or ``[s]``, the time of arrival (with ``mark
+        [s]``). Empty or nan for a missed passage; without "blade 2" the file has one blade.
     ``tip_radius [m]``
-        Unless it is given here.
+        Radius, unless given as an argument.
 
-    Files of :meth:`ArrivalTimes.from_csv`, a row for each passage, are read as well.
+    Files for :meth:`ArrivalTimes.from_csv`, with a row for each passage, are read as well.
 
     Parameters
     ----------
     path : str or Path
         The file.
     tip_radius : float [m]
-        Distance of the blade tips from the axis.
+        Distance between the blade tips and the axis.
     probes : (n_probes,) [rad], or a mapping
-        Angles of the probes from the blade tip's place at a mark, of each blade by its number where
-        they differ. Default: medians of arrivals, so that displacements are those from a place in
-        the middle.
+        Angles from the blade tip at a mark to the probes; a mapping has the angles for each blade
+        number. Default: medians of the arrivals, so that displacements are relative to a middle
+        position.
 
     Returns
     -------
@@ -502,7 +505,7 @@ def has_probe_angles(path: str | Path) -> bool:
 
 
 def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[int, np.ndarray]:
-    """Return angles of probes (n_probes,) from each blade's tip at the mark [rad].
+    """Return probe angles (n_probes,) [rad] from each blade's tip at the mark.
 
     Keys are the numbers of the blades, from 1 to count; blade j + 1 is 2 pi / count ahead of
     blade j.
@@ -519,17 +522,17 @@ def write_record(
 ) -> None:
     """Write the arrivals of a disk's blades as one record.
 
-    It has a row for each revolution, a column for each blade and probe; :func:`read_record` reads
-    it.
+    The record has a row for each revolution, and a column for each blade and probe;
+    :func:`read_record` reads it.
 
     Parameters
     ----------
     blades : mapping of int to ArrivalTimes
-        The blades by their numbers, of the same marks.
+        The blades by their numbers, with common marks.
     path : str or Path
         The file.
     probes : (n_probes,) [rad]
-        Angles of the probes from the first blade's place at a mark, in the order of their numbers.
+        Angles from the first blade's tip at a mark to the probes, numbered in this order.
 
     Raises
     ------
@@ -557,7 +560,7 @@ def write_record(
 
 
 def _unit_factor(path: str | Path, name: str, factors: dict[str, float]) -> float:
-    """Return the factor to SI of the unit in a heading."""
+    """Return the factor to SI for the unit in a heading."""
     match = re.search(r"\[(.*)\]", name)
     unit_name = match[1] if match else next(iter(factors))
     if unit_name not in factors:
@@ -574,8 +577,9 @@ def _read_turns(path: str | Path, column: np.ndarray) -> np.ndarray:
 
 
 def _read_marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) -> np.ndarray:
-    """Return times of the marks (revolutions + 1,) [s], from marks or speeds.
+    """Return times of the marks: (revolutions + 1,) [s].
 
+    The file has marks or speeds.
     Marks of missing rows are interpolated; the last one ends the last revolution.
     """
     all_turns = np.arange(turns[0], turns[-1] + 1)

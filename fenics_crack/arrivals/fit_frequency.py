@@ -1,20 +1,24 @@
-"""Asynchronous vibration from arrival times: its frequency by a scan of least-squares fits.
+"""Fit asynchronous vibration to arrival times: scan frequencies by least squares.
 
-At a frequency that is no multiple of the speed each revolution sees another point of the period,
-so few probes suffice; but a probe alone samples once per revolution, and orders p, p + 1, p + 2,
-... and their mirror images 1 - p, 2 - p, ... look the same to it. Probes at other angles see the
-aliases with other phases: two suffice (Lacaze, arXiv:1711.06135), though not two opposite each
-other, which see every second alias with the same phase. The vibration is one in time,
+At a frequency that is no multiple of the speed, each revolution sees another point in the period,
+so few probes suffice. A single probe samples once per revolution, and cannot distinguish the orders
+p, p + 1, p + 2, ... and their mirror images 1 - p, 2 - p, .... Probes at other angles see these
+aliases with other phases. Two probes suffice (Lacaze, arXiv:1711.06135), unless they are opposite
+each other: every second alias then has the same phase. With displacement u, time t, angular
+frequency w, a constant c_j for probe j, coefficients a_k and b_k, and harmonics k = 1 ... K, the
+vibration is
 
-    u = c_j + sum_k a_k cos(k w t) + b_k sin(k w t)
+    u = c_j + sum_k a_k cos(k w t) + b_k sin(k w t).
 
-so the speed may vary. Its constant is that of all probes, but for errors of their angles; or each
-probe's own, which then holds all that follows the speed. The scan is a periodogram of what the
-constants leave, summed over the harmonics (Lomb, Astrophysics and Space Science 39, 1976, 447), at
-unevenly spaced times by the FFT (Greengard and Lee, SIAM Review 46, 2004, 443). Least squares then
-fit frequency, harmonics and constants to its best peaks (Zechmeister and Kürster, Astronomy and
-Astrophysics 496, 2009, 577), and the best of them with the weights of
-:mod:`fenics_crack.arrivals.robust`.
+The speed may vary, since the model is a function of time. The constant is common to all probes,
+apart from errors in their angles. Alternatively, each probe has a free constant, which then absorbs
+everything synchronous.
+
+The scan is a periodogram after subtracting the constants, summed over the harmonics (Lomb,
+Astrophysics and Space Science 39, 1976, 447). At unevenly spaced times the FFT computes the sums
+(Greengard and Lee, SIAM Review 46, 2004, 443). Least squares then fit frequency, harmonics and
+constants to the best peaks (Zechmeister and Kürster, Astronomy and Astrophysics 496, 2009, 577).
+The best peak is fitted again with the weights in :mod:`fenics_crack.arrivals.robust`.
 """
 
 from __future__ import annotations
@@ -34,9 +38,9 @@ from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.fourier import fourier_basis
 
 MAX_FREQUENCIES = 10**8
-"""Maximum number of frequencies in a scan, as of 1e6 revolutions and orders up to 24."""
+"""Maximum number of frequencies in a scan, as for 1e6 revolutions and orders up to 24."""
 MAX_PEAKS, LOWEST = 40, 0.5
-"""Maximum number of refined peaks of a scan, and their minimum height over the highest one."""
+"""Maximum number of refined peaks in a scan; minimum power relative to the highest peak."""
 
 
 def fit_frequency(
@@ -49,31 +53,31 @@ def fit_frequency(
 ) -> TipFit:
     """Find a vibration of any frequency by least squares.
 
-    Of frequencies that fit equally well, within errors, the one with the smallest vibration is
-    taken and the others are reported, as by :func:`fit_order`. Give no more harmonics than needed:
-    with two, half a frequency may explain it by its second harmonic, too.
+    Among frequencies that fit equally well, within errors, the smallest vibration is taken and the
+    others are reported, as by :func:`fit_order`. Give no more harmonics than needed: with two, half
+    the true frequency may fit by its second harmonic.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     low, high : float [rad/s]
-        Range in which the frequency of the load is sought.
+        Range of the load's frequency.
     harmonics : int
-        K.
+        Number K.
     angle_deviation : float [rad]
         Standard deviation of the probes' angles, the same in every revolution.
 
     Returns
     -------
     TipFit
-        Its order is any number, frequency over mean speed, with a standard error.
+        The order is any number, frequency over mean speed, with a standard error.
 
     Raises
     ------
     InputError
-        A value cannot be used, there are too few arrivals, they are not where the probes are, or
-        those of a probe alone do not vary: a vibration of a whole order looks like none to it.
+        A value cannot be used, there are too few arrivals, or arrivals are not at the probes. Also
+        if a single probe's arrivals do not vary: to one probe, whole orders look like no vibration.
 
     Examples
     --------
@@ -110,22 +114,28 @@ def find_lines(
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations of constant frequency, beside constants.
 
-    The constants hold all that follows the speed. Returns the vibrations, and displacements
-    (revolutions, probes) [m] without them.
+    The constants absorb everything synchronous.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     values : (revolutions, probes) [m]
-        Displacements in which vibrations are sought, one after the other.
+        Displacements to search for vibrations, one after the other.
     constants : (revolutions, probes) int
-        Number of the constant of each displacement.
+        Number of the constant for each displacement.
     max_order : float
-        Frequencies are sought from half the speed to one order above this one, or above the largest
-        of the default orders if that is larger.
+        Frequencies range from half the mean speed to one order above ``max_order``, or above the
+        largest default order if larger.
     max_lines : int
         Maximum number of vibrations.
+
+    Returns
+    -------
+    lines : tuple of TipFit
+        Vibrations.
+    residuals : (revolutions, probes) [m]
+        Displacements without the vibrations.
     """
     lines: list[TipFit] = []
     speed = arrivals.mean_speed
@@ -141,27 +151,31 @@ def find_lines(
 
 
 class _FrequencySearch:
-    """Least squares of a vibration in time, and a constant for each probe.
+    """Fit a vibration in time, and constants, by least squares.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Record with the times and probes.
     values : (revolutions, probes) [m]
-        Displacements; nan where there is none.
+        Displacements; nan without an arrival.
     constants : (revolutions, probes) int
-        Number of the constant of each displacement.
+        Number of the constant for each displacement.
     harmonics : int
-        K.
+        Number K.
     deviation : float [rad]
-        Standard deviation of the constants, as angles; inf: they are free.
+        Standard deviation of the constants, as angles; inf for free constants.
     ends : (float, float) [rad/s]
-        Range in which the frequency is sought.
+        Range of the frequency.
 
     Attributes
     ----------
-    omega, coefficients, columns, noise
-        Frequency [rad/s], coefficients and derivatives of :meth:`_fit`, residuals and weights.
+    omega : float [rad/s]
+        Frequency.
+    coefficients, columns : (2K,) [m], (n, 2K+1)
+        Coefficients and derivatives by :meth:`_fit`.
+    noise : Noise
+        Residuals and weights.
     """
 
     def __init__(
@@ -192,12 +206,12 @@ class _FrequencySearch:
         )  # fmt: skip
 
     def _stiffen(self, scatter: float) -> None:
-        """Set the stiffness that holds probes' constants together, for a scatter [m]."""
+        """Set the stiffness that couples the probes' constants, for a scatter [m]."""
         if self._constants.shape[1] > 1:
             self._stiffness = (scatter / self._tip_deviation) ** 2
 
     def _eliminate(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Subtract the constants that fit values (n,) or (n, m)."""
+        """Subtract the weighted best constants from values (n,) or (n, m)."""
         columns, count = weights[:, None] * self._constants, self._constants.shape[1]
         square = self._constants.T @ columns + self._stiffness * (np.eye(count) - 1.0 / count)
         return np.asarray(values - self._constants @ np.linalg.solve(square, columns.T @ values))
@@ -205,10 +219,16 @@ class _FrequencySearch:
     def _fit(
         self, omega: float, weights: np.ndarray, values: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fit harmonics and constants at a frequency [rad/s] to values (n,).
+        """Fit harmonics and constants to values (n,) [m] at a frequency [rad/s].
 
-        Returns coefficients a1, b1, ... (2K,) [m], residuals (n,) [m], and derivatives (n, 2K+1) of
-        the fit by the coefficients and by the frequency.
+        Returns
+        -------
+        coefficients : (2K,) [m]
+            a1, b1, ....
+        residuals : (n,) [m]
+            Values less the fit.
+        columns : (n, 2K+1)
+            Derivatives of the fit by the coefficients and by the frequency.
         """
         waves, root = fourier_basis(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
         block = self._eliminate(np.column_stack([waves, values]), weights)
@@ -219,7 +239,7 @@ class _FrequencySearch:
         return coefficients, target - columns @ coefficients, np.column_stack([columns, slope])
 
     def _refine(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
-        """Refine a frequency by least squares, and return it with its fit."""
+        """Return a frequency [rad/s] refined by least squares, and its fit."""
         unit, root = np.pi / self._span, np.sqrt(weights)[:, None]
         best_omega, fit = omega, None
 
@@ -238,7 +258,7 @@ class _FrequencySearch:
     def find_best(self) -> tuple[TipFit, float]:
         """Return the best vibration, and the probability of its size in noise.
 
-        The best is the smallest of those that explain the displacements as well as any.
+        Among vibrations that explain the displacements equally well, the smallest is the best.
         """
         trials: list[tuple[bool, float, float]] = []
         weights = self._null_noise.weights
@@ -264,12 +284,12 @@ class _FrequencySearch:
         return self._describe(candidates), 1.0 if self._is_hidden(self.columns) else chance
 
     def _is_hidden(self, columns: np.ndarray) -> bool:
-        """Return True if constants hold half of some vibration's squares or more."""
+        """Return True if constants absorb half of some vibration's squares or more."""
         waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(waves.T @ waves)[0] < 0.25 * len(columns))
 
     def _find_peaks(self) -> np.ndarray:
-        """Return the frequencies of the highest peaks of a periodogram [rad/s]."""
+        """Return the frequencies (n,) [rad/s] of the highest peaks in a periodogram."""
         min_omega, max_omega = self._ends
         step = RAD_PER_TURN / (4.0 * self._span)  # of the resolution a quarter
         begin, end = int(np.ceil(min_omega / step)), int(np.floor(max_omega / step)) + 1
@@ -290,7 +310,7 @@ class _FrequencySearch:
         return np.asarray(step * steps[peaks[power[peaks] > LOWEST * power[peaks[0]]]])
 
     def _settle(self) -> None:
-        """Fit frequency, harmonics and constants by turns with weights."""
+        """Fit frequency, harmonics and constants in turns with weights."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
             self.omega, (self.coefficients, residuals, self.columns) = self._refine(
@@ -302,9 +322,9 @@ class _FrequencySearch:
         self._stiffen(self.noise.scale)
 
     def _compare(self, omegas: np.ndarray) -> tuple[Candidates, float]:
-        """Compare frequencies (n,) [rad/s] with the weights of the best one.
+        """Compare frequencies (n,) [rad/s] with the weights of the best fit.
 
-        Returns all as candidates, and the one to take.
+        Return all as candidates, and the frequency to take [rad/s].
         """
         weights, limit = self.noise.weights, LEVELS.equal * self.noise.scale**2
         fits = [self._fit(omega, weights, self._values, self._time) for omega in omegas]
@@ -325,7 +345,7 @@ class _FrequencySearch:
         return Candidates(orders, rms, conditions, equivalent, hidden), float(omegas[index])
 
     def _describe(self, candidates: Candidates) -> TipFit:
-        """Return the fit, whose order replaces that of the nearest candidate."""
+        """Return the fit, with its order in place of the nearest candidate."""
         speed, count = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
         order = self.omega / speed
         orders = candidates.orders.copy()
@@ -356,8 +376,8 @@ class _FrequencySearch:
 def _spectrum(phase: np.ndarray, values: np.ndarray, first_mode: int, count: int) -> np.ndarray:
     """Return sum_n values_n exp(-i m phase_n) at unevenly spaced phases (n,) [rad].
 
-    m are ``count`` whole numbers from ``first_mode`` on. A Gaussian spreads each value over its
-    neighbours on a grid, and its transform is taken out again.
+    The m are ``count`` whole numbers from ``first_mode`` on. A Gaussian spreads each value over
+    neighbours on a grid; the spectrum is divided by the Gaussian's transform.
     """
     reach = 8  # neighbours on each side, for eleven digits
     modes = 2 * (count // 2 + 1)

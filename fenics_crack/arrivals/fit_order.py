@@ -1,16 +1,17 @@
-"""Synchronous vibration from arrival times: engine order and harmonics, at a speed or in a run-up.
+"""Fit synchronous vibration to arrival times: engine order and harmonics.
 
-The circumferential Fourier fit by least squares. At engine order p each probe at phi sees, in every
-revolution, the same point of
+The circumferential Fourier fit by least squares, at constant speed or in a run-up. At engine order
+p, each probe at angle phi sees the same point in every revolution. With displacement u, rotor angle
+alpha, coefficients a_k and b_k, and harmonics k = 1 ... K,
 
-    u = a0 + sum_k a_k cos(k p alpha) + b_k sin(k p alpha)
+    u = a0 + sum_k a_k cos(k p alpha) + b_k sin(k p alpha).
 
-so the probes around the casing are what samples a period: K harmonics need 2K + 1 probes, and two
-orders that agree at all probes cannot be distinguished. Heath and Imregun (Journal of Engineering
-for Gas Turbines and Power 120, 1998, 784) survey such methods; Diamond and Heyns (Journal of
-Vibration and Acoustics 140, 2018, 061003) choose the spacing of the probes. As in the improved fit
-of Applied Sciences 10, 2020, 3675, alpha is the rotor's angle at the arrival itself, which depends
-on the vibration, and not where the blade tip was expected.
+The probes around the casing therefore sample a period: K harmonics need 2K + 1 probes, and two
+orders with equal values at all probes cannot be distinguished. Heath and Imregun (Journal of
+Engineering for Gas Turbines and Power 120, 1998, 784) survey such methods; Diamond and Heyns
+(Journal of Vibration and Acoustics 140, 2018, 061003) choose the probe spacing. As in the improved
+fit (Applied Sciences 10, 2020, 3675), alpha is the rotor angle at the arrival itself. Unlike the
+expected angle, alpha depends on the vibration.
 """
 
 from __future__ import annotations
@@ -51,11 +52,14 @@ from fenics_crack.basics.tables import (
 from fenics_crack.numerics.fourier import fourier_basis
 
 N_FOLDED = 3
-"""Number of omitted harmonics, next to those of the fit, that may be folded onto it."""
+"""Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
 FOLDED_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
-"""Ratios of an omitted harmonic to the last one of the fit, to try."""
+"""Trial sizes of an omitted harmonic, relative to the last fitted harmonic.
+
+In a run-up, neighbouring groups are compared relative to the whole vibration.
+"""
 NEIGHBOURS = 16
-"""Groups of revolutions on either side in which omitted harmonics have the same ratios."""
+"""Number of groups on either side with the same ratios for omitted harmonics."""
 
 
 def fit_order(
@@ -66,36 +70,38 @@ def fit_order(
     subharmonic: int = 1,
     angle_deviation: float = 0.0,
 ) -> TipFit:
-    """Find the engine order of a vibration, and its harmonics, by least squares.
+    """Find the engine order and harmonics of a vibration by least squares.
 
-    The mean of each probe over the revolutions is found beside vibrations that follow no order
-    (``asynchronous`` of the fit), with errors of Student's t, so that single wrong arrivals have no
-    weight. Each candidate is fitted to the means. All whose sum of squares is less than 9 variances
-    above the least one fit equally well: the one with the smallest vibration is taken (within 20 %,
-    the one of the least sum), and the others are reported. So are those whose columns are dependent
-    at these probes, as hidden (:class:`Candidates`). The variance of a mean is that of the
-    residuals and of the probe's angle; where the means are off by more (F test), it is that of the
-    means, so that harmonics left out do not pass for information. Of these, what is significant is
-    in the errors; what may be there without being so is in ``folded``.
+    Each probe's mean over the revolutions is found beside vibrations without an order
+    (``asynchronous`` in the fit). Errors follow Student's t, so that single wrong arrivals have
+    hardly any weight. Each candidate is fitted to the means. Candidates fit equally well if their
+    sum of squares is less than 9 variances above the minimum. The smallest such vibration is taken,
+    or the least sum among sizes within 20 %; the other candidates are reported. Candidates with
+    dependent columns at these probes are reported as hidden (:class:`Candidates`).
+
+    The variance of a mean combines the residuals and the probe's angle. If the means are off by
+    more (F test), their own misfit sets the variance, so that omitted harmonics do not pass for
+    information. Significant omitted harmonics increase the errors; ``folded`` is the risk from the
+    others.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Measured or simulated, at a constant speed. :func:`track_order` is for run-ups.
     orders : iterable of float
-        Candidates: periods of the load in a revolution, whole numbers or fractions of small ones.
-        Those that a Campbell diagram allows are distinguished most easily.
+        Candidates: periods of the load in a revolution, whole numbers or fractions with small
+        denominators. Orders from a Campbell diagram are distinguished most easily.
     harmonics : int
-        K; 2 or more show a breathing crack by :meth:`TipFit.ratio`.
+        Number K; 2 or more show a breathing crack by :meth:`TipFit.ratio`.
     subharmonic : int
-        2: the response has twice the load's period, and harmonics 1/2, 1, ..., K/2 of the load.
+        For 2, the response has twice the load's period, and harmonics 1/2, 1, ..., K/2.
     angle_deviation : float [rad]
         Standard deviation of the probes' angles, the same in every revolution.
 
     Returns
     -------
     TipFit
-        The order, its harmonics with standard errors, and other orders that fit equally well.
+        The order, its harmonics with standard errors, and equally good orders.
 
     Raises
     ------
@@ -167,7 +173,11 @@ def _select_order(
 
 
 def _find_period(orders: np.ndarray, multiples: np.ndarray) -> int:
-    """Return the number of revolutions after which probes see the same."""
+    """Return the number of revolutions after which probes see the same motion.
+
+    Raise InputError for products of ``orders`` and ``multiples`` with a period above 24
+    revolutions.
+    """
     limit = 24
     products = np.multiply.outer(orders, multiples).ravel()
     fractions = [Fraction(product).limit_denominator(limit) for product in products.tolist()]
@@ -180,22 +190,23 @@ def _find_period(orders: np.ndarray, multiples: np.ndarray) -> int:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Least squares at one order.
+    """Hold the least-squares fit of one order to g values.
 
     Attributes
     ----------
     order : float
         Periods of the load in a revolution.
     multiples : (K,)
-        Harmonics, as multiples of its frequency.
+        Harmonics, as multiples of the load's frequency.
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
         Covariance of the coefficients.
-    least : float
-        Sum of squares of the residuals, in variances.
+    sum_of_squares : float
+        Sum of squared residuals, in variances.
     slope : (g,)
-        Residual of a value over its error, 1 + u' / R: a late blade tip moves meanwhile.
+        Residual over error of a value, 1 + u' / R, with tip radius R and u' = du / d alpha: a late
+        blade tip moves meanwhile.
     """
 
     order: float
@@ -207,20 +218,27 @@ class _Fit:
 
 
 class _Sample:
-    """Displacements at angles of the rotor, with the covariance of their errors.
+    """Hold displacements at rotor angles, with the covariance of their errors.
 
     Parameters
     ----------
-    nominal, angle : (g,) [rad]
-        Rotor's angles where the blade tip is expected, and where it is.
+    nominal : (g,) [rad]
+        Rotor angles at the expected blade tip.
     values : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
-        Covariance of the values; of unknown scale if ``freedom`` is 0.
+        Covariance of the values; with an unknown scale if ``freedom`` is 0.
     freedom : int
-        Degrees of freedom of this covariance, of arrivals within groups.
+        Degrees of freedom of this covariance, from arrivals within groups.
     radius : float [m]
         Radius of the blade tip.
+
+    Attributes
+    ----------
+    angle : (g,) [rad]
+        Rotor angles at the displaced blade tip.
+    within : int
+        Degrees of freedom, as ``freedom``.
     """
 
     def __init__(
@@ -240,7 +258,8 @@ class _Sample:
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
         """Fit an order by least squares.
 
-        Returns None where probes cannot measure it, or where the blade tip would move backwards.
+        Return None if the probes cannot measure the order, or if the blade tip would move
+        backwards.
         """
         columns = fourier_basis(order * self.angle, multiples)
         nominal_columns = fourier_basis(order * self.nominal, multiples)
@@ -266,26 +285,29 @@ class _Sample:
     def _whiten(
         self, columns: np.ndarray, values: np.ndarray, slope: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Divide columns (g, m) and values (g,) by slopes (g,) and standard deviations."""
+        """Divide columns and values by slopes and standard deviations.
+
+        Columns are (g, m), values and slopes (g,).
+        Correlated values are decorrelated, by the Cholesky factor of their covariance.
+        """
         block = np.column_stack([columns, values]) / slope[:, None]
         block = solve_triangular(self._cholesky, block, lower=True)
         return block[:, :-1], block[:, -1]
 
     def fit_with_omitted(self, fit: _Fit) -> tuple[float, _Fit]:
-        """Return -2 log likelihood (restricted) and fit, with omitted harmonics.
+        """Return the restricted -2 log likelihood and the fit with omitted harmonics.
 
-        The next N_FOLDED harmonics are normal random numbers of the variance that makes the values
-        most likely. So far as they are significant, the errors hold what is folded from them onto
-        the harmonics of the fit.
+        The next N_FOLDED harmonics are normal random numbers, with the most likely variance for the
+        values. If they are significant, the errors include their folding onto the fitted harmonics.
         """
         costs, fits = self.fit_omitted_sizes(fit, self._omitted_sizes(fit))
         choice = int(np.argmin(costs))
         return float(costs[choice]), fits[choice]
 
     def fit_omitted_sizes(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
-        """Return costs (n,) and fits with omitted harmonics of standard deviations (n,) [m].
+        """Return costs (n,) and fits for given sizes of the omitted harmonics.
 
-        Costs are -2 log likelihoods (restricted).
+        Sizes are standard deviations (n,) [m]. Costs are restricted -2 log likelihoods.
         """
         costs, *estimates = self._solve_with_omitted(
             fit, np.repeat(sizes[:, None], N_FOLDED, axis=1)
@@ -300,8 +322,8 @@ class _Sample:
     def folding_chance(self, fit: _Fit) -> float:
         """Return the probability that an amplitude is off by over three errors.
 
-        The mean over all sizes of omitted harmonics, weighted by the likelihood of the values; for
-        the worst amplitude. nan where errors are not known.
+        The probability is a mean over all sizes of omitted harmonics, weighted with the likelihood
+        of the values, for the worst amplitude; nan for unknown errors.
         """
         if self.within < 1:
             return np.nan
@@ -315,7 +337,7 @@ class _Sample:
         return 1.0 - float((weights @ (cdf_high - cdf_low)).min() / weights.sum())
 
     def _omitted_sizes(self, fit: _Fit) -> np.ndarray:
-        """Return standard deviations of an omitted harmonic [m], by FOLDED_RATIOS."""
+        """Return trial standard deviations (n,) [m] of an omitted harmonic, by FOLDED_RATIOS."""
         sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_RATIOS
         return np.asarray(sizes[sizes < self.max_omitted_size])
 
@@ -327,10 +349,20 @@ class _Sample:
     def _solve_with_omitted(
         self, fit: _Fit, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit again with omitted harmonics of standard deviations (n, N_FOLDED) [m].
+        """Repeat a fit with omitted harmonics as further unknowns.
 
-        They are further unknowns, which are 0 within these. Returns -2 log likelihoods (n,),
-        coefficients (n, 2K+1) [m], covariances (n, 2K+1, 2K+1) [m^2] and sums of squares (n,).
+        Their values are 0 within standard deviations ``sizes`` (n, N_FOLDED) [m].
+
+        Returns
+        -------
+        costs : (n,)
+            Restricted -2 log likelihoods.
+        coefficients : (n, 2K+1) [m]
+            Coefficients of the fitted harmonics.
+        covariances : (n, 2K+1, 2K+1) [m^2]
+            Covariances of these coefficients.
+        squares : (n,)
+            Sums of squares, in variances.
         """
         unknowns, multiples = len(fit.coefficients), fit.multiples
         omitted_multiples = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
@@ -351,9 +383,14 @@ class _Sample:
     def test_misfit(self, squares: float, unknowns: int) -> tuple[float, float, float]:
         """Test the misfit of a sum of squares, in variances (F test).
 
-        Returns the variance over the expected one, inf without degrees of freedom; the probability
-        of a misfit as large, nan where unknown; and the degrees of freedom of the variance, inf
-        where a misfit makes it, whose errors are no matter of chance.
+        Returns
+        -------
+        ratio : float
+            Variance over the expected variance; inf without degrees of freedom.
+        chance : float
+            Probability of a misfit as large; nan if unknown.
+        freedom : float
+            Degrees of freedom of the variance; inf for a significant misfit, which is not random.
         """
         spare = len(self.values) - unknowns
         total = self.within + spare
@@ -368,31 +405,32 @@ class _Sample:
 
 
 class Means(_Sample):
-    """Mean displacements of each probe, every so many revolutions, with their covariance.
+    """Hold each probe's mean displacements, once per period, with their covariance.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Arrivals at a constant speed.
     period : int
-        Revolutions after which a probe sees the same again.
+        Revolutions after which a probe sees the same motion again.
     order : float
-        Largest of the candidates, up to which vibrations that follow no order are sought.
+        Largest candidate. Vibrations without an order are sought up to one order above this or
+        above the default orders.
     angle_deviation : float [rad]
         Standard deviation of the probes' angles.
     line_effects : (revolutions, probes) [m]
-        Displacements of :meth:`compute_line_effects`, which are subtracted.
+        Displacements by :meth:`compute_line_effects`, which are subtracted.
 
     Attributes
     ----------
     scatter : float [m]
-        Scatter of a displacement about its mean; 1 where it is not known.
+        Scatter of a displacement about the mean; 1 if unknown.
     values, angle : (g,) [m, rad]
-        The means, and the rotor's angles where the blade tip then is.
+        Means, and rotor angles at the displaced blade tip.
     covariance : (g, g) [m^2]
         Covariance of the means.
     lines : tuple of TipFit
-        Vibrations that follow no order.
+        Vibrations without an order, with constant frequency.
     """
 
     def __init__(
@@ -435,10 +473,10 @@ class Means(_Sample):
         super().__init__(nominal, self.values, covariance, freedom, arrivals.tip_radius)
 
     def compute_line_effects(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
-        """Return the change of an order's displacements by the lines (revolutions, probes) [m].
+        """Return how the lines change an order's displacements: (revolutions, probes) [m].
 
-        Lines move the blade tip along the order's wave, which becomes smaller, with lines at the
-        sums and differences of the frequencies.
+        Lines move the blade tip along the order's wave. The wave becomes smaller, and further lines
+        appear at the sums and differences of the frequencies.
         """
         angle = np.full(arrivals.time.shape, np.nan)
         angle[np.isfinite(arrivals.time)] = self.angle[self._group]
@@ -449,8 +487,9 @@ class Means(_Sample):
         return displacement - fit.displacement(angle)
 
     def wave_sum_of_squares(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
-        """Return residual squares, in variances, of an order fitted to a wave (g,).
+        """Return the residual squares after fitting an order to a wave.
 
+        The squares are in variances; the wave is (g,) [m].
         Both are at the nominal angles.
         """
         columns = fourier_basis(order * self.nominal, multiples)
@@ -471,7 +510,7 @@ class Means(_Sample):
 
 @dataclass(frozen=True, repr=False)
 class TipTrack(HarmonicFit):
-    """Harmonics of a vibration of known engine order, revolution by revolution.
+    """Hold harmonics at a known engine order, revolution by revolution.
 
     Attributes
     ----------
@@ -480,18 +519,18 @@ class TipTrack(HarmonicFit):
     speed : (n,) [rad/s]
         Mean speed of each group of revolutions.
     multiples : (K,)
-        Harmonics, as of :class:`TipFit`.
+        Harmonics, as in :class:`TipFit`.
     coefficients : (n, 2K+1) [m]
         a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
-        And standard errors; nan where too many arrivals are missing, errors also where two arrivals
-        or fewer are to spare.
+        Amplitudes with standard errors. Both are nan if too many arrivals are missing; errors also
+        without a spare arrival, or with two or fewer degrees of freedom in all.
     misfit : float
-        Probability that residuals are as correlated from revolution to revolution by chance. If it
-        is tiny, harmonics are missing, and folded onto those that are kept. nan where there are no
-        more probes than unknowns, which fit anything.
+        Probability that chance correlates residuals as much between revolutions. If it is tiny,
+        harmonics are missing, and folded onto the fitted ones. nan without more probes than
+        unknowns, since anything then fits.
     folded : float
-        As of :class:`TipFit`, where the harmonics are largest.
+        As in :class:`TipFit`, at the largest harmonics.
     """
 
     order: float
@@ -507,8 +546,8 @@ class TipTrack(HarmonicFit):
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        It does not fit, harmonics left out may be folded, or either is unknown, for instance with
-        as many unknowns as probes.
+        The fit has a misfit, omitted harmonics may be folded, or either test is impossible, for
+        instance with as many unknowns as probes.
         """
         is_unknown = np.isnan([self.misfit, self.folded])
         return self.does_not_fit or self.may_be_folded or bool(np.any(is_unknown))
@@ -548,30 +587,32 @@ def track_order(
     revolutions: int = 1,
     angle_deviation: float = 0.0,
 ) -> TipTrack:
-    """Fit the harmonics of a known engine order to each few revolutions of a run-up.
+    """Fit the harmonics of a known engine order in a run-up.
 
-    The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time. A
-    vibration of twice the load's period and an odd order needs two or more. Its linear change
-    within a group is subtracted; in which part of the group the amplitude is that of the fit, is in
-    the errors. The variance of an arrival is that of
-    differences between residuals of neighbouring fits. Residuals that repeat are
-    a misfit, by harmonics that are left out: as in :func:`fit_order` they are further unknowns,
-    with the same ratio to the vibration in neighbouring fits, so that what is folded from them is
-    in the standard errors so far as it is significant, and else in ``folded``.
+    :func:`fit_order` with one candidate is applied to groups of ``revolutions`` revolutions. A
+    vibration with twice the load's period and an odd order needs two or more revolutions. Linear
+    changes within a group are subtracted. The errors include the uncertain position of the fit
+    within the group. Differences between residuals of neighbouring fits give the variance of an
+    arrival.
+
+    Residuals that repeat are a misfit by omitted harmonics. As in :func:`fit_order`, omitted
+    harmonics are further unknowns, here with the same ratio to the vibration in neighbouring fits.
+    If they are significant, the standard errors include their folding; otherwise ``folded`` is the
+    risk.
 
     Parameters
     ----------
     arrivals, harmonics, subharmonic, angle_deviation
-        As of :func:`fit_order`.
+        As in :func:`fit_order`.
     order : float
         Periods of the load in a revolution.
     revolutions : int
-        Number of revolutions that are fitted together.
+        Number of revolutions in each fit.
 
     Returns
     -------
     TipTrack
-        Amplitudes and phases with their standard errors, and the speed of each fit.
+        Amplitudes and phases with standard errors, and the speed of each fit.
 
     Raises
     ------
@@ -654,23 +695,23 @@ def _subtract_changes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Subtract the linear change of the vibration within each group.
 
-    It looks like further harmonics.
+    The change would look like further harmonics. There are n groups with m arrivals each.
 
     Parameters
     ----------
     values, position : (n, m)
-        Displacements [m], and arrivals' distances behind the middle of the group, in its lengths.
+        Displacements [m], and arrivals' distances behind the group's middle, in group lengths.
     inverse, columns : (n, 2K+1, m), (n, m, 2K+1)
         Pseudoinverses of the columns, and columns of the fits.
     groups : (k,)
-        Groups with enough arrivals.
+        Indices of groups with enough arrivals.
 
     Returns
     -------
     values : (n, m) [m]
         Displacements without the change.
     changes : (n, 2K+1) [m]
-        Change of the coefficients from the middle of the group to that of the arrivals.
+        Change of the coefficients between the group's middle and the middle of its arrivals.
     """
     rates = np.zeros(inverse.shape[:2])
     if len(groups) > 1:
@@ -681,9 +722,9 @@ def _subtract_changes(
 
 
 def _fit_neighbours(groups: dict[int, tuple[_Sample, _Fit]]) -> dict[int, tuple[_Sample, _Fit]]:
-    """Fit groups with omitted harmonics, in the ratio likeliest in neighbours.
+    """Fit groups with omitted harmonics, in the likeliest ratio among neighbours.
 
-    The ratio to the vibration is that of a group and its neighbours, as few probes of one group do
+    A group and its neighbours share the ratio to the vibration, since few probes in one group do
     not determine it.
     """
     costs, fits = [], []
@@ -710,10 +751,11 @@ def _fit_neighbours(groups: dict[int, tuple[_Sample, _Fit]]) -> dict[int, tuple[
 
 
 def _variance(residuals: np.ndarray, mask: np.ndarray, freedom: np.ndarray) -> tuple[float, int]:
-    """Return the variance of residuals (n, m) and its degrees of freedom.
+    """Return the variance of residuals (n, m), and its degrees of freedom.
 
-    By differences between neighbouring groups without wrong arrivals. If there are none, the
-    degrees are 0, and the variance is that of the residuals, or 1 without any.
+    The variance follows from differences between neighbouring groups, without wrong arrivals.
+    Without such differences the degrees are 0, and the variance is the mean square per degree of
+    freedom, or 1 without any.
     """
     total, pairs = freedom.sum(), mask[1:] & mask[:-1]
     freedom = np.minimum(freedom[1:], freedom[:-1])
@@ -725,8 +767,9 @@ def _variance(residuals: np.ndarray, mask: np.ndarray, freedom: np.ndarray) -> t
 
 
 def _quartile_variance(squares: np.ndarray, freedom: np.ndarray) -> float:
-    """Return the variance from sums of squares (n,) with degrees of freedom (n,).
+    """Return the variance from sums of squares (n,).
 
-    By their lower quartile: up to three quarters of them may have wrong arrivals.
+    Each sum has degrees of freedom (n,).
+    The lower quartile is robust: nearly three quarters of the sums may have wrong arrivals.
     """
     return float(np.quantile(squares / chdtri(freedom, 0.75), 0.25))

@@ -1,4 +1,4 @@
-"""Vibrations fitted to arrival times: amplitudes with standard errors, and candidate orders."""
+"""Hold vibrations fitted to arrival times: amplitudes, standard errors, candidate orders."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ORDERS = range(1, 25)
 
 @dataclass(frozen=True, repr=False)
 class Candidates(Tabular):
-    """Orders that were tried, and the residual of each.
+    """Hold the candidate orders with the residual of each.
 
     Attributes
     ----------
@@ -36,14 +36,14 @@ class Candidates(Tabular):
     residuals : (n,) [m]
         Root mean square residual of the fit.
     conditions : (n,)
-        Condition number of the fit's columns, scaled to length 1, at these probes; large: errors
-        of the probes are amplified.
+        Condition number of the fit's columns, scaled to length 1, at these probes. A large number
+        amplifies errors of the probes.
     equivalent : (n,) bool
-        True if it fits as well as the best one, or could explain the best fit at the angles of the
-        probes, within errors.
+        True for orders that fit as well as the best, or could explain the best fit at the probes'
+        angles, within errors.
     hidden : (n,) bool
-        True if these probes cannot measure it: to them it looks like a constant, or like one of
-        its own harmonics; or so nearly that errors of the arrivals become larger than the turning.
+        True if these probes cannot measure the order: constants absorb the vibration, harmonics
+        look alike, or errors grow so large that the fitted blade tip moves backwards.
     """
 
     orders: np.ndarray
@@ -66,7 +66,7 @@ class Candidates(Tabular):
 
 
 class HarmonicFit(Tabular):
-    """Harmonics fitted to arrivals, and doubts about the fit."""
+    """Hold harmonics fitted to arrivals, and doubts about the fit."""
 
     misfit: float
     folded: float
@@ -81,15 +81,16 @@ class HarmonicFit(Tabular):
 
     @property
     def may_be_folded(self) -> bool:
-        """True if harmonics left out may have shifted an amplitude.
+        """True if omitted harmonics may have shifted an amplitude.
 
-        It is within three of its errors less probably than a normal number is within two.
+        An amplitude is then within three standard errors less probably than a normal number within
+        two.
         """
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
     @property
     def _doubts(self) -> list[str]:
-        """Words for the gravest doubt: one or none."""
+        """Words for the gravest doubt: a list with one text or none."""
         if self.does_not_fit:
             return ["DOES NOT FIT"]
         return ["harmonics left out may be folded"] * self.may_be_folded
@@ -97,44 +98,46 @@ class HarmonicFit(Tabular):
 
 @dataclass(frozen=True, repr=False)
 class TipFit(HarmonicFit):
-    """A periodic vibration fitted to arrival times.
+    """Hold a periodic vibration fitted to arrival times.
 
         u = a0 + sum_k a_k cos(m_k p alpha) + b_k sin(m_k p alpha)
 
-    over the rotor's angle alpha, with p the periods of the load in a revolution.
+    is the displacement over the rotor angle alpha, with p periods of the load in a revolution.
 
     Attributes
     ----------
     order : float
-        p, of the candidate that was taken; look at :attr:`ambiguous` and :attr:`hidden`, too.
+        Order p of the best candidate; look at :attr:`ambiguous` and :attr:`hidden`, too.
     order_error : float
-        Its standard error; 0 where it was chosen among given ones.
+        Standard error of the order; 0 for a choice among given orders.
     speed : float [rad/s]
         Mean speed of rotation.
     multiples : (K,)
-        m_k: 1, 2, ...; 1/2, 1, ... where the response has twice the load's period.
+        Multiples m_k: 1, 2, ...; or 1/2, 1, ... for a response with twice the load's period.
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
         Covariance of the coefficients.
     scatter : float [m]
-        Standard deviation of a displacement about the fit; nan where there are no more arrivals
-        than unknowns. Errors from it are those of Student's t, and nan up to two more.
+        Standard deviation of a displacement about the fit; nan without more arrivals than unknowns.
+        Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability of residuals as large between the means of the probes, given the scatter within
-        a probe. If it is tiny, harmonics are missing, probes are out of place, or the order is
-        wrong. nan with too few probes.
+        Probability of residuals as large between the probes' means, given the scatter within a
+        probe. If it is tiny, harmonics are missing, probes are out of place, or the order is wrong.
+        nan with too few probes or revolutions, and for orders that are no candidates
+        (:func:`fit_frequency`).
     candidates : Candidates
-        The orders that were tried.
+        Candidate orders.
     spare : int
-        Number of means of probes less unknowns of the fit. With none nothing is tested: neither
-        the order, nor that the harmonics kept are enough.
+        Number of the probes' means less unknowns; for :func:`fit_frequency`, arrivals less
+        unknowns. With none nothing is tested: neither the order, nor that the fitted harmonics are
+        enough.
     asynchronous : tuple of TipFit
-        Vibrations of frequencies that follow no order, found beside it.
+        Vibrations with other frequencies, at no order, in the same arrivals.
     folded : float
-        Probability that harmonics which are left out put an amplitude more than three of its errors
-        off without being seen, were each as likely to be as large as the last one kept as 1/100 of
-        it. nan where errors are not known, and at frequencies that follow no order.
+        Probability that omitted harmonics put an amplitude off by over three standard errors,
+        unseen. Assumed sizes are 0, or 0.7 down to 0.006 times the last fitted harmonic, equally
+        probable on a logarithmic scale. nan for unknown errors, and for :func:`fit_frequency`.
     """
 
     order: float
@@ -169,7 +172,7 @@ class TipFit(HarmonicFit):
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
-        """Other orders that explain these arrivals as well."""
+        """Other orders that explain these arrivals equally well."""
         is_other = self.candidates.equivalent & (self.candidates.orders != self.order)
         return tuple(self.candidates.orders[is_other].tolist())
 
@@ -182,16 +185,17 @@ class TipFit(HarmonicFit):
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        It does not fit, harmonics left out may be folded, there are as many unknowns as probes,
-        which fits anything, or no probe sees the vibration twice.
+        The fit has a misfit, or omitted harmonics may be folded; or no test is possible, with as
+        many unknowns as probes, or if no probe sees the vibration twice.
         """
         return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
 
     @property
     def seen_once(self) -> bool:
-        """True if no probe sees the same twice, as in one revolution.
+        """True if no probe sees the same motion twice.
 
-        Errors of arrivals are then known from the residuals alone, and nothing tests that the
+        An example is a single revolution.
+        Errors of arrivals then follow from the residuals alone, and nothing tests that the
         harmonics are enough.
         """
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
@@ -199,8 +203,8 @@ class TipFit(HarmonicFit):
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
         """Return the ratio of two amplitudes and its standard error.
 
-        The amplitude at a multiple of the load's frequency, over the amplitude at that frequency. A
-        breathing crack has a second harmonic, an open crack none.
+        The ratio divides the amplitude at a multiple of the load's frequency by the amplitude at
+        the load's frequency. A breathing crack has a second harmonic, an open crack none.
 
         Raises
         ------
@@ -223,13 +227,14 @@ class TipFit(HarmonicFit):
         return float(ratio), float(np.sqrt(variance) / base_amplitude)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
-        """Return the fitted vibration at rotor angles: (n,) [m]."""
+        """Return the fitted vibration at angles (n,) from :meth:`phases`: (n,) [m]."""
         return fourier_basis(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
-        """Return angles at arrivals: the argument of :meth:`displacement`.
+        """Return angles for :meth:`displacement` at arrivals: (revolutions, probes) [rad].
 
-        The rotor's angle; at any frequency the time since the first mark, times the mean speed.
+        Return the rotor angle; for :func:`fit_frequency`, the mean speed times the time since the
+        first mark.
         """
         if self.order_error:
             return self.speed * (arrivals.time - arrivals.marks[0])
@@ -240,8 +245,8 @@ class TipFit(HarmonicFit):
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for the mean and for every harmonic.
 
-        A row has the multiple m of the load's frequency, order, frequency, amplitude A and phase of
-        A cos(m p alpha - phase).
+        A row has the multiple m of the load's frequency, order, frequency, amplitude A and phase,
+        in A cos(m p alpha - phase).
         """
         multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
@@ -282,12 +287,12 @@ def in_words(orders: Sequence[float]) -> str:
 def compute_amplitudes(
     coefficients: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitudes (..., K) and standard errors (..., K) of coefficients (..., 2K+1).
+    """Return amplitudes (..., K) and standard errors of coefficients (..., 2K+1).
 
-    A tangential error e of a pair (a_k, b_k), normal to it, lengthens its amplitude A by
-    e^2 / (2 A): in mean square by 3/4 (E e^2 / A)^2. If A is below the standard deviation of e,
-    that replaces A: probes may measure one part of a harmonic only. If A is 0, the direction of
-    the cosine part is the radial one.
+    A tangential error e of a pair (a_k, b_k), normal to the pair, lengthens the amplitude A by e^2
+    / (2 A). The mean square is 3/4 (E e^2 / A)^2, with the expected value E. If A is below the
+    standard deviation of e, the deviation replaces A: probes may measure only one part of a
+    harmonic. If A is 0, the cosine direction is the radial one.
     """
     pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     amplitudes = np.hypot(*pairs)
@@ -338,7 +343,7 @@ def select_candidate(
 def condition(columns: np.ndarray) -> float:
     """Return the condition number of columns (n, m) scaled to length 1.
 
-    inf where columns are dependent.
+    inf for dependent columns.
     """
     lengths = np.linalg.norm(columns, axis=0)
     if len(columns) < len(lengths) or lengths.min() < 1e-8 * lengths.max():

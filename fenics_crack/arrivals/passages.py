@@ -1,11 +1,12 @@
-"""Resonances that a rotor passes, from arrival times: frequency, damping and order of a transient.
+"""Find resonances that a rotor passes: natural frequency, damping and engine order.
 
-Each is that of a mode under an engine order (:mod:`transient`). Frequency and damping are found by
-least squares from the best of a grid, all passages of a resonance together; the order by
-comparison. Of two neighbours, every order of one is compared with every order of the other in a fit
-of both: the margin of an order is that of the best pair that has it. To two probes a vibration of
-any order has one difference of phase, which some order of a mode always comes near, whatever its
-margin: an order is tested by three probes or more. Errors are those of :mod:`robust`.
+Each resonance is a mode under an engine order, with the transient motion of :mod:`transient`.
+Frequency and damping follow from least squares that begin at the best point of a grid; all passages
+through a resonance are fitted together. The order follows from comparing the candidates. For two
+neighbours, each order of the first is paired with each order of the second, and both modes are
+fitted; the margin of an order is the margin of its best pair. An order is tested by three probes or
+more: two probes see only a phase difference, and some order of a mode always comes near to it.
+Standard errors are computed as in :mod:`robust`.
 """
 
 from __future__ import annotations
@@ -43,59 +44,61 @@ from fenics_crack.basics.tables import (
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 MAX_REFINED_ORDERS = 4
-"""Maximum number of orders whose fits are refined; half as many for each of two neighbours."""
+"""Maximum number of orders with refined fits; half as many for each of two neighbours."""
 SPEED_SPACING, INITIAL_DAMPING = 0.003, 0.004
-"""Relative spacing of the scanned speeds; damping ratio of the scan, and to begin fits with."""
+"""Relative spacing of scanned speeds; damping ratio in the scan and at the start of fits."""
 MAX_ROUNDS = 5
-"""Maximum rounds: of refits among neighbours, of pairs of orders, of weights in a search."""
+"""Maximum rounds: refits among neighbours, pairs of orders, weights in a search."""
 MAX_STIFFENING = 0.9
-"""Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies that follow them more closely."""
+"""Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
 
 @dataclass(frozen=True, repr=False)
 class PassageFit(Tabular):
-    """A resonance of one mode with an engine order, from all passages of it in a record.
+    """Hold the fit to all passages through one resonance.
+
+    One mode meets one engine order.
 
     Attributes
     ----------
     order : float
-        Periods of the load in a revolution, of the candidate that fits best.
+        Periods of the load in a revolution, for the best candidate.
     omega, omega_error : float [rad/s]
-        Natural frequency, and its standard error by the scatter of the arrivals alone. The stated
+        Natural frequency, and its standard error from the scatter of the arrivals alone. The stated
         error is :attr:`deviation`, in Hz ``frequency_error``.
     damping, damping_error : float
-        Ratio of critical damping, and its standard error. With a constant natural frequency it is
-        1 / (1 - s) times as large as with one that follows the speed.
+        Ratio of critical damping, and its standard error. A fit without stiffening gives
+        a ratio 1 / (1 - s) times as large.
     amplitude : float [m]
         Largest amplitude in the passages.
     forces : (passages,) complex [m]
-        Amplitude F of each passage in a resonance that lasts.
+        Amplitude F of each passage in a resonance without end.
     ends : (passages, 2) int
-        First revolution of each, and the one after its last, counted from 0.
+        First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]
-        Frequencies and errors of each passage by itself.
+        Natural frequency and error from each passage alone.
     dampings, damping_errors : (passages,)
-        Damping ratios likewise.
+        Damping ratio and error from each passage alone.
     orders : (n,)
         Candidates.
     margins : (n,)
-        Difference of -2 log likelihood to the best. With a neighbour within the speeds that are
-        fitted, of the best order of that for each of these. 0 for the order of another resonance
-        nearer than the width of one of them: at most one of the two need be right.
+        Difference in -2 log likelihood from the best order. With a neighbour in the fitted speeds,
+        each order is combined with the neighbour's best order. 0 also for the order of a rival
+        resonance, nearer than the width of either: at most one of the two need be right.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
         Standard deviation of a displacement about the fit.
     whiteness : float
-        Probability that errors of arrivals and of the shaft's marks alone leave residuals as
-        correlated. Standard errors include correlation, not the bias by another vibration nearby
+        Probability that errors of arrivals and shaft marks alone leave residuals as correlated.
+        Standard errors include the correlation, but no bias by another vibration nearby
         (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
-        Vibrations of constant frequency, which follow no order, found in the record.
+        Vibrations of constant frequency in the record, which follow no order.
     blind : tuple of float [rad]
-        Angles of probes that do not measure the vibration that the others agree on; left out.
+        Angles of omitted probes, which do not measure the vibration seen by the majority.
     stiffening : float
-        s = d ln w_n / d ln W.
+        s = d ln w_n / d ln W, with natural frequency w_n and speed W.
     """
 
     order: float
@@ -129,36 +132,43 @@ class PassageFit(Tabular):
 
     @property
     def margin(self) -> float:
-        """Margin of the second best order; inf where only one was tried."""
+        """Margin of the second best order; inf for a single candidate."""
         return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
 
     @property
     def untested(self) -> bool:
-        """True if there are fewer than three probes, to which some order of a mode always comes
-        near: order and frequency are then those that follow if it is this one."""
+        """True if several orders are candidates for fewer than three probes.
+
+        Some order of a mode always comes near to two probes. Order and frequency are then
+        conditional: a frequency follows only if the order is right.
+        """
         return self.probes < 3 and len(self.orders) > 1
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
-        """Other orders that explain the arrivals as well: within three standard deviations; all
-        others where orders are :attr:`untested`."""
+        """Other orders that explain the arrivals within three standard deviations.
+
+        All other orders if :attr:`untested`.
+        """
         equal = ((self.margins < LEVELS.equal) | self.untested) & (self.orders != self.order)
         return tuple(self.orders[equal].tolist())
 
     @property
     def apart(self) -> float:
-        """Relative range of the frequencies of single passages."""
+        """Relative range of the frequencies from single passages."""
         return float(np.ptp(self.omegas)) / self.omega
 
     @property
     def disagree(self) -> bool:
-        """True if frequencies or dampings of single passages differ by more than three of their
-        errors. Amplitudes may: the load need not be the same."""
+        """True if passages differ by over three errors in frequency or damping.
+
+        Amplitudes may differ: the load need not be the same.
+        """
         return bool(self.disagreement)
 
     @property
     def disagreement(self) -> str:
-        """Difference of single passages that :attr:`disagree`, in words; "" if they do not."""
+        """Describe the differences behind :attr:`disagree` in words; "" if there are none."""
         parts = []
         if _differ(self.omegas, self.omega_errors):
             parts.append(f"by {self.apart:.2%} in frequency")
@@ -168,11 +178,11 @@ class PassageFit(Tabular):
 
     @property
     def in_doubt(self) -> bool:
-        """True if residuals are correlated: another vibration near this speed, drift, or a blade
-        that is no linear mode.
+        """True if residuals are correlated, or cannot be tested.
 
-        Frequency, damping and order may then be wrong by more than their errors. So it is where
-        nothing tests that (``whiteness`` is nan).
+        ``whiteness`` is nan without a test.
+        Causes are another vibration near this speed, drift, or a nonlinear blade. Frequency,
+        damping and order may then be wrong by more than their errors.
         """
         return not self.whiteness >= LEVELS.misfit
 
@@ -180,8 +190,9 @@ class PassageFit(Tabular):
     def deviation(self) -> float:
         """Stated error of the frequency: its standard deviation [rad/s].
 
-        It is ``omega_error``, at least half of the range of passages that disagree, as those of a
-        breathing crack may, and half of the resonance's width, zeta w, where it is in doubt.
+        The largest of three: ``omega_error``; half the range of passages that disagree, as for a
+        breathing crack; and for a fit in doubt half the resonance's width, zeta w_n, with damping
+        ratio zeta.
         """
         half_range = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
         half_width = self.damping * self.omega if self.in_doubt else 0.0
@@ -194,10 +205,15 @@ class PassageFit(Tabular):
         return f"{hertz}, engine order {self.order:g} at {self.speed / RAD_PER_S_PER_RPM:.6g} rpm"
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return speeds and displacements of each passage, measured and fitted.
+        """Return speeds, measured and fitted displacements for each passage.
 
-        Speeds are (R,) [rad/s], displacements (R, P) [m], without blind probes: the measured ones
-        without drift (nan where there are none), and those of the fit.
+        Blind probes are left out.
+
+        Returns
+        -------
+        list of (speed, measured, fitted)
+            Speeds (R,) [rad/s]; displacements (R, P) [m] without drift, nan without an arrival; and
+            the fitted displacements (R, P) [m], for R revolutions and P probes.
         """
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         root = complex(pole(self.omega, self.damping / (1.0 - self.stiffening)))
@@ -233,7 +249,7 @@ class PassageFit(Tabular):
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> bool:
-    """Return True unless all values (n,) agree within three of their errors."""
+    """Return True unless all values (n,) agree within three standard errors."""
     differences = np.abs(values[:, None] - values)
     return not np.all(differences <= LEVELS.deviations * np.hypot(errors[:, None], errors))
 
@@ -248,20 +264,20 @@ def fit_passage(
     *,
     stiffening: float | Follows = 0.0,
 ) -> PassageFit:
-    """Fit a mode to all passages of a resonance near a speed.
+    """Fit a mode to all passages through a resonance near a speed.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
-        Arrivals of run-ups and run-downs.
+        Arrivals in run-ups and run-downs.
     speed : float [rad/s]
         Speed near the resonance, to 1 %.
     orders : iterable of float
         Candidates: periods of the load in a revolution.
     stiffening : float or function
-        s = d ln w_n / d ln W, the slope of a Campbell diagram over w_n / W, from -0.9 to 0.9, or it
-        as a function of W and w_n [rad/s], as :meth:`Campbell.stiffening`: with a constant
-        frequency dampings are 1 / (1 - s) times the true ones.
+        s = d ln w_n / d ln W from -0.9 to 0.9: the slope in a Campbell diagram over w_n / W. Or a
+        function s(W, w_n) of speed and natural frequency [rad/s], as :meth:`Campbell.stiffening`.
+        With a constant frequency, s = 0, dampings are 1 / (1 - s) times the true ones.
 
     Returns
     -------
@@ -271,7 +287,7 @@ def fit_passage(
     Raises
     ------
     InputError
-        A value cannot be used, or the rotor does not pass this speed.
+        A value cannot be used, or the rotor does not pass this speed in 10 revolutions or more.
 
     Examples
     --------
@@ -301,32 +317,32 @@ def find_passages(
     asynchronous: int = 1,
     stiffening: float | Follows = 0.0,
 ) -> tuple[PassageFit, ...]:
-    """Find the resonances that a record passes, about the largest one first.
+    """Find the resonances in a record, about the largest first.
 
-    Along the speed, vibrations of any phase at each probe are fitted. Where they explain most, the
-    fit of :func:`fit_passage` finds the mode, which is subtracted before the next one is sought,
-    while they are significant; beside vibrations of constant frequency, if there are. Probes that
-    do not measure the first one, where more others agree on it, are left out (``blind`` of the
-    fit): they would add further resonances.
+    Along the speed, vibrations with any phase at each probe are fitted. Where they explain most,
+    :func:`fit_passage` describes the mode, and its motion is subtracted before the next search. The
+    search ends when no significant resonance remains. Vibrations of constant frequency are fitted
+    beside the resonances. Probes that do not measure the first resonance are left out if a majority
+    agrees (``blind`` in the fit): they would add further resonances.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
-        Arrivals of run-ups and run-downs.
+        Arrivals in run-ups and run-downs.
     orders : iterable of float
         Candidates: periods of the load in a revolution.
     most : int
         Maximum number of resonances.
     asynchronous : int
-        Maximum number of vibrations of constant frequency. They pass every order, and look like
-        resonances of little damping there.
+        Maximum number of vibrations of constant frequency. Every order meets them, and they then
+        look like resonances with little damping.
     stiffening : float or function
-        As of :func:`fit_passage`; a number holds for all modes.
+        As in :func:`fit_passage`; a number holds for all modes.
 
     Returns
     -------
     tuple of PassageFit
-        Empty where none is significant.
+        Empty if no resonance is significant.
 
     Raises
     ------
@@ -374,7 +390,15 @@ def find_passages(
 def _find_line_motion(
     arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, max_lines: int
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find vibrations of constant frequency in displacements; return them and their motion."""
+    """Find vibrations of constant frequency in displacements.
+
+    Returns
+    -------
+    lines : tuple of TipFit
+        Vibrations, at most ``max_lines``.
+    motion : (revolutions, probes) [m]
+        Their displacements; nan where ``values`` are nan.
+    """
     begin_stage("vibrations of constant frequency")
     constant_columns = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
     lines, residuals = find_lines(arrivals, values, constant_columns, orders.max(), max_lines)
@@ -382,7 +406,10 @@ def _find_line_motion(
 
 
 def _stiffening_function(stiffening: float | Follows) -> Follows:
-    """Return s as a function of speed and natural frequency [rad/s]."""
+    """Return s as a function of speed and natural frequency [rad/s].
+
+    A function is clipped to -0.9 to 0.9; a number outside raises InputError.
+    """
     if callable(stiffening):
 
         def evaluate(speed: float, omega: float) -> float:
@@ -400,23 +427,23 @@ def _stiffening_function(stiffening: float | Follows) -> Follows:
 
 
 class _Search:
-    """Search of resonances in displacements.
+    """Search displacements for resonances.
 
     Parameters
     ----------
     record : Record
-        The record.
+        Arrivals, and the stiffening of modes.
     values : (revolutions, probes) [m]
-        Its displacements.
+        Displacements in the record.
     orders : (n,)
         Candidates.
 
     Attributes
     ----------
     resonances : list of _Resonance
-        Resonances that have been found.
+        Resonances found until now.
     residuals : (revolutions, probes) [m]
-        Displacements without the motion of the resonances.
+        Displacements without the motion in the resonances.
     """
 
     def __init__(self, record: Record, values: np.ndarray, orders: np.ndarray) -> None:
@@ -428,11 +455,11 @@ class _Search:
         self._gains = np.full((count, 2), np.nan)  # of :func:`_clearness`; nan: not known yet
 
     def add_motion(self, resonance: _Resonance, factor: float) -> None:
-        """Add the motion of a resonance, times a factor, to the residuals."""
+        """Add a resonance's motion, times a factor, to the residuals."""
         self.residuals += factor * resonance.best_fit.motion(self.record, len(self.residuals))
 
     def find_resonances(self, max_resonances: int) -> None:
-        """Find further resonances, up to a number in all."""
+        """Find further resonances, up to a total number."""
         centres, gains = self._centres, self._gains
         while len(self.resonances) < max_resonances:
             begin_stage("scan of the speeds")
@@ -468,7 +495,7 @@ class _Search:
         self._settle()
 
     def refit_all(self, values: np.ndarray) -> None:
-        """Fit the resonances to other displacements (revolutions, probes)."""
+        """Fit the resonances to other displacements (revolutions, probes) [m]."""
         self.residuals = np.array(values)
         for resonance in self.resonances:
             self.add_motion(resonance, -1.0)
@@ -488,10 +515,11 @@ class _Search:
             self.resonances.remove(resonance)
 
     def _compare_with_neighbour(self, resonance: _Resonance) -> bool:
-        """Compare the orders of a resonance and its largest neighbour together.
+        """Compare the orders of a resonance and its largest neighbour jointly.
 
-        Resonances that either covers may be residuals of wrong orders, and are dropped. Return
-        False if nothing is compared: for one order, no neighbour, or a larger one that covers it.
+        Resonances covered by either may be residuals of wrong orders, and are dropped. Return False
+        if nothing is compared: for a single order, without a neighbour, or if a larger resonance
+        covers this one.
         """
         resonances, amplitude = self.resonances, resonance.best_fit.amplitude
         larger_resonances = [
@@ -523,7 +551,7 @@ class _Search:
     def _settle(self) -> None:
         """Refit neighbours in turn until their frequencies settle.
 
-        Those that are not clear then, or may be residuals of larger ones, are dropped.
+        A resonance is dropped if it is then not clear, or may be a residual of a larger one.
         """
         crowd = [
             resonance for resonance in self.resonances if resonance.neighbours(self.resonances)
@@ -545,11 +573,18 @@ class _Search:
 def _clearness(
     record: Record, values: np.ndarray, speed: float, rounds: int = 1
 ) -> tuple[float, float]:
-    """Return the reduction of the sum of squares by a steady vibration near a speed.
+    """Return how clearly a steady vibration near a speed reduces squares.
 
-    It has any phase at each probe. The first value is in variances of the noise, as differences of
-    successive arrivals at a probe have it, less what further phases reduce noise by; the second is
-    in m^2. From the second round on arrivals have the weights of Student's t.
+    The vibration has any phase at each probe. From the second round on, arrivals have the weights
+    of Student's t.
+
+    Returns
+    -------
+    gain : float
+        Reduction in variances of the noise, less the noise explained by further phases. The noise
+        follows from differences between successive arrivals at a probe.
+    energy : float [m^2]
+        Reduction of the sum of squares.
     """
     total = energy = 0.0
     for run in record.runs(values, speed):
@@ -578,12 +613,12 @@ def _clearness(
 
 
 class _Resonance:
-    """Fits of some orders to the passages of a resonance.
+    """Hold fits of several orders to the passages through a resonance.
 
     Parameters
     ----------
     runs : sequence of Run
-        The passages.
+        Passages.
     speed : float [rad/s]
         Speed near the resonance.
     orders : (n,)
@@ -592,11 +627,11 @@ class _Resonance:
     Attributes
     ----------
     best_fit : Fit
-        Fit of the most likely order.
+        Fit for the most likely order.
     margins : dict of float to float
-        Difference of -2 log likelihood of each order to the best.
+        Difference in -2 log likelihood between each order and the best.
     compared_neighbours : list of _Resonance
-        Neighbours when orders were last compared.
+        Neighbours at the last comparison of orders.
     """
 
     best_fit: Fit
@@ -606,7 +641,7 @@ class _Resonance:
         self.compare(runs, speed, orders)
 
     def compare(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
-        """Compare orders in passages near a speed."""
+        """Compare orders in passages near a speed [rad/s]."""
         self._runs = runs
         weights = [run.has_arrival.astype(float) for run in runs]
         fits: dict[Mode, Fit] = {}
@@ -632,7 +667,8 @@ class _Resonance:
     def is_clear(self) -> bool:
         """True if it is passed, significant, and neither a line nor drift.
 
-        A line has no damping within its errors; drift has much."""
+        A line has no damping within three errors; drift has a damping ratio above half the bound.
+        """
         fit = self.best_fit
         is_passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
         if not (is_passed and fit.gain > LEVELS.gain):
@@ -649,21 +685,24 @@ class _Resonance:
         return resonance is not self and abs(resonance.speed / self.speed - 1.0) < width
 
     def neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
-        """Return the other resonances whose fitted speeds overlap."""
+        """Return the other resonances with overlapping fitted speeds."""
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
     def covers(self, resonance: _Resonance) -> bool:
-        """Return True if another resonance is nearer than the width of this one."""
+        """Return True if another resonance is nearer than this one's width."""
         return self.is_near(resonance, 2.0 * self.best_fit.mode.damping)
 
     def may_be_residual_of(self, resonance: _Resonance) -> bool:
-        """Return True if another one of its order is larger, and covers it."""
+        """Return True if a larger resonance with the same order covers this one."""
         larger_fit, own_fit = resonance.best_fit, self.best_fit
         is_near = resonance.covers(self) and larger_fit.mode.order == own_fit.mode.order
         return is_near and larger_fit.amplitude > own_fit.amplitude
 
     def refit(self, record: Record, values: np.ndarray, mode: Mode | None = None) -> bool:
-        """Refit it, or a mode near it, to displacements; return True if it is clear."""
+        """Refit the mode, or a given one, to displacements (revolutions, probes) [m].
+
+        Return True if the resonance is clear, and False if no run passes the speed.
+        """
         runs = record.runs(values, self.speed)
         if not runs:
             return False
@@ -672,7 +711,11 @@ class _Resonance:
         return self.is_clear
 
     def _weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
-        """Return weights (R, P) of the best fit if it has the same arrivals, otherwise 1."""
+        """Return initial weights (R, P) for runs.
+
+        They are the best fit's weights for the same arrivals, otherwise 1.
+        Runs have R revolutions and P probes; weights are 0 without an arrival.
+        """
         if [run.has_arrival.tobytes() for run in runs] == [
             run.has_arrival.tobytes() for run in self._runs
         ]:
@@ -682,9 +725,9 @@ class _Resonance:
     def compare_with(
         self, neighbour: _Resonance, record: Record, values: np.ndarray, orders: np.ndarray
     ) -> None:
-        """Compare each pair of orders of two neighbours, and take the best.
+        """Compare each pair of orders for two neighbours, and keep the best.
 
-        Displacements ``values`` (revolutions, probes) hold the motion of both.
+        Displacements ``values`` (revolutions, probes) [m] hold the motion of both.
         """
         members = self, neighbour
         runs = record.runs(values, self.speed)
@@ -727,8 +770,8 @@ class _Resonance:
     ) -> PassageFit:
         """Return the best fit in numbers, with fits of single runs.
 
-        Residuals (revolutions, probes) are those of all ``resonances``. Neighbours are fitted
-        together, so that errors include theirs.
+        ``residuals`` (revolutions, probes) [m] lack the motion of all ``resonances``. Neighbours
+        are fitted together, so that errors include their uncertainty.
         """
         neighbours = [resonance for resonance in resonances if self.is_near(resonance, WIDTH)]
         best_fit, runs = self.best_fit, self._runs
@@ -782,9 +825,10 @@ class _Resonance:
 def _find_best_modes(
     runs: Iterable[tuple[Run, np.ndarray]], orders: np.ndarray, speed: float, damping: float
 ) -> list[tuple[float, Mode]]:
-    """Find the mode of each order that reduces the sum of squares most, and this reduction.
+    """Find the best mode for each order.
 
-    Frequencies are from a grid about a speed, spaced by half of the damping ratio.
+    The list pairs reductions of the sum of squares [m^2] with modes.
+    Frequencies are from a grid about a speed, spaced by half the damping ratio.
     """
     omegas = orders[:, None] * speed * (1.0 + damping * np.linspace(-2.5, 2.5, 11))
     roots = pole(omegas, damping)
@@ -797,7 +841,7 @@ def _find_best_modes(
 def _reductions_by_pairs(
     runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return the reduction of the sum of squares by each pair of modes: (n, m) [m^2].
+    """Return reductions of the sum of squares by mode pairs: (n, m) [m^2].
 
     The first list has n modes, the second m.
     """
@@ -817,7 +861,11 @@ def _reductions_by_pairs(
 
 
 def _choose_pairs(gains: np.ndarray) -> set[tuple[int, int]]:
-    """Return the pairs (n, m) to refine: the best with each of the best few modes."""
+    """Choose the index pairs to refine.
+
+    Each of the best few modes has its best partner.
+    ``gains`` (n, m) [m^2] are reductions of the sum of squares.
+    """
     best_rows, best_columns = (
         np.argsort(-gains.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2] for axis in (0, 1)
     )
@@ -829,9 +877,10 @@ def _choose_pairs(gains: np.ndarray) -> set[tuple[int, int]]:
 def _margins(
     gains: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
 ) -> dict[float, float]:
-    """Return the difference of -2 log likelihood to the best fit by order of a mode.
+    """Return each order's -2 log likelihood less that of the best fit.
 
-    It is from fits of an order, otherwise from its reduction ``gains`` of the sum of squares.
+    An order without a fit has an estimate, from its reduction ``gains`` [m^2] of the sum of
+    squares.
     """
     max_gain = max(gains.values())
     margins = {order: (max_gain - gain) / best_fit.noise.scale**2 for order, gain in gains.items()}

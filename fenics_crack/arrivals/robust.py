@@ -1,16 +1,16 @@
-"""Errors of arrivals: Student's t instead of a normal distribution, and confidence levels.
+"""Model errors of arrivals by Student's t, and define confidence levels.
 
-Some arrivals are wrong by far more than the others scatter. Residuals r then follow Student's t
-with nu degrees of freedom and a scale s, both fitted to them (Lange, Little and Taylor, Journal of
-the American Statistical Association 84, 1989, 881); nu is large where they are normal. The
-estimate is that of least squares with the weights
+Some arrivals are wrong by far more than the general scatter. Residuals r then follow Student's t,
+with fitted degrees of freedom nu and scale s; nu is large for normal residuals (Lange, Little and
+Taylor, Journal of the American Statistical Association 84, 1989, 881). Least squares have the
+weights
 
-    w = (nu + 1) / (nu + r^2 / s^2)
+    w = (nu + 1) / (nu + r^2 / s^2),
 
-by turns with the residuals that it leaves. Its covariance is that of an M-estimator (Huber, Robust
-Statistics, 1981), H^-1 M H^-1, with H = mean(psi') X^T X and psi = w r; M = X^T C X holds the
-correlation of psi between the probes of a revolution, whose marks they share, and between
-revolutions, as far as it is significant in the residuals.
+found in turns with the residuals. With psi = w r and the fit's columns X, the coefficients have the
+covariance H^-1 M H^-1, where H = mean(psi') X^T X and M = X^T C X (an M-estimator: Huber, Robust
+Statistics, 1981). The matrix C is the covariance of psi, with significant correlations between
+revolutions, and between probes in a revolution, which share marks.
 """
 
 from __future__ import annotations
@@ -25,31 +25,35 @@ from scipy.optimize import least_squares
 from scipy.special import gammaln, ndtr
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
-"""Degrees of freedom that are tried."""
+"""Trial degrees of freedom."""
 ROBUST_ROUNDS, ROBUST_SETTLED = 30, 1e-2
-"""Maximum rounds of weights, and their change, and that of residuals over their scale, below which
-they are final: some hundredths of a standard error."""
+"""Maximum rounds of weights, and maximum change in the last round.
+
+Both weights and scaled residuals change less in the end: by some hundredths of a standard error.
+"""
 DEPENDENT = 1e-12
 """Columns are dependent below this fraction of the largest eigenvalue."""
 
 
 @dataclass(frozen=True)
 class Confidence:
-    """Levels of significance.
+    """Hold levels of significance.
 
     Attributes
     ----------
     chance : float
-        Probability in noise below which a vibration is significant.
+        Maximum probability, in noise, of a significant vibration.
     gain : float
-        Reduction of -2 log likelihood above which a resonance is: some 1e5 are tried, each with six
-        unknowns.
+        Minimum reduction of -2 log likelihood by a significant resonance: some 1e5 are tried, each
+        with six unknowns.
     misfit : float
         Probability of residuals below which a model does not explain them.
     scatter : float
-        Probability of a misfit above which errors follow from the scatter, else from the misfit.
+        Probability of a misfit below which errors follow from the misfit, otherwise from the
+        scatter.
     deviations : float
-        Standard deviations within which candidates fit equally well, and correlation is none.
+        Standard deviations within which candidates fit equally well, and correlation is
+        insignificant.
     """
 
     chance: float = 1e-5
@@ -60,7 +64,7 @@ class Confidence:
 
     @property
     def equal(self) -> float:
-        """Difference of sums of squares, in variances, within which candidates fit equally well."""
+        """Difference in sums of squares, in variances, between equally good candidates."""
         return self.deviations**2
 
 
@@ -73,28 +77,28 @@ Places = tuple[np.ndarray, np.ndarray]
 
 
 class Noise:
-    """Residuals of a fit, with Student's t of maximum likelihood.
+    """Fit Student's t to residuals by maximum likelihood.
 
-    Steps of the scale are 1 + 3 / nu times those of the weighted squares, as the information of
-    Student's t, 2 nu / (nu + 3), has it.
+    Scale steps are 1 + 3 / nu times the steps of the weighted squares, since the information in
+    Student's t is 2 nu / (nu + 3).
 
     Parameters
     ----------
     residuals : (n,)
         Residuals r.
     unknowns : int
-        Number of unknowns of the fit.
+        Number of unknowns in the fit.
     min_scale : float
-        Minimum of the scale: rounding.
+        Minimum scale, by rounding.
     scales : (k,)
-        Scales to begin from, one for each of the :data:`FREEDOMS` that are tried.
+        Initial scales, one for each trial value in :data:`FREEDOMS`.
 
     Attributes
     ----------
     weights : (n,)
         Weights of the arrivals in the fit.
     scale, freedom : float
-        s and nu.
+        Scale s and degrees of freedom nu.
     cost : float
         -2 log likelihood.
     """
@@ -153,13 +157,14 @@ class Noise:
     def whiteness(self, places: Places, shares: np.ndarray) -> float:
         """Return the probability that noise alone leaves residuals as correlated.
 
-        Noise is that of arrivals and marks; the correlation is that of psi at a probe, from a
-        revolution to the next with arrivals (:func:`_sum_neighbours`).
+        Noise comes from arrivals and marks. The correlation is between values of psi at one probe,
+        from a revolution to the next with arrivals (:func:`_sum_neighbours`).
 
-        An error e_n of a mark moves arrivals: that of probe i in revolution n by the sum of
-        S_ki e_(n+k) over k, with S the ``shares`` (marks, probes). Products of psi at two probes of
-        a revolution give the variance of e. Times the sum of S_ki S_(k+m)i, it is the covariance of
-        probe i with itself m revolutions later. What probes share scatters their products, too.
+        An error e_n of mark n moves arrivals: at probe i in revolution n by sum_k S_ki e_(n+k),
+        with the ``shares`` S (marks, probes). Products of psi at two probes in a revolution give
+        the variance of e. Multiplied by sum_k S_ki S_(k+m)i, this variance is the covariance
+        between arrivals at probe i, m revolutions apart. Shared errors also scatter the products
+        themselves.
         """
         (same_probe, cross_probe), lag, ((total, count), lagged_cross) = _sum_neighbours(
             self.psi, places
@@ -179,7 +184,7 @@ class Noise:
     def covariance(self, columns: np.ndarray, places: Places) -> np.ndarray:
         """Return the covariance (m, m) of coefficients from columns (n, m).
 
-        Rows of ``columns`` belong to the arrivals, ``places`` are their revolutions and probes.
+        Rows in ``columns`` belong to the arrivals; ``places`` are their revolutions and probes.
         """
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns / sizes
@@ -206,8 +211,8 @@ class Noise:
     def _find_covariances(self, variance: float, places: Places) -> list[tuple[float, float]]:
         """Return significant covariances of psi at lags of 0, 1, ... revolutions.
 
-        Each lag has the covariance at one probe, 0 at lag 0, and that at two probes. The first lag
-        without a significant one ends the list.
+        Each lag has two covariances: at one probe, 0 at lag 0, and between two probes. The list
+        ends before the first lag > 0 without a significant covariance.
         """
         covariances: list[tuple[float, float]] = []
         for lag, products in enumerate(_sum_products(self.psi, itertools.count(), places)):
@@ -232,9 +237,10 @@ def student(freedom: float) -> float:
 
 
 def trend(values: np.ndarray, places: Places) -> float:
-    """Return the probability that white values are as correlated between revolutions, or more.
+    """Return the probability that white values are at least as correlated.
 
-    ``values`` (n,) belong to the revolutions and probes of ``places``; nan for one revolution.
+    The correlation is between successive revolutions.
+    ``values`` (n,) belong to the revolutions and probes in ``places``; nan for one revolution.
     """
     _, _, [(total, count), _] = _sum_neighbours(values, places)
     variance = float(values @ values) / len(values)
@@ -247,9 +253,9 @@ def _sum_neighbours(values: np.ndarray, places: Places) -> tuple[list[Total], in
     Returns
     -------
     unlagged_sums, lagged_sums : [Total at one probe, Total at two probes]
-        :func:`_sum_products` of lag 0, and of ``lag``.
+        Results of :func:`_sum_products` at lag 0, and at ``lag``.
     lag : int
-        Distance of the next revolution: 1, or up to 5 if most revolutions between are missing.
+        Distance to the next revolution: 1, or up to 5 if most revolutions between are missing.
     """
     unlagged_sums, *lagged_sums = _sum_products(values, range(6), places)
     lag = 1 + int(np.argmax([sums[1] / lag for lag, (sums, _) in enumerate(lagged_sums, 1)]))
@@ -257,7 +263,7 @@ def _sum_neighbours(values: np.ndarray, places: Places) -> tuple[list[Total], in
 
 
 def _sum_products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Total]]:
-    """Yield products of values (n,) at each lag of revolutions: at one probe, at two probes."""
+    """Yield sums of products in values (n,), by lag, at one probe and two."""
     arrays = [_arrange_by_revolution(part, places) for part in (values, np.ones(len(values)))]
     revolution_sums = [array.sum(axis=1) for array in arrays]
     for lag in lags:
@@ -269,7 +275,7 @@ def _sum_products(values: np.ndarray, lags: Iterable[int], places: Places) -> It
 
 
 def _arrange_by_revolution(values: np.ndarray, places: Places) -> np.ndarray:
-    """Arrange values (n, ...) by revolution and probe; 0 where there are none."""
+    """Arrange values (n, ...) by revolution and probe, otherwise 0."""
     revolution, probe = places[0] - places[0].min(), places[1]
     table = np.zeros((int(revolution.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
     table[revolution, probe] = values
@@ -279,18 +285,23 @@ def _arrange_by_revolution(values: np.ndarray, places: Places) -> np.ndarray:
 def reweighted(
     solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, min_scale: float
 ) -> Noise:
-    """Find weights of arrivals, by turns with the residuals of a fit.
+    """Find weights of arrivals, in turns with the residuals of a fit.
 
     Parameters
     ----------
     solve : callable
-        Residuals (n,) of a fit with weights (n,).
+        Return residuals (n,) from a fit with weights (n,).
     weights : (n,)
-        To begin with.
+        Initial weights.
     unknowns : int
-        Number of coefficients of the fit.
+        Number of coefficients in the fit.
     min_scale : float
-        Minimum of the scale: rounding.
+        Minimum scale, by rounding.
+
+    Returns
+    -------
+    Noise
+        Residuals in the last round, with their weights.
     """
     previous_residuals, scales = np.inf, None
     for _ in range(ROBUST_ROUNDS):
@@ -312,17 +323,17 @@ def refined(
     upper_bounds: Sequence[float] | np.ndarray,
     min_reduction: float = ROBUST_SETTLED,
 ) -> np.ndarray:
-    """Find unknowns (m,) by least squares from 0; return the residuals (n,).
+    """Return the least-squares residuals (n,), from unknowns (m,) = 0 on.
 
     Parameters
     ----------
     function : callable
-        Residuals (n,) and their derivatives (n, m) at unknowns, whose natural size is 1; called
-        with those that are found last.
+        Return residuals (n,) and their derivatives (n, m) at unknowns with natural size 1. The last
+        call is at the solution.
     lower_bounds, upper_bounds : (m,)
-        Bounds of the unknowns.
+        Bounds of the unknowns, widened to include 0.
     min_reduction : float
-        Relative reduction of the sum of squares by the last step.
+        Relative reduction of the sum of squares, below which the search ends.
     """
     evaluate = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
     solution = least_squares(

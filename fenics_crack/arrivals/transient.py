@@ -1,28 +1,27 @@
-"""Modes that a rotor sweeps through: the transient under an engine order, and its fit to arrivals.
+"""Model the transient of modes that a rotor sweeps through, and fit it.
 
-A mode of natural frequency w_n and damping zeta under engine order p, on a rotor whose angle is
-alpha(t) and whose speed is W = alpha', moves the blade tip by
+A mode has the natural frequency w_n and the damping ratio zeta. Under engine order p, on a rotor
+with angle alpha(t) and speed W = alpha', the mode moves the blade tip by
 
     u = Re a(t) exp(i p alpha),     a' = (lambda - i p W) a + zeta w_n F,
 
-where lambda = w_n (i sqrt(1 - zeta^2) - zeta) is the mode's root, a the envelope and F the
-amplitude that it would have in a resonance that lasts. Where the speed changes by the resonance's
-width in less time than the decay takes, 1 / (zeta w_n), the largest amplitude comes later, is
-lower, and rings; a fit of steady vibrations then shifts the frequency, up in a run-up and down in a
-run-down. With the speed W_j constant from each arrival to the next, as it follows from the marks,
+with the root lambda = w_n (i sqrt(1 - zeta^2) - zeta), the envelope a, and the amplitude F in a
+resonance without end. A decay takes 1 / (zeta w_n). If the speed changes by the resonance's width
+in less time, the largest amplitude comes later, is lower, and rings. A fit of steady vibrations
+then shifts the frequency, up in a run-up and down in a run-down. The marks give the speed W_j from
+arrival j to the next, as a constant. With the change D_j of exp(i p alpha - lambda t) from arrival
+j to j + 1, and b from the steady vibration at the start, the envelope at arrival k is
 
-    a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)),
+    a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)).
 
-D_j the change of exp(i p alpha - lambda t) from arrival j to j + 1 and b of the steady vibration
-where the passage begins.
+Rotation may stiffen the blade, so that w_n follows the speed with s = d ln w_n / d ln W at the
+resonance. Then lambda - i p W is (1 - s) times the value for a constant w_n with the damping
+zeta / (1 - s). Therefore alpha and t in the exponents are multiplied by (1 - s), and zeta is
+(1 - s) times the fitted ratio.
 
-Where w_n itself follows the speed, as a blade's that rotation stiffens, with s = d ln w_n / d ln W
-where the order meets it, lambda - i p W is (1 - s) times that of a constant w_n whose damping is
-zeta / (1 - s): alpha and t in the exponents are, and zeta is (1 - s) times what is fitted.
-
-The displacement is linear in the F of each mode and in a constant and a slope over the speed for
-each probe, its place and the drift of the blade. The envelope is the averaged one of Lewis
-(Transactions of the ASME 54, 1932, 253), who swept the first resonance.
+The displacement is linear in each mode's F, and in a constant and a slope over the speed for each
+probe, by its place and the blade's drift. The averaged envelope is due to Lewis (Transactions of
+the ASME 54, 1932, 253), who swept the first resonance.
 """
 
 from __future__ import annotations
@@ -46,18 +45,20 @@ DAMPING_BOUNDS = 1e-5, WIDTH / 2.0
 """Bounds of the damping ratios; a wider resonance is not distinguished from drift."""
 
 Follows = Callable[[float, float], float]
-"""s as a function of speed and natural frequency [rad/s], as ``Campbell.stiffening``."""
+"""Function s of speed and natural frequency [rad/s], as ``Campbell.stiffening``."""
 
 
 class Run:
-    """Revolutions of a record in which the speed is near a resonance: arrays (revolutions, probes).
+    """Hold revolutions of a record with speeds near a resonance.
+
+    Arrays have the shape (R, P), for R revolutions and P probes.
 
     Parameters
     ----------
     record : Record
-        The record.
+        Arrivals, and the stiffening of modes.
     values : (revolutions, probes) [m]
-        Displacements, without the vibrations that have been found.
+        Displacements in the whole record, without the vibrations found before.
     begin, end : int
         First revolution, and the one after the last.
     """
@@ -80,7 +81,7 @@ class Run:
     def waves(self, order: float, roots: np.ndarray) -> np.ndarray:
         """Return waves a(t) exp(i p alpha) at the arrivals for F = 1: (m, R, P).
 
-        The roots lambda (m,) are equally far apart.
+        The roots lambda (m,) [1/s] are equally far apart.
         """
         time, phase, phase_rate, rotation = self._phases(order)
         factor, roots = self._stiffening_factor(order, roots), roots[:, None]
@@ -104,9 +105,9 @@ class Run:
         return np.asarray(self.waves(mode.order, np.array([mode.root]))[0])
 
     def wave_and_slope(self, mode: Mode) -> np.ndarray:
-        """Return the wave a(t) exp(i p alpha) of a mode for F = 1, and its slope: (2, R, P).
+        """Return a mode's wave a(t) exp(i p alpha) for F = 1, and its slope: (2, R, P).
 
-        The slope is the derivative by ln lambda, without that of the factor zeta w_n.
+        The slope is the derivative by ln lambda, with the factor zeta w_n held constant.
         """
         order, root = mode.order, mode.root
         time, phase, phase_rate, rotation = self._phases(order)
@@ -133,7 +134,7 @@ class Run:
 
         Returns
         -------
-        time, phase, phase_rate : (n,), (n,), (n - 1,)
+        time, phase, phase_rate : (n,) [s], (n,) [rad], (n - 1,) [rad/s]
             Times and p alpha without vibration, and p W to the next arrival.
         rotation : (n,)
             exp(i p alpha) with vibration.
@@ -147,14 +148,16 @@ class Run:
         return np.asarray((self.time - self.time[0, 0]).ravel())
 
     def _stiffening_factor(self, order: float, roots: np.ndarray) -> float:
-        """Return 1 - s where an order meets the frequency of roots lambda."""
+        """Return 1 - s at the speed where an order excites the roots lambda."""
         omega = float(np.abs(roots).mean())
         return 1.0 - self._stiffening(omega / order, omega)
 
     def _parts(self, rate: float) -> list[slice]:
-        """Split arrivals where exp would overflow as it undoes the decay.
+        """Split arrivals into parts without overflow in exp.
 
-        The rate of decay [1/s] is negative; each part begins with the last arrival of the previous.
+        The exponential undoes the decay.
+        The decay rate [1/s] is negative; each part begins with the last arrival of the previous
+        part.
         """
         count = int(-rate * self._time[-1] // 300.0) + 1
         edges = [(len(self._time) - 1) * part // count for part in range(count + 1)]
@@ -163,7 +166,7 @@ class Run:
     def _drifts(self, root_weights: np.ndarray) -> np.ndarray:
         """Return the drifts of each probe, weighted and orthonormal: (2, R, P).
 
-        They are a constant and a slope over the speed, times roots of weights (R, P).
+        Drifts are a constant and a slope over the speed, times roots of weights (R, P).
         """
         drifts = np.stack([root_weights, root_weights * self.scaled_speed[:, None]])
         constant, slope = drifts
@@ -186,7 +189,7 @@ class Run:
         Returns
         -------
         matrices, vectors : (P, 2, 2), (P, 2)
-            Equations for the amplitude's parts, with weights (R, P) of the arrivals.
+            Equations for the amplitude's parts, with weights (R, P) for the arrivals.
         parts, values : (2, R, P), (R, P)
             Parts of the wave, and displacements, weighted and without drifts.
         """
@@ -196,7 +199,7 @@ class Run:
         return matrices, np.einsum("arp,rp->pa", parts, values), np.array(parts), values
 
     def gains(self, orders: np.ndarray, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the reduction of the weighted sum of squares by each vibration: (n, m) [m^2].
+        """Return reductions of the weighted sum of squares: (n, m) [m^2].
 
         Vibrations have orders (n,), equidistant roots lambda (n, m), any F; weights are (R, P).
         """
@@ -220,18 +223,22 @@ class Run:
 
 @dataclass(frozen=True)
 class Record:
-    """Arrivals, and the dependence of natural frequencies on the speed in them."""
+    """Hold arrivals, and the stiffening of natural frequencies with the speed."""
 
     arrivals: ArrivalTimes
     stiffening: Follows
 
     @cached_property
     def speed(self) -> np.ndarray:
-        """Mean speed of each revolution [rad/s]."""
+        """Mean speed of each revolution: (revolutions,) [rad/s]."""
         return self.arrivals.speed
 
     def runs(self, values: np.ndarray, speed: float) -> list[Run]:
-        """Return the runs in which the rotor passes a speed."""
+        """Return the runs through a speed [rad/s].
+
+        Each has 10 revolutions or more.
+        ``values`` (revolutions, probes) [m] are displacements.
+        """
         offsets = self.speed / speed - 1.0
         rows = np.flatnonzero(np.abs(offsets) < WIDTH)
         runs = []
@@ -251,7 +258,7 @@ def pole(omega: np.ndarray, damping: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode under an engine order: p, and lambda [1/s]."""
+    """Hold an engine order p, and a mode's root lambda [1/s]."""
 
     order: float
     root: complex
@@ -272,38 +279,38 @@ class Mode:
         return self.omega / self.order
 
     def with_step(self, step: np.ndarray) -> Mode:
-        """Return the mode after a step of ln w_n, in units of zeta, and ln zeta."""
+        """Return the mode after a step (2,) in ln w_n, over zeta, and ln zeta."""
         omega = self.omega * math.exp(self.damping * step[0])
         return Mode(self.order, complex(pole(omega, self.damping * math.exp(step[1]))))
 
     def steps(self, omega: float, damping: float) -> list[float]:
-        """Return the step of :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
+        """Return the step for :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
         frequency_step = math.log(omega / self.omega) / self.damping
         return [frequency_step, math.log(damping / self.damping)]
 
 
 class Fit:
-    """Fit of frequencies and dampings by least squares, in turns with weights of arrivals.
+    """Fit frequencies and dampings by least squares, in turns with weights.
 
-    Forces and drifts are linear, and fitted for each step of these (variable projection).
+    Forces and drifts are linear, and fitted again at each step of the others (variable projection).
 
     Parameters
     ----------
     runs : sequence of Run
-        Fitted together, with forces and drifts of their own.
+        Runs with common modes; each run has separate forces and drifts.
     modes : sequence of Mode
-        To begin from, one or two neighbours.
+        Initial modes, at most two neighbours in a comparison, or more in a final fit.
     weights : sequence of (R, P)
-        Weights of the arrivals of each run, to begin with.
+        Initial weights of the arrivals in each run.
 
     Attributes
     ----------
     modes : tuple of Mode
-        Modes of the fit.
+        Fitted modes.
     forces : (modes, runs) complex [m]
-        F.
+        Amplitudes F.
     noise : Noise
-        Residuals.
+        Residuals and their weights.
     """
 
     def __init__(
@@ -319,7 +326,7 @@ class Fit:
         self.noise = reweighted(self._solve, initial_weights, unknowns, runs[0].rounding)
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
-        """Fit with weights (n,) of the arrivals, and return the residuals (n,)."""
+        """Fit with weights (n,) of the arrivals, and return the residuals (n,) [m]."""
         initial_modes, run_weights = self.modes, self._split_by_run(weights)
         bounds = [
             [mode.steps(omega * (1.0 + end * WIDTH), DAMPING_BOUNDS[end > 0]) for end in (-1, 1)]
@@ -346,7 +353,8 @@ class Fit:
         Returns
         -------
         residuals, slopes : (n,), (n, m)
-            Residuals, derivatives by ln w_n and ln zeta of each mode; times roots of weights.
+            Residuals [m], and derivatives by ln w_n and ln zeta for each mode; times roots of
+            weights.
         """
         forces, parts = [], []
         log_root_slopes = np.array([(1.0, mode.root.real / mode.root) for mode in self.modes])
@@ -367,7 +375,7 @@ class Fit:
         return residual_columns[:, 0], residual_columns[:, 1:]
 
     def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
-        """Split values (n,) of the arrivals by run: (R, P), 0 where there is none."""
+        """Split values (n,) of the arrivals by run: (R, P), 0 without an arrival."""
         counts = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
         run_values = [np.zeros(run.nominal_angle.shape) for run in self._runs]
         for array, run, part in zip(run_values, self._runs, np.split(values, counts), strict=True):
@@ -376,7 +384,7 @@ class Fit:
 
     @property
     def mode(self) -> Mode:
-        """The first mode, or the only one."""
+        """First mode, or the only one."""
         return self.modes[0]
 
     @property
@@ -388,21 +396,21 @@ class Fit:
 
     @cached_property
     def errors(self) -> np.ndarray:
-        """Standard errors of frequency [rad/s] and damping of the first mode."""
+        """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
         covariance = self.noise.covariance(columns, self.places)
         return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
 
     @cached_property
     def amplitude(self) -> float:
-        """Largest amplitude of the first mode in the runs [m]."""
+        """Largest amplitude [m] of the first mode in the runs."""
         pairs = zip(self.forces[0], self._runs, strict=True)
         return float(max(np.abs(force * run.wave(self.mode)).max() for force, run in pairs))
 
     def motion(self, record: Record, revolutions: int, mode_index: int = 0) -> np.ndarray:
-        """Return the displacements by one of the modes: (revolutions, probes).
+        """Return the displacements by one of the modes: (revolutions, probes) [m].
 
-        Those of a passage extend halfway to the next.
+        The motion in each run extends halfway to the next run.
         """
         motions = []
         halfway = [
@@ -426,15 +434,16 @@ class Fit:
 
     @property
     def weights(self) -> list[np.ndarray]:
-        """Weights of the arrivals of each run: (R, P)."""
+        """Weights of the arrivals in each run: (R, P)."""
         return self._split_by_run(self.noise.weights)
 
     @property
     def blind_probes(self) -> np.ndarray:
-        """Indices (n,) of probes whose pulses are not the blade's.
+        """Indices (n,) of probes with pulses from another source than the blade.
 
-        A vibration of any phase is fitted at each probe. Blind ones, a minority, have less than
-        half of the median amplitude, and are five times farther from it than all others.
+        A vibration of any phase is fitted at each probe, in units of the first mode's motion. Blind
+        probes are a minority with less than half the median in-phase amplitude. Their amplitudes
+        are over five times farther from the median than all others.
         """
         count = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((count, 2, 2)), np.zeros((count, 2))
@@ -453,7 +462,7 @@ class Fit:
 
     @cached_property
     def gain(self) -> float:
-        """Reduction of -2 log likelihood by the vibration."""
+        """Reduction of -2 log likelihood by the fitted modes."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
             parts = zip(self._runs, self._split_by_run(weights), strict=True)
