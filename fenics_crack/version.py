@@ -2,7 +2,7 @@
 
 from importlib import resources
 
-VERSION = "0.3.0"
+VERSION = "0.4.0"
 
 
 def packaged(path: str) -> str:

@@ -27,6 +27,7 @@ SEARCH_WORDS_BY_CALL = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
     "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
+    "fc.follow_resonance(problem, start, end)": "backbone nnm",
     "fc.curve(scene).peak()": "peak max maximum largest highest resonance resonant argmax damping",
     "fc.integrate(scene)": "time transient simulate simulation march newmark ode ivp odeint "
     "history dynamics",

@@ -118,7 +118,8 @@ def write(folder: Path) -> None:
         scene.write_text(fc.Scene.from_mapping(PLATE | tables).as_toml())
         program(command, scene, "--output", work / name)
         for result_path in (work / name).glob("*[a-z].h5"):  # growth_1.h5 is a sweep of its own
-            result_path.rename(folder / f"{name}.h5")
+            if result_path.name != "prepared.h5":
+                result_path.rename(folder / f"{name}.h5")
     program("new", work / "plate.toml", "--identify")
     options = [word for change in COARSE for word in ("--set", change)]
     measured_path = work / "plate_measured.csv"
