@@ -7,9 +7,8 @@ to the exact orbit's numbers, if the answer has an accepted exact orbit. *Fricti
   orbit with friction. Both orbits have few modes, and crack faces without mass. Extremes may agree
   by chance: so the part is at least the root mean square of the motion's change. The difference to
   the same change with half the modes is added.
-- If a solid has friction along a line at each pair, the part is proportional to the effect of
-  friction on the number. The ratio is twice the frictionless motion's share of sliding across the
-  lines.
+- If a solid has friction along a line at each pair, the part is 2 r times the change by friction.
+  Here r is the frictionless motion's ratio of sliding across the lines to sliding along them.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ FRICTION_MODES = 20, 10
 With 40 modes an orbit takes three times as long, and ten times if the search is hard.
 """
 TURNING_FACTOR = 2.0
-"""Ratio of the stated error to the share of sliding across friction lines.
+"""Safety factor, 2, on the error r |change by friction| due to sliding across friction lines.
 
 Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2 times
 the stated error.
