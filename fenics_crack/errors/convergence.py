@@ -9,10 +9,10 @@ The uncertainty of f_i is F |f_i - f|. The grid-convergence index is the relativ
 
     GCI = F |(f_1 - f_2) / f_1| / ((h_2/h_1)^p - 1).
 
-The safety factor F is 1.25 if three sizes show an order from 0.5 up to the scheme's order, or to
-1.5 times the theoretical order if no scheme's order is given; otherwise F is 3. The extrapolation
-uses at most the theoretical order, as the slowest part of an error comes last. This bounds an error
-that is a sum of powers from the theoretical order on, with coefficients of equal sign.
+The safety factor F is 1.25 if three sizes show an order from 0.5 up to the scheme's order;
+otherwise F is 3. If no scheme's order is given, the upper bound is 1.5 times the theoretical order.
+The extrapolation uses at most the theoretical order, as the slowest part of an error comes last.
+This bounds an error with powers from the theoretical order on, if all coefficients have equal sign.
 
 Values are irregular if they oscillate, diverge, or converge faster than the scheme can. Nothing is
 extrapolated from irregular values, and the uncertainty is 3 times the spread.

@@ -61,9 +61,9 @@ class Verification(SavedResult):
     parts : dict of str to dict of str to GridConvergence
         Part by cause ("mesh", "shift", "modes", "harmonics", "friction" or "samples") and quantity.
         Sizes are the side of a mean element [m] for the mesh and the shift, and 1 / count for
-        modes, harmonics and samples. The scene's value is the last in :func:`verify`, and the first
-        with a coarser mesh. Sizes for friction are two coefficients, or 0 and 1 for friction along
-        lines, and the scene's value is the first.
+        modes, harmonics and samples. The scene's value is the first with a coarser mesh, otherwise
+        the last. Sizes for friction are two coefficients, or 0 and 1 for friction along lines, and
+        the scene's value is the first.
     counts : dict of str to tuple of int
         Numbers of elements, modes, harmonics or samples by cause, the scene's count first. For
         friction: the modes in both solutions.
@@ -95,7 +95,7 @@ class Verification(SavedResult):
     def with_part(self, cause: str, part: Varied) -> Verification:
         """Add the part of a cause, or the reason for no part.
 
-        Without a part, an optional cause is unknown, and any required cause contributes nothing. An
+        Without a part, an optional cause is unknown; any further cause contributes nothing. An
         empty reason adds nothing.
         """
         if not isinstance(part, str):
@@ -428,11 +428,11 @@ def verification_of(result_file: StoredFile) -> Verification | None:
 def dent_by_force(scene: Scene) -> float:
     """Estimate the displacement [m] added by half as long elements at a force.
 
-    Let F [N] be the force at a point, E Young's modulus [Pa], t the thickness [m], h the element
-    size [m] and a the angle [rad] of the corner at the force. In a plate the displacement along an
-    edge is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)), with a = pi on an edge and about
-    2 pi inside. In a solid the displacement is about F / (E h). Without a force at a point, or with
-    matrices as structure, return 0.
+    F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
+    [m]. The force acts at a corner with angle a [rad]; a = pi on an edge and about 2 pi inside. In
+    a plate the displacement along an edge is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In
+    a solid the displacement is about F / (E h). Without a force at a point, or with matrices as
+    structure, return 0.
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     at_points = [load for load in scene.loads if load.point is not None]
