@@ -753,7 +753,8 @@ def _compute_bond_forces(
     """Return the scaled real bond forces on the upper face.
 
     The columns are (K - w^2 M) v / w for the m modes, and (K x - f) / sqrt(work) for the p loads f
-    with response x. The compliance maps a column to the opening's relative change of w^2 or work.
+    with response x. An opening's compliance C and a column f give the relative change f^T C f of
+    w^2 or of work by this opening.
 
     Returns
     -------
