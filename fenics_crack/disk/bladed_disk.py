@@ -61,7 +61,7 @@ SEARCH_BANDWIDTHS_PER_SIDE = 1.5
 
 
 def wheel_of(structure: Structure) -> Wheel:
-    """Return a structure's whole wheel; the structure may be reduced.
+    """Return a structure's whole wheel, also from a reduced structure.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """Hold the vibration of each blade in a disk at the same dof.
+    """Hold the vibration of a disk's blades at the same dof.
 
     Attributes
     ----------
@@ -294,7 +294,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 
 def report_of_diameters(disk_modes: NodalDiameters) -> Report:
-    """Report frequencies over the nodal diameter, and the frequencies excited by the load."""
+    """Report frequencies over the nodal diameter and at the excited diameter."""
     return Report(disk_modes.table(), disk_modes.said(), remarks=remarks_on_scene(disk_modes.scene))
 
 

@@ -125,7 +125,9 @@ class SectorNumbering:
 
 @dataclass(frozen=True, eq=False)
 class Sector:
-    """Hold a wheel's sector in the sector's frame, sides free and crack open.
+    """Hold a wheel's sector with free sides and an open crack.
+
+    Vectors are in the sector's frame.
 
     Attributes
     ----------
@@ -438,7 +440,7 @@ class NodalDiameter:
 
 @dataclass(frozen=True, eq=False)
 class CyclicModes:
-    """Hold the natural modes of a wheel with equal sectors and bonded cracks.
+    """Hold a wheel's natural modes with equal sectors and bonded cracks.
 
     In a mode with nodal diameter n, sector j, from 0, moves as the real and imaginary parts of
     v e^(i 2 pi n j / N). Both modes have the same frequency; n = 0 and N/2 have a single mode.
@@ -460,7 +462,7 @@ class CyclicModes:
 
 @dataclass(frozen=True, eq=False)
 class CyclicBasis:
-    """Hold a basis of motions U for a wheel with cracks and mistuning.
+    """Hold a basis U for a wheel with cracks and mistuning.
 
     The cracks are bonded in the modes; further motions open them.
 
@@ -836,7 +838,7 @@ MIN_SIDE_PATTERN_SIZE = 0.5
 def _find_side_force_patterns(
     sector: Sector, modes_of_diameters: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Find orthonormal patterns (n_dofs, p) of modal forces on the right side.
+    """Find orthonormal right-side patterns (n_dofs, p) of modal forces.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ from fenics_crack.numerics.fourier import from_complex, to_complex
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelBody(Body):
-    """Hold a wheel's body without matrices; :class:`Wheel` explains all fields."""
+    """Hold a wheel's body without matrices, with the fields of :class:`Wheel`."""
 
     sector: Sector
     cracked_places: tuple[int, ...]
@@ -71,7 +71,7 @@ class WheelBody(Body):
 
 
 class Wheel(Structure):
-    """Model the whole wheel; rank 0 owns all rows.
+    """Model the whole wheel, with all rows on rank 0.
 
     Displacements are in the frame of each blade: "x" is the first blade's x, turned with the blade.
     Nodes on a side between two sectors belong to the later sector.
@@ -196,12 +196,12 @@ class Wheel(Structure):
         return int(self.numbers[blade - 1, dof])
 
     def blade_of(self, dof: int) -> tuple[int, int]:
-        """Return the sector's number, from 1, and the sector's dof for a wheel's dof."""
+        """Return sector number, from 1, and sector dof for a wheel's dof."""
         sector_index, sector_dof = divmod(int(self.places[dof]), self.sector.structure.n_dofs)
         return sector_index + 1, sector_dof
 
     def dofs_of_blades(self, dof: int) -> list[int]:
-        """Return the dofs on all blades at a dof's place, from the first blade on."""
+        """Return the dofs on all blades at a dof's place, in order."""
         return list(map(int, self.numbers[:, self.blade_of(dof)[1]]))
 
     def dof_name(self, dof: int) -> str:
@@ -221,7 +221,7 @@ class Wheel(Structure):
         return WheelStructure(self, count_basis_families(self.families))
 
     def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return load rows on the watched blade; see :meth:`Structure.watched_sector_load`.
+        """Return load rows on the watched blade (:meth:`Structure.watched_sector_load`).
 
         The rows (n_rows, structure.n_dofs) are in the coordinates of ``structure``.
         """
@@ -319,7 +319,7 @@ class Wheel(Structure):
 
 
 def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
-    """Return a stiffness deviation for each sector (N,); InputError for unusable values."""
+    """Return a stiffness deviation for each sector (N,), or raise InputError."""
     deviations = numbers(given_deviations)
     if (
         deviations.shape not in ((), (n_sectors,))

@@ -231,7 +231,7 @@ class Case:
 def _relative_change(
     name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
 ) -> float:
-    """Return a number's relative change between motions; 0 from a first number 0."""
+    """Return a number's relative change between motions, or 0 from 0."""
     value = numbers.get(name, 0.0)
     return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
 
@@ -250,7 +250,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
 
 
 def reason_of_failure(run: str, error: Exception) -> str:
-    """Describe why a run gives no error: a refused key, or no solution."""
+    """Describe why a run gives no error (key refused or no solution)."""
     if isinstance(error, InputError):
         return f"{run} cannot be used, for its {error.key}"
     return f"{run} has no solution"
@@ -259,7 +259,7 @@ def reason_of_failure(run: str, error: Exception) -> str:
 def solve_again(
     study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
 ) -> PeriodicSolution:
-    """Solve a reduced study without stability; raise ConvergenceError without a solution."""
+    """Solve a reduced study without stability (ConvergenceError without a solution)."""
     if study.contact is None:
         return solve_linear(study.structure, omega, harmonics=harmonics)
     return _solver(study, omega, harmonics).solve(initial)

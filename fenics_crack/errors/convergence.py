@@ -86,7 +86,7 @@ class GridConvergence(Described):
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, place: int = 0) -> float:
-        """Return F abs(f_i - f) of a value, by default at the smallest size.
+        """Return a value's uncertainty F abs(f_i - f), by default f_1.
 
         Without :attr:`is_asymptotic`, return F times the spread; 0 if values differ by rounding.
         """
@@ -98,7 +98,7 @@ class GridConvergence(Described):
 
     @property
     def gci(self) -> float:
-        """Relative uncertainty of the value at the smallest size; nan if the value is 0."""
+        """Relative uncertainty at the smallest size, nan for a value 0."""
         return self.uncertainty() / abs(self.values[0]) if self.values[0] else math.nan
 
     def to_dict(self) -> dict[str, Any]:
@@ -199,14 +199,14 @@ def _classify(
 
 
 def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
-    """Return the order p of three monotonic values; negative for divergence."""
+    """Return the order p of three monotonic values, negative for divergence."""
     fine_log_ratio, coarse_log_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
     if f[1] == f[0] or f[2] == f[1]:
         return math.inf if f[1] == f[0] else -math.inf
     log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
 
     def excess(p: float) -> float:
-        """Return the log ratio at order p minus the values' log ratio; rises with p."""
+        """Return the log ratio at order p minus the values' log ratio."""
         if p == 0.0:
             return math.log(coarse_log_ratio / fine_log_ratio) - log_ratio
         return (

@@ -174,7 +174,7 @@ def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] 
 def add_changes(
     values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
 ) -> dict[str, float]:
-    """Add the change from a start to an end; absent numbers count as 0."""
+    """Add the change from a start to an end (absent numbers: 0)."""
     return {
         name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
     }
@@ -266,7 +266,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
 
 
 def _ratios(record: Record) -> np.ndarray:
-    """Return c_k (n_harmonics, m), complex, for m signals, from order k = 0."""
+    """Return complex c_k (n_harmonics, m) for m signals, k from 0."""
     spectrum = np.fft.rfft(record.row_products, axis=0)[:: record.subharmonic]
     size = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
     orders = np.arange(len(spectrum))[:, None]
@@ -274,7 +274,7 @@ def _ratios(record: Record) -> np.ndarray:
 
 
 def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, float]:
-    """Return the sizes of change at crack faces, by column; empty without pairs."""
+    """Return sizes of change at crack faces, none without pairs."""
     if not record.n_pairs:
         return {}
     faces, other_faces = CrackFaces(record), CrackFaces(other_record)

@@ -1,4 +1,4 @@
-"""State the errors of an answer's numbers from an additional run per cause.
+"""State the errors of an answer by an additional run per cause.
 
 The errors are expected values, not bounds. docs/notebook/stated_errors.md compares the errors with
 runs on a mesh four times finer. Let f be a number of the answer, e the error and w the load
@@ -440,7 +440,7 @@ class StatedCase(Case):
         return replace(self, study=study, wave=wave, numbers=numbers)
 
     def _judge_by_coarser_mesh(self) -> Varied:
-        """Judge the mesh by a coarser mesh with the same number of modes (collective).
+        """Judge the mesh by a coarser mesh with equally many modes (collective).
 
         The part is the maximum over the mesh's orders. Besides the shape error, the part includes
         the shift of the resonance unless the answer is a peak. Further parts are the shifted

@@ -183,7 +183,7 @@ class Verification(SavedResult):
         return scene_number + sum(limit - scene_number for limit in limits if math.isfinite(limit))
 
     def relative(self, quantity: str, error: float) -> float:
-        """Divide an error by a quantity's size; nan if the quantity is 0."""
+        """Divide an error by a quantity's size (nan for a quantity 0)."""
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
@@ -266,7 +266,7 @@ class Verification(SavedResult):
         return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for each quantity and cause, and for totals.
+        """Return columns with a row per quantity and cause or total.
 
         A row has the varied counts, up to three values, the order and factor from these values,
         and the uncertainty of the first value.
@@ -426,7 +426,7 @@ def verification_of(result_file: StoredFile) -> Verification | None:
 
 
 def dent_by_force(scene: Scene) -> float:
-    """Estimate the displacement [m] added by half as long elements at a force.
+    """Estimate the displacement [m] added by halved elements at a force.
 
     F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
     [m]. The force acts at a corner with angle a [rad]; a = pi on an edge and about 2 pi inside. In

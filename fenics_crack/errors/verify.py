@@ -140,7 +140,7 @@ def _settled_scene(run: SolvedStudy) -> Scene:
 
 
 def _kept_modes(study: Study) -> tuple[int, int] | str:
-    """Return kept and possible numbers of modes, or the reason for no variation.
+    """Return kept and possible mode numbers, or the reason for no variation.
 
     The numbers for a disk count modes per nodal diameter.
     """
