@@ -127,7 +127,7 @@ class SectorNumbering:
 class Sector:
     """Hold a wheel's sector with free sides and an open crack.
 
-    Vectors are in the sector's frame.
+    Points are in the sector's own frame.
 
     Attributes
     ----------
@@ -440,7 +440,7 @@ class NodalDiameter:
 
 @dataclass(frozen=True, eq=False)
 class CyclicModes:
-    """Hold a wheel's natural modes with equal sectors and bonded cracks.
+    """Hold the natural modes of an equal-sector wheel with bonded cracks.
 
     In a mode with nodal diameter n, sector j, from 0, moves as the real and imaginary parts of
     v e^(i 2 pi n j / N). Both modes have the same frequency; n = 0 and N/2 have a single mode.
