@@ -1,18 +1,19 @@
-"""Blade vibrations, frequencies over the nodal diameter, amplification by mistuning.
+"""Compute blade vibrations, nodal diameters and amplification by mistuning.
 
 In a tuned wheel with N sectors, an engine order E excites the modes with one nodal diameter,
 
     n = min(E mod N, N - E mod N).
 
-In a mistuned wheel it excites all modes, and a blade may vibrate more than any blade of the tuned
-wheel. If blades differ in frequency only, Whitehead's bound for this amplification is (1 + sqrt(N))
+In a mistuned wheel the order excites all modes, and a blade may vibrate more than in the tuned
+wheel. If blades differ in frequency only, Whitehead's bound for the amplification is (1 + sqrt(N))
 / 2 (Journal of Mechanical Engineering Science 8, 1966, 15).
 
-The response of a mistuning pattern without contact is a sum over the wheel's modes,
+Without contact, the response u [m] to the load f at frequency w [rad/s] is a sum over the mistuned
+wheel's modes m, with frequency w_m, shape phi_m and damping ratio xi_m,
 
     u(w) = sum_m phi_m (phi_m . f) / (w_m^2 - w^2 + 2 i xi_m w_m w).
 
-Its peak is sought next to the natural frequencies of the excited family.
+The peak is sought next to 2 N natural frequencies, the excited family and neighbouring modes.
 """
 
 from __future__ import annotations
@@ -52,20 +53,20 @@ from fenics_crack.study.plausibility import remarks_on_scene
 FREQUENCIES_PER_BANDWIDTH = 8
 """Frequencies per half-power bandwidth 2 xi w in the first search for a peak.
 
-The largest amplitude at these is within 8e-3 of the peak of one mode. A second search in 40 steps,
-over an interval to either side, is within 2e-5.
+For a single mode, the first search is within 8e-3 of the peak. A second search in 40 steps, over
+an interval to either side, is within 2e-5.
 """
 SEARCH_BANDWIDTHS_PER_SIDE = 1.5
-"""Half-power bandwidths to either side of a natural frequency in which a peak is sought."""
+"""Half-width of the search interval around a natural frequency, in half-power bandwidths."""
 
 
 def wheel_of(structure: Structure) -> Wheel:
-    """Return the whole wheel of a structure, reduced or not.
+    """Return a structure's whole wheel, also from a reduced structure.
 
     Raises
     ------
     InputError
-        The structure is not that of a scene with [disk].
+        The structure does not belong to a scene with [disk].
     """
     if not isinstance(structure, Structure) or not isinstance(structure.whole, Wheel):
         raise InputError("structure", repr(structure), "that of a scene with [disk]")
@@ -74,7 +75,7 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """Vibration of each blade of a disk at the same dof.
+    """Hold the vibration of a disk's blades at the same dof.
 
     Attributes
     ----------
@@ -104,7 +105,7 @@ class Blades(Tabular):
 
     @property
     def phase(self) -> np.ndarray:
-        """Angle by which the first harmonic leads the load on the first blade: (N,) [rad]."""
+        """Lead (N,) [rad] of the first harmonic over the load on the first blade."""
         return np.angle(self.fundamental)
 
     def to_dict(self) -> dict[str, Any]:
@@ -134,14 +135,15 @@ class Blades(Tabular):
 
 
 def blades(found: Any, dof: int | None = None) -> Blades:
-    """Find the vibration of every blade of a bladed disk (collective).
+    """Find every blade's vibration in a bladed disk (collective).
 
     Parameters
     ----------
-    found : PeriodicSolution, ResponseCurve, or a Run of one
-        Solution, or curve; on a curve each blade is taken at its largest response.
+    found : PeriodicSolution, ResponseCurve, or a Run
+        Solution, curve, or a run with either. On a curve each blade has the point with the blade's
+        largest response.
     dof : int, optional
-        Dof of any blade, whose place is taken on each; default: the watched dof.
+        Dof on any blade, to take at the same place on each blade; default: the watched dof.
 
     Returns
     -------
@@ -151,7 +153,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     Raises
     ------
     InputError
-        The result is none of a scene with [disk].
+        The result does not belong to a scene with [disk].
 
     Examples
     --------
@@ -187,14 +189,15 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
 @dataclass(frozen=True, repr=False)
 class NodalDiameters(SavedResult):
-    """Natural frequencies of a tuned bladed disk without a crack, over the nodal diameter.
+    """Hold a tuned, uncracked bladed disk's natural frequencies over nodal diameter.
 
     Attributes
     ----------
     scene : Scene
         The disk's scene.
     omega : (n_diameters, families) [rad/s]
-        Frequencies for n = 0 .. N/2. At n = 0 and N/2 each belongs to one mode, otherwise to two.
+        Frequencies for n = 0 .. N/2. Each belongs to a pair of modes, at n = 0 and N/2 to a single
+        mode.
     """
 
     scene: Scene
@@ -240,7 +243,7 @@ class NodalDiameters(SavedResult):
         }
 
     def said(self) -> Conclusion:
-        """Return the parts of the printed last sentence: frequencies at the excited diameter."""
+        """Return the concluding sentence's parts: frequencies at the excited diameter."""
         frequencies_text = ", ".join(
             f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited]
         )
@@ -260,14 +263,14 @@ class NodalDiameters(SavedResult):
 
 
 def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiameters:
-    """Find natural frequencies of a bladed disk over the nodal diameter (collective).
+    """Find a bladed disk's natural frequencies over the nodal diameter (collective).
 
     The disk has no mistuning, and its cracks are bonded. Ranks share the nodal diameters.
 
     Parameters
     ----------
     scene : Scene
-        Scene with [disk], which says how many families are found.
+        Scene with [disk]; ``disk.families`` is the number of frequencies per nodal diameter.
     comm : MPI.Comm
         Ranks that share the work.
 
@@ -291,7 +294,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 
 def report_of_diameters(disk_modes: NodalDiameters) -> Report:
-    """Report frequencies over the nodal diameter, and those that the load excites."""
+    """Report frequencies over the nodal diameter and at the excited diameter."""
     return Report(disk_modes.table(), disk_modes.said(), remarks=remarks_on_scene(disk_modes.scene))
 
 
@@ -300,24 +303,24 @@ def report_of_diameters(disk_modes: NodalDiameters) -> Report:
 
 @dataclass(frozen=True, repr=False)
 class Amplification(SavedResult):
-    """Amplification factors of random patterns of mistuning, without contact.
+    """Hold amplification factors from random mistuning patterns, without contact.
 
     Attributes
     ----------
     scene : Scene
         The disk's scene.
     factor : (n,)
-        Largest amplitude of any blade at any frequency, relative to the tuned wheel without a
-        crack.
+        Largest amplitude over blades and frequencies, relative to the tuned wheel. The wheels have
+        no crack.
     omega : (n,) [rad/s]
         Load frequency at the largest amplitude.
     blade : (n,) int
-        Number of the blade with the largest amplitude, from 1.
+        Number, from 1, of the blade with the largest amplitude.
     tuned, tuned_omega : float [m], [rad/s]
-        The tuned wheel's largest amplitude, and its frequency.
+        The tuned wheel's largest amplitude, and the load frequency there.
     deviation, seed : float, int
-        Standard deviation of the sectors' stiffness, and the first pattern's seed; the next
-        patterns have the next seeds.
+        Standard deviation of the sectors' relative stiffness deviations, and the first pattern's
+        seed; the following patterns have consecutive seeds.
     """
 
     scene: Scene
@@ -339,7 +342,7 @@ class Amplification(SavedResult):
         return 0.5 * (1.0 + math.sqrt(self.scene.given("disk").sectors))
 
     def percentile(self, percent: float) -> float:
-        """Return the factor that a percentage of the patterns does not exceed."""
+        """Return the percentile of the factors at ``percent`` from 0 to 100."""
         check_number("percent", percent, 0.0)
         return float(np.percentile(self.factor, min(percent, 100.0)))
 
@@ -357,7 +360,7 @@ class Amplification(SavedResult):
         return {"frequency": "Hz"}
 
     def said(self) -> Conclusion:
-        """Return the parts of the printed last sentence: factors and Whitehead's bound."""
+        """Return the concluding sentence's parts: factors and Whitehead's bound."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
         answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
@@ -377,16 +380,16 @@ def amplification(
     seed: int = 0,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Amplification:
-    """Find amplification factors of random mistuning patterns of a disk without cracks.
+    """Find a disk's amplification factors for random mistuning patterns (collective).
 
-    The peak is sought in one family of modes. Its frequency at the excited nodal diameter is the
-    nearest to the scene's load. Every blade is watched at the scene's dof. Ranks share the patterns
-    (collective).
+    The disk has no cracks. The peak is sought in a single family of modes and in neighbouring
+    modes. At the excited nodal diameter, this family is nearest to the scene's load frequency. The
+    scene's dof is watched on every blade. Ranks share the patterns.
 
     Parameters
     ----------
     scene : Scene
-        Scene with [disk], whose own mistuning and cracks are left out.
+        Scene with [disk]; mistuning and cracks in the scene are ignored.
     patterns : int
         Number of patterns.
     deviation : float
@@ -408,8 +411,8 @@ def amplification(
 
     Examples
     --------
-    >>> found = fc.amplification(disk, patterns=100, deviation=0.01)
-    >>> found.percentile(95.0) < found.bound
+    >>> factors = fc.amplification(disk, patterns=100, deviation=0.01)
+    >>> factors.percentile(95.0) < factors.bound
     """
     check_count("patterns", patterns, 1, MAX_CASES)
     check_count("seed", seed, 0)
@@ -441,7 +444,7 @@ def amplification(
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:
-    """Report the amplification factors that shares of the patterns do not exceed."""
+    """Report percentiles of the amplification factors."""
     percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     table_rows = [[percent, amplification_result.percentile(percent)] for percent in percents]
     tuned_peak_text = (
@@ -459,14 +462,20 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
 
 
 PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]
-"""Function of the sectors' relative deviations of stiffness (N,). Without contact, it returns the
-largest amplitude of any blade [m], its frequency [rad/s] and the number of the blade."""
+"""Function from relative stiffness deviations (N,) to the largest response without contact: the
+amplitude [m], the load frequency [rad/s] and the blade's number from 1."""
 
 
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
-    """Return the function that finds the largest response of a mistuned wheel.
+    """Return the function that finds a mistuned wheel's largest response.
 
-    The function searches in the excited family next to the load's frequency ``load_omega`` [rad/s].
+    The function searches next to 2 N natural frequencies: the excited family nearest to
+    ``load_omega`` [rad/s], and neighbouring modes.
+
+    Raises
+    ------
+    InputError
+        The load does not vibrate, or damping is neither modal nor Rayleigh.
     """
     wheel_structure = WheelStructure(wheel, count_basis_families(wheel.families))
     n_sectors = wheel.sector.n_sectors

@@ -1,23 +1,23 @@
-"""Cyclic symmetry: a wheel of equal sectors from one sector, by nodal diameters.
+"""Solve a wheel with equal sectors from a single sector (cyclic symmetry).
 
-Frames turn with the sectors, so that all sectors have the same K and M. Let u_j be the displacement
-of sector j, and m_j the part that belongs to this sector alone:
+Frames turn with the sectors, so all sectors have the same K and M. Let u_j be the displacement of
+sector j = 0 .. N - 1, and m_j the part that belongs to this sector alone:
 
     u_j = T_0 m_j + T_1 m_(j+1)
 
 The right side belongs to the next sector: T_1 gives its nodes the motion of the next left side. T_0
-bonds the faces of the crack. Each row of T_0 + T_1 has a single 1. For nodal diameter n, m_(j+1) =
+bonds the crack faces. Each row of T_0 + T_1 has a single 1. For nodal diameter n, m_(j+1) =
 e^(i 2 pi n / N) m_j, so
 
     T_n = T_0 + e^(i 2 pi n / N) T_1,      K_n = T_n^H K T_n,      M_n = T_n^H M T_n,
     K_n v = w^2 M_n v,                     n = 0 .. N/2
 
 PETSc has real numbers here. The real form [[Re, -Im], [Im, Re]] replaces each matrix, and has every
-frequency twice. A load f on sector 0 alone is a sum of all nodal diameters,
+frequency twice. For a load f on sector 0 alone, the response is a sum over all nodal diameters,
 
     u_j = 1/N sum_n e^(i 2 pi n j / N) T_n K_n^-1 T_n^H f,      n = 0 .. N - 1
 
-The second half of the sum is the conjugate of the first.
+The second half is the conjugate of the first half.
 
 References
 ----------
@@ -56,12 +56,12 @@ def excited_diameter(engine_order: int, n_sectors: int) -> int:
 
 
 class SectorNumbering:
-    """Numbering of a sector's members, which are its dofs or its nodes.
+    """Number the members of a sector, either dofs or nodes.
 
     Attributes
     ----------
     own_members : (n_own,) int
-        Members of the sector alone: without right side and upper face.
+        Members that belong to the sector alone: without right side and upper face.
     member_positions : (n,) int
         Position in ``own_members`` of the member with the same motion, in this sector or the next.
     is_next_sector : (n,) bool
@@ -125,7 +125,9 @@ class SectorNumbering:
 
 @dataclass(frozen=True, eq=False)
 class Sector:
-    """One sector of a wheel in its own frame, sides free and crack open.
+    """Hold a wheel's sector with free sides and an open crack.
+
+    Points are in the sector's own frame.
 
     Attributes
     ----------
@@ -176,7 +178,7 @@ class Sector:
         return np.array(multiplicities) / self.n_sectors
 
     def has_single_wave(self, diameter: int) -> bool:
-        """Return True for a nodal diameter without a second, opposite wave."""
+        """Return True for a nodal diameter without an opposite wave, 0 and N/2."""
         return 2 * diameter % self.n_sectors == 0
 
     def rotation_matrix(self, n_turns: int) -> np.ndarray:
@@ -184,7 +186,7 @@ class Sector:
         return np.asarray(np.linalg.matrix_power(self.rotation, n_turns % self.n_sectors))
 
     def place_points(self, points: np.ndarray, n_turns: int) -> np.ndarray:
-        """Move points (n, d) [m] of the first sector to another sector."""
+        """Turn points (n, d) [m] on the first sector by ``n_turns`` sectors."""
         return np.asarray((points - self.center) @ self.rotation_matrix(n_turns).T + self.center)
 
     @cached_property
@@ -198,7 +200,7 @@ class Sector:
         return local_rows(self.structure.mass)
 
     def solve_ritz_modes(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the modes in the space of some shapes.
+        """Solve for the modes in the space spanned by shapes.
 
         Parameters
         ----------
@@ -264,10 +266,10 @@ def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_mat
 
 @dataclass(frozen=True, eq=False)
 class NodalDiameter:
-    """A nodal diameter of a wheel with bonded cracks.
+    """Solve a wheel with bonded cracks for a single nodal diameter.
 
-    The inside of the sector is eliminated once for all nodal diameters. A dense matrix of one side
-    is left:
+    The sector's inside is eliminated once for all nodal diameters. A dense matrix for the left side
+    remains:
 
         S_n = P + e^(it) R + e^(-it) R^T,        t = 2 pi n / N
 
@@ -302,7 +304,7 @@ class NodalDiameter:
     n_null_pivots = 0
 
     def at_diameter(self, diameter: int) -> NodalDiameter:
-        """Return another nodal diameter with the same factor."""
+        """Return the solver for a nodal diameter, with the same factor."""
         phase_factor = np.exp(2j * np.pi * diameter / self.sector.n_sectors)
         is_single = self.sector.has_single_wave(diameter)
         return replace(
@@ -438,10 +440,10 @@ class NodalDiameter:
 
 @dataclass(frozen=True, eq=False)
 class CyclicModes:
-    """Natural modes of a wheel with equal sectors and bonded cracks.
+    """Hold the natural modes of an equal-sector wheel with bonded cracks.
 
     In a mode with nodal diameter n, sector j, from 0, moves as the real and imaginary parts of
-    v e^(i 2 pi n j / N). These are two modes with one frequency; n = 0 and N/2 have one mode.
+    v e^(i 2 pi n j / N). Both modes have the same frequency; n = 0 and N/2 have a single mode.
 
     Attributes
     ----------
@@ -460,7 +462,7 @@ class CyclicModes:
 
 @dataclass(frozen=True, eq=False)
 class CyclicBasis:
-    """Basis of motions for a wheel with cracks and mistuning.
+    """Hold a basis U for a wheel with cracks and mistuning.
 
     The cracks are bonded in the modes; further motions open them.
 
@@ -493,14 +495,14 @@ class CyclicBasis:
         return np.concatenate(omegas_by_diameter) ** 2
 
     def sector_motions(self, sector_index: Any, rows: Any = slice(None)) -> np.ndarray:
-        """Return the displacement of one sector in all motions, a column for each.
+        """Return a sector's displacement in all motions, a column for each.
 
         The modes come first, then the openings for each crack.
 
         Parameters
         ----------
         sector_index : int or (k,) int
-            Place of the sector from 0, or one place for each row.
+            Place of the sector from 0, or a place for each row.
         rows : slice or (k,) int
             Rows of the sector's dofs.
 
@@ -532,7 +534,7 @@ class CyclicBasis:
     def _sector_products(
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
-        """Yield U_j^T A U_j, or some of its columns, for each sector j."""
+        """Yield U_j^T A U_j, restricted to a column range, for each sector j."""
         mapped_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
         )
@@ -551,8 +553,7 @@ class CyclicBasis:
     def tuned_mass_and_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
         """U^T M U and U^T K U without mistuning: (n, n) each.
 
-        Both are diagonal for the modes. The openings have the stiffness of the bonds on the upper
-        faces.
+        Both are diagonal for the modes. The openings have the bonds' stiffness on the upper faces.
         """
         sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
         mass_columns = sum(self._sector_products(sector.mass, opening_columns))
@@ -602,21 +603,22 @@ def make_cyclic_basis(
     cracked_places: tuple[int, ...],
     comm: MPI.Comm,
 ) -> CyclicBasis:
-    """Make a basis of motions for the loads of an engine order (collective).
+    """Make a basis of motions for an engine order's loads (collective).
 
-    The ranks share the nodal diameters. Each has modes, and as further modes static responses to
-    the loads and to the forces (K - w^2 M) v that mistuning and cracks leave on the right side. A
-    few patterns hold these forces for all modes.
+    The ranks share the nodal diameters. Each nodal diameter has modes and static responses. The
+    static responses belong to the loads, and to the forces (K - w^2 M) v that mistuning and cracks
+    leave on the right side. A few patterns approximate these forces for all modes.
 
-    A crack opens by forces of its pairs, and by forces that its bonds bear. An opening's stiffness
-    belongs to all displacements of the face, and includes the response of the sides. The openings
-    are real, sector by sector, and the inside follows from the sides.
+    Contact-pair forces and bond forces open a crack. An opening's stiffness covers all face
+    displacements, and includes the response of the sides. The openings are real, sector by sector,
+    and the inside follows from the sides.
 
     Parameters
     ----------
     families : int
         Number of modes for each nodal diameter.
     engine_order : int
+        Engine order of the loads.
     cracked_places : tuple of int
         Places of the sectors with a crack.
     """
@@ -703,8 +705,9 @@ def _make_diameter_basis(
     omega : (n,) [rad/s]
         Frequencies of modes and static responses together.
     shapes : (n_dofs, n)
-    bond_forces : (n_upper, k)
-        Real forces that bonds bear, scaled as by :func:`_compute_bond_forces`.
+        Shapes of modes and static responses together.
+    bond_forces : (n_upper, k) [(N/m)^(1/2)]
+        Real bond forces, scaled as in :func:`_compute_bond_forces`.
     """
     sector = nodal_diameter.sector
     load_response = nodal_diameter.static_response(load)
@@ -722,7 +725,7 @@ def _make_diameter_basis(
 
 
 def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
-    """Return complex loads on sector 0, a list by nodal diameter: (n_dofs, m) [N] each.
+    """Return complex loads (n_dofs, m) [N] on sector 0, by nodal diameter.
 
     The responses turn with the sectors as modes do. The load's harmonics are f - i g.
     """
@@ -749,10 +752,16 @@ def _compute_bond_forces(
     load: np.ndarray,
     load_response: np.ndarray,
 ) -> np.ndarray:
-    """Return the real forces that bonds bear on the upper face: (n_upper, m).
+    """Return the scaled real bond forces on the upper face.
 
-    They are (K - w^2 M) v / w for modes, and K x - f for loads of unit work. Squared in the
-    compliance of an opening, they are its relative changes of w^2 or of the work.
+    The columns are (K - w^2 M) v / w for the m modes, and (K x - f) / sqrt(work) for the p loads f
+    with response x. An opening's compliance C and a column f give the relative change f^T C f of
+    w^2 or of work by this opening.
+
+    Returns
+    -------
+    (n_upper, 2 (m + p)) [(N/m)^(1/2)]
+        Real parts, then imaginary parts.
     """
     forces = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
     work = np.sum(load.conj() * load_response, axis=0).real
@@ -762,24 +771,25 @@ def _compute_bond_forces(
 
 
 MIN_OPENING_PATTERN_SIZE = 1e-5
-"""Minimum size of a kept pattern of bond forces.
+"""Minimum size of a kept bond-force pattern.
 
-The square of the size is the relative change, by this opening, of w^2 or of the work. Smaller
-patterns change less than the mass that moves with the faces, which static patterns neglect: up to
-6e-9 of frequencies.
+The squared size is this opening's relative change of w^2 or work. Smaller patterns matter less than
+the mass that moves with the faces, which static patterns neglect: up to 6e-9 in frequencies.
 """
 
 
 def _find_opening_shapes(
     sector: Sector, bond_forces: np.ndarray, relieved_stiffness: np.ndarray
 ) -> np.ndarray:
-    """Find displacements of the upper face that open the crack: (n_upper, m).
+    """Find upper-face displacements (n_upper, m) that open the crack.
 
-    They follow from pair forces and bond forces, have unit energy, and are not coupled.
+    The displacements follow from contact-pair forces and bond forces. With the stiffness K of the
+    face, less the relieved stiffness, displacements D have D^T K D = 1.
 
     Parameters
     ----------
-    bond_forces : (n_upper, k) [N]
+    bond_forces : (n_upper, k) [(N/m)^(1/2)]
+        Forces scaled as in :func:`_compute_bond_forces`.
     relieved_stiffness : (n_upper, n_upper) [N/m]
         Part of the face's stiffness that the rest of the wheel relieves.
     """
@@ -822,18 +832,18 @@ def _gather_by_diameter(results_by_diameter: dict[int, Any], comm: MPI.Comm) -> 
 
 
 MIN_SIDE_PATTERN_SIZE = 0.5
-"""Minimum size of a kept pattern of side forces, relative to the largest."""
+"""Minimum size of a kept side-force pattern, relative to the largest pattern."""
 
 
 def _find_side_force_patterns(
     sector: Sector, modes_of_diameters: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Find orthonormal patterns of modal forces on the right side: (n_dofs, p).
+    """Find orthonormal right-side patterns (n_dofs, p) of modal forces.
 
     Parameters
     ----------
     modes_of_diameters : sequence of (omega, shapes)
-        Frequencies and shapes of some nodal diameters.
+        Frequencies [rad/s] and shapes (n_dofs, m) of nodal diameters.
     """
     force_vector_by_part, is_right = [], sector.dof_numbering.is_next_sector
     for omega, shapes in modes_of_diameters:

@@ -1,4 +1,4 @@
-"""Draw bladed disks: vibrations, blade responses, nodal diameters, amplification by mistuning."""
+"""Draw bladed disks: vibration, blade responses, nodal diameters, amplification."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INSTANTS_PER_PERIOD = 48
-"""Instants of a period at which each node's largest displacement is sought."""
+"""Number of instants per period to find each node's largest displacement."""
 
 
 def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw a bladed disk coloured by its vibration amplitude (collective).
 
-    The magnified shape is that at the instant with the largest displacement. Colours show the
+    The magnified shape belongs to the instant with the largest displacement. Colours show the
     largest displacement in the period. The mean displacement is left out. Blades of a plane disk
     have numbers, orange on cracked blades.
 
@@ -57,7 +57,7 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     Raises
     ------
     InputError
-        The solution is none of a bladed disk.
+        The solution does not belong to a bladed disk.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
 
 
 def _number_blades(panel: Axes, wheel: Wheel) -> None:
-    """Write each blade's number outside the node farthest from the axis."""
+    """Write each blade's number on a circle outside all nodes, mid-sector."""
     sector, nodes = wheel.sector, wheel.sector.structure.nodes
     assert nodes is not None
     sector_middle = nodes.points.mean(axis=0) - sector.center
@@ -118,15 +118,15 @@ def draw_blades(
 ) -> Figure:
     """Draw the response of every blade along a curve.
 
-    Cracked blades are orange. Among blades without a crack, the one with the largest response is
-    blue and the others grey.
+    Cracked blades are orange. The blade without a crack and with the largest response is blue; all
+    remaining blades are grey.
 
     Parameters
     ----------
     curve : ResponseCurve
         Curve of a scene with [disk].
     dof : int, optional
-        Dof of any blade, whose place is taken on each; default: the watched dof.
+        Dof on any blade, to take at the same place on each blade; default: the watched dof.
     in_hertz : bool
         Show frequencies in Hz, otherwise in rad/s.
     **picture_options
@@ -140,7 +140,7 @@ def draw_blades(
     Raises
     ------
     InputError
-        The curve is none of a bladed disk.
+        The curve does not belong to a bladed disk.
 
     Examples
     --------
@@ -191,9 +191,9 @@ def draw_nodal_diameters(
 ) -> Figure:
     """Draw natural frequencies over the nodal diameter (SAFE diagram).
 
-    Families are dots with lines (Singh and others 1988). Rings mark the nodal diameter that the
-    load excites. For a rotor, crosses show each engine order's frequency at the nodal diameter that
-    the order excites, which goes up and down between 0 and N/2.
+    Families are dots with lines (Singh et al. 1988). Rings mark the nodal diameter excited by the
+    load. For a rotor, crosses show each engine order's frequency at the excited nodal diameter,
+    which goes up and down between 0 and N/2.
 
     Parameters
     ----------
@@ -264,8 +264,8 @@ def draw_nodal_diameters(
 def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the distribution of amplification factors from mistuning patterns.
 
-    The picture has a histogram, the share of patterns below each factor, the factor that 95 % do
-    not exceed, and Whitehead's bound.
+    The picture has a histogram, the share of patterns below each factor, the 95th percentile, and
+    Whitehead's bound.
 
     Parameters
     ----------

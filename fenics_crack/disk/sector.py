@@ -1,8 +1,8 @@
 """Match the sides of a bladed disk's sector, and assemble the wheel.
 
-Turned about the axis by 2 pi / N, in one direction or the other, the left side is the right side,
-node by node. Displacements on the right side are in the frame of the next sector. In sectors
-without a crack, coincident nodes of both crack faces are bonded.
+A turn by 2 pi / N about the axis, in either direction, maps the left side to the right side, node
+by node. Displacements on the right side are in the frame of the next sector. In sectors without a
+crack, coincident nodes of both crack faces are bonded.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from fenics_crack.scene.scene import Scene
 
 
 def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
-    """Assemble the bladed disk from its sector (collective).
+    """Assemble the bladed disk from the sector (collective).
 
     Every rank has the whole sector.
 
     Raises
     ------
     InputError
-        The crack reaches a side, or the wheel is unstable at this speed.
+        The crack reaches a side, the nodes on both crack faces do not match, or the wheel is
+        unstable at this speed.
     """
     disk = scene.given("disk")
     sector, rotation = _make_sector(scene, dofs, structure), None
@@ -75,7 +76,7 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
     Raises
     ------
     InputError
-        The mesh has no sides, or their nodes do not match.
+        The mesh has no sides, the nodes on both sides do not match, or the sector reaches the axis.
     """
     from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
@@ -124,7 +125,13 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
 
 
 def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
-    """Make the sector with the nodes on its sides and crack faces."""
+    """Make the sector with matched nodes on sides and crack faces.
+
+    Raises
+    ------
+    InputError
+        The crack reaches a side, or the nodes on both crack faces do not match.
+    """
     points, sides, frames = dofs.points, dofs.side_node_pairs, dofs.node_to_global_rotations
     assert sides is not None and frames is not None
     crack_face_nodes = np.zeros((2, 0), dtype=int)
@@ -162,7 +169,7 @@ def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, in
     Returns
     -------
     float
-        Largest distance from a point to its partner [m]; inf if the match is not one to one.
+        Largest distance [m] from a point to the partner; inf unless the match is one to one.
     int
         Index of the point with the largest distance.
     (n,) int

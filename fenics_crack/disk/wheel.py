@@ -1,8 +1,8 @@
-"""A bladed disk of equal sectors: mistuned, some blades cracked, under an engine order.
+"""Model a mistuned bladed disk with cracked blades under an engine order.
 
 The whole wheel has each sector's own dofs, in the sector's frame, and the dofs on each crack's
-upper face. Its matrices are copies of the sector's, and are made on request. The wheel is solved in
-few coordinates:
+upper face. The wheel's matrices are copies of the sector's matrices, made on request. The wheel is
+solved in few coordinates:
 
     u = U (q, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j
 
@@ -10,9 +10,8 @@ The coordinates q belong to modes with bonded cracks and to static responses. Th
 displace the upper crack faces relative to the lower ones, with the static response of the rest.
 Mistuning multiplies the stiffness at rest of sector j by 1 + delta_j.
 
-A load that stands still in space passes the blades one after the other. Sector j, from 0, is ahead
-by j / N revolutions. With an engine order E, harmonic k has the order k E, and the load in the
-sector's frame is
+A load at rest in space passes blade after blade. Sector j, from 0, is ahead by j / N revolutions.
+With an engine order E, harmonic k has the order k E, and the load in the sector's frame is
 
     f_j(t) = sum_k f_k cos(k w t + 2 pi k E j / N) + g_k sin(k w t + 2 pi k E j / N)
 
@@ -60,7 +59,7 @@ from fenics_crack.numerics.fourier import from_complex, to_complex
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelBody(Body):
-    """Body of a wheel, whose matrices are made later; :class:`Wheel` explains all fields."""
+    """Hold a wheel's body without matrices, with the fields of :class:`Wheel`."""
 
     sector: Sector
     cracked_places: tuple[int, ...]
@@ -72,7 +71,7 @@ class WheelBody(Body):
 
 
 class Wheel(Structure):
-    """The whole wheel; rank 0 owns all of its rows.
+    """Model the whole wheel, with all rows on rank 0.
 
     Displacements are in the frame of each blade: "x" is the first blade's x, turned with the blade.
     Nodes on a side between two sectors belong to the later sector.
@@ -80,7 +79,7 @@ class Wheel(Structure):
     Attributes
     ----------
     sector : Sector
-        A sector in the first blade's frame.
+        Sector in the first blade's frame.
     cracked : tuple of int
         Places of sectors with a crack, from 0.
     mistuning : (N,)
@@ -92,7 +91,7 @@ class Wheel(Structure):
     numbers : (N, n_sector) int
         The wheel's dof for each dof of each sector.
     places : (n,) int
-        Each dof's position among all ``numbers``: that of its owner.
+        Each dof's position among all ``numbers``: the position at the dof's owner.
     """
 
     body: WheelBody
@@ -131,7 +130,7 @@ class Wheel(Structure):
             return np.asarray(forces.reshape(len(forces), -1) @ copy_matrix)[:, own_rows]
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
-            """Assemble B of all cracks from B of one: (n_local, n_pairs)."""
+            """Assemble B (n_local, n_pairs) for all cracks from a sector's B."""
             return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_columns, gap))[own_rows]
 
         watched_factors = sector_structure.watched
@@ -168,26 +167,26 @@ class Wheel(Structure):
 
     @property
     def watched_sector(self) -> int:
-        """Place of the first cracked sector, whose blade is watched.
+        """Place of the sector with the watched blade, from 0.
 
-        Without a crack, it is the first sector, 0.
+        This is the first cracked sector; without a crack, sector 0.
         """
         return self.cracked[0] if self.cracked else 0
 
     def dof_of(self, blade: int, dof: int) -> int:
-        """Return the wheel's dof for a dof of one sector.
+        """Return the wheel's dof for a sector's dof.
 
         Parameters
         ----------
         blade : int
             Number of the sector, from 1.
         dof : int
-            Dof of a sector.
+            Dof in the sector, from 0.
 
         Raises
         ------
         InputError
-            There is no such sector, or no such dof in a sector.
+            The wheel has no such sector, or the sector no such dof.
         """
         n_sectors, n_sector_dofs = self.sector.n_sectors, self.sector.structure.n_dofs
         if not 1 <= blade <= n_sectors:
@@ -197,12 +196,12 @@ class Wheel(Structure):
         return int(self.numbers[blade - 1, dof])
 
     def blade_of(self, dof: int) -> tuple[int, int]:
-        """Return the sector's number, from 1, and the sector's dof for a dof of the wheel."""
+        """Return sector number, from 1, and sector dof for a wheel's dof."""
         sector_index, sector_dof = divmod(int(self.places[dof]), self.sector.structure.n_dofs)
         return sector_index + 1, sector_dof
 
     def dofs_of_blades(self, dof: int) -> list[int]:
-        """Return the dofs of all blades at the place of one dof, from the first blade on."""
+        """Return the dofs on all blades at a dof's place, in order."""
         return list(map(int, self.numbers[:, self.blade_of(dof)[1]]))
 
     def dof_name(self, dof: int) -> str:
@@ -211,18 +210,21 @@ class Wheel(Structure):
         return f"{self.sector.structure.dof_name(sector_dof)} of blade {blade}"
 
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
-        """Raise InputError: the sectors have the load's harmonics, one after the other."""
+        """Raise InputError, as the load's harmonics turn with the engine order."""
         requirement = (
             "of a scene whose [[excitation.harmonics]] has them, which turn with its order"
         )
         raise InputError("structure", repr(self), requirement)
 
     def structure_in_few_coordinates(self) -> WheelStructure:
-        """Return the wheel in the coordinates in which it is solved (collective)."""
+        """Return the wheel in the coordinates (q, d) used to solve (collective)."""
         return WheelStructure(self, count_basis_families(self.families))
 
     def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return load rows on the watched blade; see :meth:`Structure.watched_sector_load`."""
+        """Return load rows on the watched blade (:meth:`Structure.watched_sector_load`).
+
+        The rows (n_rows, structure.n_dofs) are in the coordinates of ``structure``.
+        """
         is_own_dof = ~self.sector.dof_numbering.is_next_sector
         blade_dofs = np.unique(self.numbers[self.watched_sector, is_own_dof])
         loaded_dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
@@ -248,7 +250,7 @@ class Wheel(Structure):
         )
 
     def _assemble_wheel_matrix(self, sector_matrices: sparse.spmatrix) -> Any:
-        """Assemble a matrix of the wheel from the block matrix of free sectors (collective)."""
+        """Assemble a wheel's matrix from the free sectors' block matrix (collective)."""
         copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
         wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_matrices @ copy_matrix)
         return distribute_rows(wheel_matrix[: self.n_local], self.comm)
@@ -258,9 +260,10 @@ class Wheel(Structure):
         return f"{self.sector.n_sectors} sectors, {self.n_dofs} dofs"
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return frequencies [rad/s] and shapes of ``families`` modes for each sector.
+        """Return frequencies [rad/s] and shapes of the lowest modes (collective).
 
-        They are solved in few coordinates and expanded to the wheel.
+        There are ``families`` modes for each sector, if the coordinates suffice. The modes are
+        solved in few coordinates and expanded to the wheel.
         """
         wheel_structure = self.structure_in_few_coordinates()
         n_modes = min(
@@ -274,26 +277,26 @@ class Wheel(Structure):
         return modes.omega, wheel_structure.expand(modes.shapes.T).T
 
     def mistuned(self, deviations: Any) -> Wheel:
-        """Return this wheel with other deviations of the sectors' stiffness.
+        """Return this wheel with new stiffness deviations in the sectors.
 
         Parameters
         ----------
         deviations : float or (N,)
-            One relative deviation for all sectors, or one for each.
+            Relative deviation for all sectors, or for each.
 
         Raises
         ------
         InputError
-            Their number is wrong, or a deviation leaves no stiffness.
+            The number of deviations is wrong, or a deviation is not between -1 and 1000.
         """
         return self._in_setting(
             self.setting, mistuning=_read_deviations(deviations, self.sector.n_sectors)
         )
 
     def basis(self, families: int) -> CyclicBasis:
-        """Return the motions in which the wheel is solved (collective).
+        """Return the motions used to solve the wheel (collective).
 
-        They are found once for all mistuning patterns.
+        The motions are computed once for all mistuning patterns.
 
         Parameters
         ----------
@@ -316,7 +319,7 @@ class Wheel(Structure):
 
 
 def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
-    """Return one stiffness deviation for each sector (N,); InputError for unusable values."""
+    """Return a stiffness deviation for each sector (N,), or raise InputError."""
     deviations = numbers(given_deviations)
     if (
         deviations.shape not in ((), (n_sectors,))
@@ -398,19 +401,19 @@ def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
 
 
 N_REFERENCE_MODES = 16
-"""Number of modes that the reference of a wheel has beyond the kept ones.
+"""Number of a wheel's modes in the reference, beyond the kept modes.
 
-On ten wheels these have 0.53 to 0.99 of the remaining change. With eight modes they have 0.35 to
-0.96; then errors of an opening, 0.7 and 0.9 %, and of the load's displacement, 1.5 %, were 1.8
-times the stated ones.
+On ten wheels these modes have a share of 0.53 to 0.99 in the remaining change. Eight modes have
+0.35 to 0.96. Then true errors in an opening, 0.7 and 0.9 %, and in the load's displacement, 1.5 %,
+were 1.8 times the stated errors.
 """
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelCoordinates(Body):
-    """Body of a wheel in few coordinates.
+    """Hold a wheel's body in few coordinates.
 
-    ``ranked_modes`` are its frequencies [rad/s] and mode shapes in the order of
+    ``ranked_modes`` are the wheel's frequencies [rad/s] and mode shapes in the order made by
     :meth:`WheelStructure.rank_modes`.
     """
 
@@ -420,14 +423,14 @@ class WheelCoordinates(Body):
 
 
 class WheelStructure(Structure):
-    """A wheel in the coordinates (q, d) of a basis; the same on every rank.
+    """Model a wheel in the coordinates (q, d), equal on every rank.
 
-    ``find_dof`` and ``values_at`` refer to the dofs of the whole wheel.
+    ``find_dof`` and ``values_at`` refer to the whole wheel's dofs.
 
     Attributes
     ----------
     basis : CyclicBasis
-        Motions of the whole wheel.
+        Motions U of the whole wheel for the coordinates.
     """
 
     body: WheelCoordinates
@@ -454,7 +457,7 @@ class WheelStructure(Structure):
         )
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
-            """Assemble U^T B of all cracks from B of one: (n, p)."""
+            """Assemble U^T B (n, p) for all cracks from a sector's B."""
             crack_columns = [
                 basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked
             ]
@@ -475,11 +478,11 @@ class WheelStructure(Structure):
         return self._apply_setting(self.body.wheel)
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return all modes, from small dense matrices.
+        """Return frequencies [rad/s] and shapes of all modes, from dense matrices.
 
-        Modes of equal sectors come in pairs, which Krylov's method would mix with its own error.
-        The modes ascend, or have the order of :meth:`rank_modes`. The bonded modes are found among
-        the open ones, for which the mass matrix is exactly 1.
+        Equal sectors have modes in pairs, which Krylov's method would mix within the method's
+        error. The modes ascend; open modes may have the order of :meth:`rank_modes`. The bonded
+        modes are computed in the space of the open modes, with mass matrix 1.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)
@@ -490,18 +493,19 @@ class WheelStructure(Structure):
         )
 
     def rank_modes(self, n_first: int, n_more: int) -> tuple[WheelStructure, float]:
-        """Return this wheel with its modes ordered for a reduction, and the reference's share.
+        """Order the wheel's modes for a reduction with a reference.
 
-        The lowest ``n_first`` modes come first. The ``n_more`` others that move the cracks most
-        follow, ascending, then the next N_REFERENCE_MODES modes in this rank. In the static
-        compliance of pair i, mode j has the part (psi_ij / w_j)^2, psi = B^T phi. The mode's
-        inertia changes this part by (w / w_j)^2.
+        The lowest ``n_first`` modes come first. The ``n_more`` modes that move the cracks most
+        follow, ascending, then the next N_REFERENCE_MODES modes in this rank. With the mode shapes
+        phi, the gap matrix B and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 in the static
+        compliance of pair i. At frequency w, the mode's inertia changes this part by (w / w_j)^2.
 
         Returns
         -------
         WheelStructure
+            This wheel with ordered modes.
         float
-            Share of the last group in the changes by all modes after the first two groups.
+            Share of the last group in the changes by all modes after both first groups.
         """
         omega, shapes = self.compute_once(_solve_all_modes)
         compliance_shares = ((self.gap.T @ shapes) / omega) ** 2
@@ -536,7 +540,7 @@ class WheelStructure(Structure):
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Expand coordinates (m, n_dofs) to the wheel: (m, wheel.n_local)."""
+        """Expand coordinates (m, n_dofs) to the wheel's displacements (m, wheel.n_local)."""
         wheel = self.whole
         wheel_displacement = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
@@ -547,7 +551,10 @@ class WheelStructure(Structure):
         return wheel_displacement[:, : wheel.n_local]
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Return displacements at dofs of the wheel, from coordinates (m, n_dofs) (collective)."""
+        """Return displacements (m, k) at k dofs of the wheel (collective).
+
+        ``displacement`` has the coordinates (m, n_dofs).
+        """
         wheel = self.whole
         owner_positions = wheel.places[wheel.check_dofs(dofs)]
         dof_motions = self.basis.sector_motions(
@@ -557,7 +564,7 @@ class WheelStructure(Structure):
 
 
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for the frequencies [rad/s] and shapes of all modes with open cracks."""
+    """Solve for all frequencies [rad/s] and mode shapes with open cracks."""
     stiffness_and_mass = (
         local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
     )
@@ -566,7 +573,7 @@ def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for the frequencies [rad/s] and shapes of all modes with bonded cracks."""
+    """Solve for all frequencies [rad/s] and mode shapes with bonded cracks."""
     omega, shapes = structure.compute_once(_solve_all_modes)
     bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
     squared_omegas, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
@@ -576,11 +583,11 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 def count_basis_families(families: int, n_more: int = 0) -> int:
     """Return the number of modes for each nodal diameter in the basis.
 
-    There are four more than kept, or eleven if further modes are chosen among them. With two more,
-    the stated error of a gap is three quarters of the true error, with four 1.4 times: the next
-    families need not open the crack. The highest modes of a small basis are no modes of the wheel,
-    but move the crack much. If they are chosen among four families, 6 of 347 points on a curve were
-    undecided; among eight or more, none.
+    The basis has four families more than kept, or eleven if further modes are selected from the
+    basis. With two more families, the stated error in a gap is 0.75 times the true error, with four
+    1.4 times: the next families need not open the crack. The highest modes in a small basis are not
+    modes of the wheel, but move the crack much. Selected from four families, 6 of 347 points on a
+    curve were undecided; from eight or more, none.
     """
     return families + (11 if n_more else 4)
 
@@ -590,15 +597,16 @@ def reduce_wheel(
 ) -> ReducedStructure:
     """Reduce a wheel to few modes, with massless crack faces (collective).
 
-    The wheel is sought in motions of three kinds:
+    The wheel's motion is composed from three kinds of motions:
 
-    - ``families`` modes of each nodal diameter with bonded cracks, and some further ones,
-    - static responses to the load, and to forces of mistuning and cracks on the sides,
-    - the opening of each crack, with the static response of the wheel.
+    - ``families`` modes for each nodal diameter with bonded cracks, and further modes
+      (:func:`count_basis_families`),
+    - static responses to the load, and to forces by mistuning and cracks on the sides,
+    - the opening of each crack, with the wheel's static response.
 
     The mistuned wheel with open cracks has modes in these motions. The lowest are kept,
-    ``families`` for each sector, and ``more`` others that move the cracks most. The next modes in
-    this rank make the reference, which estimates the reduction error
+    ``families`` for each sector, and ``more`` modes that move the cracks most. The next modes in
+    this rank form the reference, which estimates the reduction error
     (``WheelStructure.rank_modes``).
 
     Parameters
@@ -608,20 +616,20 @@ def reduce_wheel(
     families : int, optional
         Number of modes for each nodal diameter, and for each blade; default: the wheel's.
     more : int
-        Number of other modes; without a crack they are the next higher modes.
+        Number of additional modes; without a crack, the next higher modes.
     reference : bool
         Keep the reference, too.
 
     Returns
     -------
     ReducedStructure
-        On every rank; a :class:`MasslessStructure` if there is a crack.
+        Reduced wheel, equal on every rank; a :class:`MasslessStructure` with a crack.
 
     Raises
     ------
     InputError
-        ``families`` is no whole number from 1 to half of a sector's dofs, or ``more`` none from 0
-        to four for each sector.
+        ``families`` is not a whole number from 1 to half a sector's own dofs, or ``more`` not from
+        0 to 4 N.
 
     Examples
     --------

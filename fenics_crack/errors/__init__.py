@@ -1,3 +1,3 @@
-"""Errors of an answer's numbers, by what is varied and by what judges the change."""
+"""Estimate errors in an answer's numbers, cause by cause."""
 
 import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

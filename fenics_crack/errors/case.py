@@ -1,14 +1,14 @@
-"""Answer whose causes of error are varied one at a time.
+"""Vary the causes of an answer's error, each alone.
 
-Two causes are judged the same by one other run and by finer ones. *Harmonics* have the distance
-from the numbers of the exact orbit, if it is the answer's own. *Friction* has two parts:
+:mod:`stated` and :mod:`verify` judge two causes equally. The part of *harmonics* is the distance
+to the exact orbit's numbers, if the answer has an accepted exact orbit. *Friction* has two cases:
 
-- Without friction each number changes as between two exact orbits, without friction and with it.
-  The structure of these orbits has few modes, and crack faces without mass. Extremes may agree by
-  chance: as by modes, the part is at least the root mean square of the change of the motion. The
-  difference between this change and that with half the modes is added.
-- With friction on a solid, along one line for each pair, the part is twice the share of sliding
-  across these lines, without friction, in the change by friction.
+- If the answer has no friction, the part is the change from a frictionless exact orbit to an
+  orbit with friction. Both orbits have few modes, and crack faces without mass. Extremes may agree
+  by chance: so the part is at least the root mean square of the motion's change. The difference to
+  the same change with half the modes is added.
+- If a solid has friction along a line at each pair, the part is 2 r times the change by friction.
+  Here r is the frictionless motion's ratio of sliding across the lines to sliding along them.
 """
 
 from __future__ import annotations
@@ -48,38 +48,40 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, scene_contact_law
 
 FRICTION_MODES = 20, 10
-"""Modes of the structures that show the effect of friction, and how it depends on modes.
+"""Numbers of modes with which the effect of friction is computed, the first for the part itself.
 
-With 40 modes an orbit takes three times as long, and ten times if it is hard to find.
+With 40 modes an orbit takes three times as long, and ten times if the search is hard.
 """
 TURNING_FACTOR = 2.0
-"""Stated error by sliding across the lines of friction, over its share in the change by friction.
+"""Safety factor, 2, on the error r |change by friction| due to sliding across friction lines.
 
-True errors, beside time steps with Coulomb's cone, were 0.03 to 1.2 of that in seven cases.
+Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2 times
+the stated error.
 """
 SLIDING_QUANTITIES = ("K_II_max", "K_III_max")
 """Stress intensities that friction at the tip itself changes."""
 START_HARMONICS = 10
-"""Harmonics of the solutions next to which the two orbits are sought."""
+"""Harmonics per load period of the solutions that start the search for both orbits."""
 CAUSE_WITHOUT_CONTACT = "without contact there is one"
 """Reason why harmonics are not varied."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Answer whose causes of error are varied.
+    """Hold an answer whose causes of error are varied.
 
     Attributes
     ----------
     study : Study
-        Study of the answer, reduced as it was.
+        Study of the answer, with the answer's reduced structure.
     answer : PeriodicSolution
-        The answer.
+        Solution whose errors are sought.
     answer_numbers : dict of str to float
-        Its numbers.
+        Numbers of the answer.
     wave : PeriodicSolution
-        Solution by harmonic balance with as many harmonics, to which other solutions are compared.
-        It is the answer if there is no such solution and the answer is an exact orbit.
+        Solution by harmonic balance with the answer's number of harmonics, the base of comparisons.
+        :mod:`verify` uses the answer itself; :mod:`stated`, too, if harmonic balance fails and the
+        answer is an exact orbit.
     numbers : Numbers
         Numbers of the wave.
     """
@@ -93,7 +95,7 @@ class Case:
     def compute_values(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
     ) -> dict[str, float]:
-        """Return the numbers of a motion, by default of the answer's study (collective)."""
+        """Return a motion's numbers, by default in the answer's study (collective)."""
         study, mode = study or self.study, self.numbers.mode
         if isinstance(motion, PeriodicOrbit):
             return of_orbit(study, self.answer, motion, mode)
@@ -101,12 +103,12 @@ class Case:
 
     @cached_property
     def orbit_values(self) -> dict[str, float] | None:
-        """Numbers of the exact orbit accepted for the answer, or None (collective)."""
+        """Numbers of the answer's accepted exact orbit, or None (collective)."""
         orbit = accepted_orbit(self.answer)
         return None if orbit is None else self.compute_values(orbit)
 
     def distance_to_orbit(self, orbit_values: Mapping[str, float]) -> Varied:
-        """Return the part of harmonics by the numbers of the exact orbit."""
+        """Return the part of harmonics from the exact orbit's numbers."""
         counts = self.answer.harmonics, many_harmonics(self.answer)
         sizes = 1.0 / counts[1], 1.0 / counts[0]
         parts = {}
@@ -118,10 +120,10 @@ class Case:
         return counts, parts
 
     def friction(self) -> Varied:
-        """Judge friction by exact orbits without it and with it (collective).
+        """Judge friction by exact orbits with and without friction (collective).
 
-        There is none if the answer has friction, its scene has a coefficient, or crack faces do not
-        touch.
+        With friction along lines, judge by the sliding across the lines instead. There is no part
+        with any further friction law, with a coefficient in the scene, or without contact.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         law, structure = study.contact, study.structure
@@ -166,9 +168,17 @@ class Case:
     def _orbits_without_and_with(
         self, count: int, whole_structure: Structure, keys: Mapping[str, Any]
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
-        """Return exact orbits without friction and with it, and their numbers (collective).
+        """Find exact orbits without and with friction (collective).
 
-        Keys of the scene describe the friction. The lists end at the first orbit that is not found.
+        The structure is reduced to ``count`` modes, or half its dofs. ``keys`` of the scene
+        describe the friction.
+
+        Returns
+        -------
+        list of PeriodicOrbit
+            Orbits without and with friction; the list ends before the first failed search.
+        list of dict of str to float
+            Numbers of each orbit.
         """
         study, answer, periods = self.study, self.answer, self.answer.subharmonic
         count = min(count, whole_structure.n_dofs // 2)
@@ -195,7 +205,7 @@ class Case:
         return orbits, numbers
 
     def _sliding_across_lines(self, friction: CoulombFriction) -> Varied:
-        """Return the part of sliding across the lines of a solid's friction (collective)."""
+        """Return the part due to sliding across a solid's friction lines (collective)."""
         study, answer = self.study, self.answer
         structure, periods = study.structure, answer.subharmonic
         frictionless_motion = motion_without_friction(
@@ -221,13 +231,13 @@ class Case:
 def _relative_change(
     name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
 ) -> float:
-    """Return the relative change of a number between motions; 0 if the first is 0."""
+    """Return a number's relative change between motions, or 0 from 0."""
     value = numbers.get(name, 0.0)
     return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
 
 
 def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Verification:
-    """Add each cause's part to the errors, or why it is unknown (collective)."""
+    """Add each cause's part to the errors, or the reason for failure (collective)."""
     for cause, find_part in causes.items():
         try:
             errors = errors.with_part(cause, find_part())
@@ -240,7 +250,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
 
 
 def reason_of_failure(run: str, error: Exception) -> str:
-    """Say why another run gives no error: a refused key, or no solution."""
+    """Describe why a run gives no error (key refused or no solution)."""
     if isinstance(error, InputError):
         return f"{run} cannot be used, for its {error.key}"
     return f"{run} has no solution"
@@ -249,7 +259,7 @@ def reason_of_failure(run: str, error: Exception) -> str:
 def solve_again(
     study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
 ) -> PeriodicSolution:
-    """Solve a reduced study without its stability; ConvergenceError if it fails."""
+    """Solve a reduced study without stability (ConvergenceError without a solution)."""
     if study.contact is None:
         return solve_linear(study.structure, omega, harmonics=harmonics)
     return _solver(study, omega, harmonics).solve(initial)
@@ -258,10 +268,10 @@ def solve_again(
 def solve_in_steps(
     study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
 ) -> PeriodicSolution:
-    """Solve with half of the harmonics, and from there with all of them.
+    """Solve with half the harmonics, then start all harmonics from this solution.
 
-    Half of them find a motion from rest in less time. If no solution with all harmonics is next to
-    it, the first solution is returned.
+    Half the harmonics find a motion from rest in less time. If all harmonics do not converge, the
+    first solution is returned.
     """
     n_first = max(harmonics // 2, least_harmonics(study.structure, 1))
     solution = solve_again(study, omega, n_first, initial)
@@ -273,7 +283,7 @@ def solve_in_steps(
 
 
 def _solver(study: Study, omega: float, harmonics: int) -> Solver:
-    """Return the solver of a study, with friction along its sliding directions."""
+    """Return a study's solver, with friction along the sliding directions."""
     assert study.contact is not None
     law = slide_along_lines(study.structure, omega, study.contact)
     return Solver(Problem(study.structure, omega, law, harmonics))

@@ -1,22 +1,23 @@
-"""Grid convergence: error of a number computed with two or three step sizes.
+"""Estimate a number's error from two or three step sizes (grid convergence).
 
-Of values f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p (Roache's index). Then
+Roache's index assumes f_i = f + C h_i^p for values f_i with sizes h_1 < h_2 < h_3. Then
 
     (f_3 - f_2) / (f_2 - f_1) = (h_3^p - h_2^p) / (h_2^p - h_1^p)
 
 gives the observed order p, and f = f_1 + (f_1 - f_2) / ((h_2/h_1)^p - 1) the extrapolated value.
-The uncertainty of f_i is F |f_i - f|; with i = 1, relative to f_1, it is the grid-convergence index
+The uncertainty of f_i is F |f_i - f|. The grid-convergence index is the relative uncertainty of f_1
 
     GCI = F |(f_1 - f_2) / f_1| / ((h_2/h_1)^p - 1).
 
-The factor of safety F is 1.25 if three sizes show an order near the theoretical order, or one
-between that and the best order of the elements; otherwise 3. An order above the theoretical one is
-not used: the slowest part of an error comes last. With errors that are sums of powers from the
-theoretical order on, with coefficients of one sign, no more can be left. Values that oscillate,
-diverge, or converge faster than the elements can are not in the asymptotic range. Nothing is
-extrapolated from them, and their uncertainty is 3 times their spread.
+The safety factor F is 1.25 if three sizes show an order from 0.5 up to the scheme's order;
+otherwise F is 3. If no scheme's order is given, the upper bound is 1.5 times the theoretical order.
+The extrapolation uses at most the theoretical order, as the slowest part of an error comes last.
+This bounds an error with powers from the theoretical order on, if all coefficients have equal sign.
 
-Roache, Journal of Fluids Engineering 116, 1994, 405; Celik and others, the same 130, 2008, 078001;
+Values are irregular if they oscillate, diverge, or converge faster than the scheme can. Nothing is
+extrapolated from irregular values, and the uncertainty is 3 times the spread.
+
+Roache, Journal of Fluids Engineering 116, 1994, 405; Celik et al., the same 130, 2008, 078001;
 ASME V&V 20-2009, section 2; the rule for orders follows Oberkampf and Roy, Verification and
 Validation in Scientific Computing, 2010, chapter 8.
 """
@@ -36,38 +37,39 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
 
 SAFE, CAUTIOUS = 1.25, 3.0
-"""Factors of safety."""
+"""Factors of safety with three sizes and a credible order, and otherwise."""
 ROUNDING_SPREAD = 1e-9
 """Largest relative spread of values that differ by rounding only."""
 TIP_ORDER, CLAMP_ORDER = 1.0, 1.5
 """Orders of convergence at a crack tip and at a clamp's ends."""
 MIN_ORDER = 0.5
-"""Smallest observed order that is taken for the asymptotic range."""
+"""Minimum observed order in the asymptotic range."""
 
 
 @dataclass(frozen=True, repr=False)
 class GridConvergence(Described):
-    """Values over a step size, and their error.
+    """Hold values at several step sizes, and their error.
 
     Attributes
     ----------
     sizes, values : tuple of float
         h_i, smallest first, and f_i.
     behaviour : str
-        "asymptotic": the observed order is near that of theory, or between that and the highest;
-        "outside": it falls, with another order; "irregular": the values oscillate, come no closer,
-        or come closer too fast to show an order; "two sizes": no order is observed;
-        "two coefficients": the sizes are coefficients of friction, the first one is 0;
-        "unchanged": the same to rounding; "carried": the values are those at a shifted resonance;
-        "exact orbit": the first is the limit.
+        "asymptotic": the observed order is at least 0.5, and not above the scheme's order;
+        "outside": the values converge with an order outside this range;
+        "irregular": the values oscillate, diverge, or converge too fast to show an order;
+        "two sizes": two sizes show no order; "unchanged": the values agree to rounding;
+        "two coefficients": the sizes are friction coefficients, the first is 0;
+        "carried": the first value is computed at a shifted resonance;
+        "exact orbit": the first value is the limit.
     order : float
-        p, observed; nan where there is none.
+        Observed order p; nan if none is observed.
     exponent : float
-        The order that is extrapolated with from the two smallest sizes; nan where nothing is.
+        Order used to extrapolate from the two smallest sizes; nan without an extrapolation.
     factor : float
-        F.
+        Factor of safety F.
     extrapolated : float
-        f; nan outside the asymptotic range.
+        f; nan if nothing is extrapolated.
     """
 
     sizes: tuple[float, ...]
@@ -80,13 +82,13 @@ class GridConvergence(Described):
 
     @property
     def is_asymptotic(self) -> bool:
-        """True if the error is the distance from the extrapolated value."""
+        """True if the error is the distance to the extrapolated value."""
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, place: int = 0) -> float:
-        """Return F abs(f_i - f) of a value, by default of the smallest size.
+        """Return a value's uncertainty F abs(f_i - f), by default f_1.
 
-        Outside the asymptotic range it is F times the spread; 0 if values differ by rounding.
+        Without :attr:`is_asymptotic`, return F times the spread; 0 if values differ by rounding.
         """
         if self.behaviour == "unchanged":
             return 0.0
@@ -96,11 +98,11 @@ class GridConvergence(Described):
 
     @property
     def gci(self) -> float:
-        """The uncertainty of the value of the smallest size, relative to it."""
+        """Relative uncertainty at the smallest size, nan for a value 0."""
         return self.uncertainty() / abs(self.values[0]) if self.values[0] else math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the attributes and the index by name."""
+        """Return all attributes, and the grid-convergence index as "gci"."""
         return {**vars(self), "gci": self.gci}
 
     def _title(self) -> str:
@@ -114,34 +116,34 @@ def grid_convergence(
     formal: float = 2.0,
     highest: float = math.inf,
 ) -> GridConvergence:
-    """Find the observed order, the extrapolated value and the grid-convergence index of values.
+    """Find the observed order, extrapolated value and grid-convergence index.
 
     Parameters
     ----------
     sizes : (2,) or (3,)
-        Of elements or steps, in any unit, all different; or reciprocals of numbers of something.
+        Different sizes of elements or steps, in any unit; or reciprocals of counts.
     values : (2,) or (3,)
-        Values computed with these.
+        Value computed with each size.
     formal : float
-        The order that theory expects.
+        Order expected by theory.
     highest : float
-        Order that the scheme has where nothing disturbs it; above it values are not in the
-        asymptotic range.
+        Order of the undisturbed scheme. Values that converge faster are irregular.
 
     Returns
     -------
     GridConvergence
-        With the smallest size first.
+        Sizes and values, smallest size first.
 
     Raises
     ------
     InputError
-        These are not two or three finite values with different sizes.
+        There are not two or three finite values with different sizes, or ``formal`` is not
+        positive.
 
     Examples
     --------
-    >>> found = fc.grid_convergence([0.5, 0.25, 0.125], [1.25, 1.0625, 1.015625])
-    >>> order, value = found.order, found.extrapolated
+    >>> convergence = fc.grid_convergence([0.5, 0.25, 0.125], [1.25, 1.0625, 1.015625])
+    >>> order, value = convergence.order, convergence.extrapolated
     """
     check_number("formal", formal, 0.0, excludes_bound=True)
     h, f = numbers(sizes), numbers(values)
@@ -172,9 +174,16 @@ def grid_convergence(
 def _classify(
     h: np.ndarray, f: np.ndarray, formal: float, scheme_order: float
 ) -> tuple[str, float, float]:
-    """Return the behaviour of values, their observed order, and that of the extrapolation.
+    """Classify the convergence of values with ascending sizes.
 
-    The orders are nan if there are none.
+    Returns
+    -------
+    str
+        Behaviour, as in :class:`GridConvergence`.
+    float
+        Observed order; nan if none is observed.
+    float
+        Order of the extrapolation; nan if nothing is extrapolated.
     """
     if np.ptp(f) <= ROUNDING_SPREAD * np.abs(f).max():
         return "unchanged", math.nan, math.nan
@@ -190,14 +199,14 @@ def _classify(
 
 
 def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
-    """Return p of three values that do not oscillate; negative if they diverge."""
+    """Return the order p of three monotonic values, negative for divergence."""
     fine_log_ratio, coarse_log_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
     if f[1] == f[0] or f[2] == f[1]:
         return math.inf if f[1] == f[0] else -math.inf
     log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
 
     def excess(p: float) -> float:
-        """Return log ratio of order p less that of the values; rising in p."""
+        """Return the log ratio at order p minus the values' log ratio."""
         if p == 0.0:
             return math.log(coarse_log_ratio / fine_log_ratio) - log_ratio
         return (
@@ -220,9 +229,9 @@ def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
 
 
 Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
-"""Counts of a cause, those of the answer first, and its part in each number."""
+"""Counts of a cause, the answer's count first, and the cause's part in each number."""
 Varied = Part | str
-"""A part; or the reason why there is none, "" if the cause does not apply."""
+"""A part; or the reason for no part, "" if the cause does not apply."""
 Level = tuple[int, Mapping[str, float]]
 """Count of elements, modes, harmonics or samples of a run, and its numbers."""
 
@@ -236,11 +245,11 @@ def part_of(
     formal: float = TIP_ORDER,
     scheme_order: float = math.inf,
 ) -> Part:
-    """Return a cause's part in the error of each number of the answer.
+    """Return a cause's part in the error of each number.
 
-    The answer is the first level. Numbers that another level lacks count as 0. Two or three levels
-    are judged by :func:`grid_convergence`, with the orders of theory and of the scheme. With a
-    ratio of sizes, two levels give an expected error, without a factor of safety.
+    The answer is the first level. A number missing in a further level counts as 0. Two or three
+    levels are judged by :func:`grid_convergence`, with the orders ``formal`` and ``scheme_order``.
+    With a ratio h_2 / h_1 of sizes, two levels give an expected error, with a safety factor of 1.
     """
     counts, runs = zip(*levels, strict=True)
     sizes = [_size_of(cause, count, scene) for count in counts]
@@ -255,10 +264,9 @@ def part_of(
 
 
 def _size_of(cause: str, count: int, scene: Scene) -> float:
-    """Return the mean element size of a mesh, or the reciprocal of another count.
+    """Return the mean element size of a mesh, or a count's reciprocal.
 
-    The size is the side of a square or cube in [m] if the plate is the scene's (Celik and others,
-    equation 1).
+    The mean element is a square or cube; the size is the side [m] (Celik et al., equation 1).
     """
     if cause != "mesh":
         return 1.0 / count

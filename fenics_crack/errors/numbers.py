@@ -1,22 +1,23 @@
-"""Numbers that compare answers: solutions and exact orbits next to them.
+"""Compute the numbers with which solutions and exact orbits are compared.
 
-They are of watched points, crack faces, crack tips and the clamp, and natural frequencies.
+The numbers are observables at watched points, crack faces, crack tips and the clamp, and natural
+frequencies.
 
-A number may change by little where the motion changes by much. An extreme changes by the change of
-the motion at one instant, a harmonic by the part of its change that is in phase with it. A sum over
-pairs changes by gains less losses. A change of the same size at another phase changes the number by
-more. The size of a change is
+A number may change little although the motion changes much. An extreme depends on the motion at a
+single instant, a harmonic on the change in phase with the harmonic. In a sum over pairs, gains and
+losses cancel. The same change at a different phase would change the number more. Let a prime mark
+the second motion. Each number has a size of change:
 
-    amplitude, opening,     root mean square over the period of what vibrates of the change of the
-    crack force             displacement, gap, force; the largest of all pairs, and of all cracks
-    harmonic ratio k/1      |c_k' - c_k|, where c_k = U_k exp(i (phase_k - k phase_1)) / U_1
-    mean shift a0 / U_1     that of the ratio 2/1: a mean has no phase, and is made as U_2 is, by
-                            the difference between opening and closing
-    shares, friction loss   sum over the pairs of |change of the pair|
+    amplitude, opening,     standard deviation over the period of the change in displacement, gap
+    crack force             or force; the maximum over pairs, or over cracks
+    harmonic ratio k/1      |c_k' - c_k|, with c_k = U_k exp(i (phase_k - k phase_1)) / U_1
+    mean shift a0 / U_1     size for the ratio 2/1: a mean has no phase, and has the same origin as
+                            U_2, the difference between opening and closing
+    shares, friction loss   sum over pairs, |change of the pair|
 
-A shift in time is a change as others are, though it moves no extreme. Next to a resonance that more
-modes move, they also change the work that friction and impacts dissipate. So they change the height
-of the peak by as much as its phase.
+A shift in time has a size, too, although no extreme changes. If more modes shift a resonance, the
+dissipation by friction and impacts changes as well. Then the peak's height changes as much as the
+phase.
 """
 
 from __future__ import annotations
@@ -46,27 +47,27 @@ from fenics_crack.study.prepare import Study
 
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:
-    """Return the name of a natural frequency: "frequency_open_1"."""
+    """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1"."""
     return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
 
 
 def bilinear_of(structure: Structure, mode: int) -> float:
-    """Return the bilinear frequency of a mode [rad/s] (collective)."""
+    """Return the bilinear frequency [rad/s] of a mode, counted from 1 (collective)."""
     return float(bilinear_frequencies(structure).omega_bilinear[mode - 1])
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of an answer.
+    """Hold the numbers of an answer.
 
     Attributes
     ----------
     values, units : dict of str to float, and to str
-        As :class:`Verification` has them.
+        Value and unit by name, as in :class:`Verification`.
     resonance : str
-        Name of the natural frequency nearest to the load's.
+        Name of the mode's bilinear frequency; without contact pairs, the open frequency.
     mode : int
-        Its mode.
+        Mode of the resonance, counted from 1.
     """
 
     values: dict[str, float]
@@ -78,10 +79,11 @@ class Numbers:
 def numbers_of(
     study: Study, motion: PeriodicSolution | TruncatedOrbit, mode: int | None = None
 ) -> Numbers:
-    """Return the requested numbers of a motion, and natural frequencies (collective).
+    """Return the requested numbers and natural frequencies of a motion (collective).
 
-    The frequencies are the lowest ones, and those of a mode. By default it is the mode with the
-    nearest resonance.
+    The frequencies are open modes 1 to 3, and open, bonded and bilinear frequencies at ``mode``, by
+    default the mode with the resonance nearest to the load. Numbers that vanish to rounding are
+    left out.
     """
     quantities = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values: dict[str, float] = {}
@@ -108,7 +110,15 @@ def numbers_of(
 def _add_frequencies(
     study: Study, omega: float, mode: int | None, values: dict[str, float], units: dict[str, str]
 ) -> tuple[str, int]:
-    """Add natural frequencies to numbers and units; return the resonance's name and mode."""
+    """Add natural frequencies to numbers and units, in place (collective).
+
+    Returns
+    -------
+    str
+        Name of the resonance.
+    int
+        Mode of the resonance, counted from 1; ``mode`` if given.
+    """
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
     frequencies = bilinear_frequencies(study.structure)
     mode = mode or int(frequencies.nearest(omega)["mode"])
@@ -129,9 +139,9 @@ def _add_frequencies(
 
 
 def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
-    """Return the exact orbit that is a solution's own, or None (collective).
+    """Return a solution's accepted exact orbit, or None (collective).
 
-    None also if the search would take long.
+    None also if the search would take too long.
     """
     assessment = solution.assessment
     return (
@@ -140,10 +150,10 @@ def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
 
 
 def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
-    """Find the largest harmonic of a dof if the solution lacks it (collective).
+    """Find a dof's largest harmonic if missing in the solution (collective).
 
-    Harmonics k above the load's are compared in the solution's own exact orbit. None: the solution
-    has the largest one, or no orbit of its own.
+    Harmonics k above the load's are compared in the solution's accepted exact orbit. Return None
+    if the solution has the largest harmonic, or no accepted orbit.
 
     Returns
     -------
@@ -164,39 +174,39 @@ def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] 
 def add_changes(
     values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
 ) -> dict[str, float]:
-    """Add the change from one motion to another; absent numbers are 0."""
+    """Add the change from a start to an end (absent numbers: 0)."""
     return {
         name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
     }
 
 
 def many_harmonics(solution: PeriodicSolution) -> int:
-    """Return the number of harmonics with which an orbit's motion of points is written.
+    """Return the number of harmonics for an orbit's motion at points.
 
-    It is 100, or four times a solution's.
+    This is the larger of 100 and four times the solution's number.
     """
     return max(4 * solution.harmonics, MAX_HARMONIC_ORDER)
 
 
 @dataclass(frozen=True)
 class TruncatedOrbit(ObservedMotion):
-    """Orbit, observed with some of its Fourier coefficients."""
+    """Observe an orbit through a limited number of Fourier coefficients."""
 
     orbit: PeriodicOrbit
     harmonics: int
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]
-        """Return the orbit's structure."""
+        """The orbit's structure."""
         return self.orbit.structure
 
     @property
     def omega(self) -> float:  # type: ignore[override]
-        """Return the load frequency [rad/s]."""
+        """Load frequency [rad/s]."""
         return self.orbit.omega
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """Return the orbit's records, with the coefficients."""
+        """Yield the orbit's records, with ``harmonics`` coefficients."""
         waves = self.orbit.product_coefficients(rows, self.harmonics)
         return (replace(record, coefficients=waves) for record in self.orbit.records(rows))
 
@@ -204,9 +214,9 @@ class TruncatedOrbit(ObservedMotion):
 def of_orbit(
     study: Study, solution: PeriodicSolution, orbit: PeriodicOrbit, mode: int
 ) -> dict[str, float]:
-    """Return the numbers of an orbit next to a solution (collective).
+    """Return the numbers of an orbit near a solution (collective).
 
-    The study has the orbit's structure. Numbers of points have many harmonics.
+    The study must have the orbit's structure. Numbers at points have :func:`many_harmonics`.
     """
     return numbers_of(study, TruncatedOrbit(orbit, many_harmonics(solution)), mode).values
 
@@ -215,19 +225,19 @@ def of_orbit(
 
 
 def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) -> dict[str, float]:
-    """Return the size of the change between two motions for each number (collective).
+    """Return the size of each number's change between two motions (collective).
 
     Parameters
     ----------
     study : Study
-        Study that names the watched displacements.
+        Study with the watched points.
     motions : PeriodicOrbit or PeriodicSolution
         Two motions with the same load and pairs.
 
     Returns
     -------
     dict of str to float
-        Sizes by column, in the unit of each number.
+        Size by the number's column, in the number's unit.
     """
     dofs = [point.dof for point in study.watched]
     record, other_record = (
@@ -256,7 +266,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
 
 
 def _ratios(record: Record) -> np.ndarray:
-    """Return c_k of the module's equation for m signals: (n_harmonics, m) complex."""
+    """Return complex c_k (n_harmonics, m) for m signals, k from 0."""
     spectrum = np.fft.rfft(record.row_products, axis=0)[:: record.subharmonic]
     size = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
     orders = np.arange(len(spectrum))[:, None]
@@ -264,7 +274,7 @@ def _ratios(record: Record) -> np.ndarray:
 
 
 def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, float]:
-    """Return sizes of change: opening, crack force, shares, friction loss."""
+    """Return sizes of change at crack faces, none without pairs."""
     if not record.n_pairs:
         return {}
     faces, other_faces = CrackFaces(record), CrackFaces(other_record)
@@ -278,7 +288,7 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
 
 
 def _parts_of_pairs(record: Record, faces: CrackFaces) -> dict[str, np.ndarray]:
-    """Return each pair's part in sums over pairs: (n_pairs,) by name."""
+    """Return each pair's part (n_pairs,) in every sum over pairs, by name."""
     parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
     if record.friction_coefficient is None:
         return parts

@@ -1,45 +1,53 @@
-"""Stated errors of an answer's numbers: one other run for each cause.
+"""State the errors of an answer by an additional run per cause.
 
-These are errors that are expected, not bounds. docs/notebook/stated_errors.md compares scenes with
-a mesh four times finer.
+The errors are expected values, not bounds. docs/notebook/stated_errors.md compares the errors with
+runs on a mesh four times finer. Let f be a number of the answer, e the error and w the load
+frequency. The causes are:
 
-- *modes*, judged by the reference: a reduced structure's reference has more modes. It is solved
-  from the answer itself, and e = |f - f_ref| / share, with the reference's share of what is left
-  out. To few harmonics the modes above all of them seem static, whether they are kept or not: if an
-  exact orbit is the answer's own, f and f_ref are those of orbits. A number may change by little by
-  chance, where the remaining modes have another phase. So e is at least the size of the motion's
-  change, as the number would show it at another phase (:mod:`numbers`), over the share.
-- *harmonics*, judged by the exact orbit: e = |f - f_orbit|. Without an orbit twice as many are
-  solved. If the report says that harmonics are too few, the difference may vanish by chance, and
-  four times as many are solved, too.
-- *mesh*, judged by a coarser mesh: e = |f - f_r| / (r^p - 1), r being the ratio of lengths. A mesh
-  moves the resonances before all else. Next to one a small shift changes an answer by much, on one
-  side up and on the other down, so that differences may vanish by chance. At half a resonance they
-  vanish across a peak that is no wider than the shift. Hence no number is extrapolated through it.
-  The coarse mesh is solved at w w_r / w_b, as far from its resonance w_r as the answer is from its
-  own, w_b. The effect of the shift is solved for on the answer's mesh, at w w_b / w_e, w_e being
-  the extrapolated resonance, each time from rest, as there may be several motions. The resonance is
-  that of the mode whose shift changes the watched points the most: at half a resonance the second
-  harmonic meets it, and another mode may be nearer to the load. Both parts have a sign and are
-  added. Their order p is that of tips, 1, or any up to the best of the elements:
+- *modes*. The reduced structure's reference has more modes. Its number f_ref gives
+  e = |f - f_ref| / s, with the reference's share s of the truncated modes' effect. If exact orbits
+  are accepted, f_ref - f is the change between orbits: with few harmonics, all modes above the
+  harmonics seem static. A change may be small by chance, if the remaining modes have a different
+  phase. So e is at least the size of the motion's change (:mod:`numbers`) over s.
+- *harmonics*. An accepted exact orbit gives e = |f - f_orbit|. Without an orbit, solve with twice
+  the harmonics. If the report's truncation error is large, the difference may vanish by chance:
+  solve with four times the harmonics, too, and take the larger error.
+- *mesh*. A coarser mesh, with the ratio r of element lengths, gives f_r and e below.
+- *friction*. See :mod:`case`.
 
-      e = max over p of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(p)) - f|,
+A coarser mesh mainly shifts the resonances. Near a resonance a small shift raises or lowers a
+number much, so differences may vanish by chance. Hence no number is extrapolated across a
+resonance, and two signed parts are added:
 
-  and a tenth of what could cancel is not known. With a preload or a mean load a crack closes pair
-  by pair, and the closed part ends somewhere between two pairs. So the clearance is uncertain by
-  half a step of the gap between pairs, times the part of the period in which some touch and others
-  do not. If a point is watched under a force, what elements half as long would add has no limit,
-  and is part of its numbers. All harmonics of the answer are kept: with half of them it may move
-  near half a resonance by as much as the mesh moves it. K_I that is computed while a solid's front
-  is closed is another part of the numbers of K; their difference between the meshes is taken where
-  it is the largest on the front.
-- *friction*: see :mod:`case`.
+- The shape error at equal distance from the resonance. The coarse mesh is solved at w w_r / w_b,
+  with the resonance w_r on the coarse mesh and w_b on the answer's mesh.
+- The shift error. The answer's mesh is solved at w w_b / w_e, with the extrapolated resonance w_e,
+  each time from rest, as several motions may exist.
 
-The contact duty cycle is counted at instants, the same in all these runs. Its error is the distance
-from that by the switching instants of the exact orbit; elsewhere one instant's part is added.
+The resonance belongs to the mode with the largest effect on the watched points. At half a resonance
+the second harmonic matters, and a different mode may be nearer to the load. Let f(x) be the number
+at load frequency x. The order p lies between 1, the order at crack tips, and the elements' best
+order:
 
-The root of the sum of the squares of all causes is the total, if they are independent, and their
-sum, if they are not.
+    e = max over p of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(p)) - f|.
+
+Further parts are added as the root of the sum of squares:
+
+- A tenth of the smaller part, as parts that cancel are uncertain.
+- The change with a shifted clearance. Under a preload or mean load a crack closes pair by pair, and
+  the closed part ends between two pairs. The shift is half the gap's step between pairs, times the
+  part of the period with both open and closed pairs.
+- The displacement added by half as long elements under a point force, which has no limit.
+- For stress intensities K, the error of K_I computed while a solid's front is closed. In addition,
+  e is at least the largest change of K along the front, extrapolated from both meshes.
+
+All harmonics are kept on the coarser mesh: near half a resonance, half the harmonics may move the
+answer as much as the mesh does.
+
+The contact duty cycle is counted at equal instants in all runs. The exact orbit's switching
+instants give the error; without an orbit the part of a single instant is added.
+
+The total is the root of the sum of squares for independent causes, otherwise the sum.
 """
 
 from __future__ import annotations
@@ -105,25 +113,26 @@ from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduc
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
 STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
-"""Causes of stated errors."""
+"""Causes with a stated error."""
 HARMONIC_FACTORS = 2, 4
-"""Factors of the harmonics of other runs; the second is used if the report's error is large."""
+"""Factors on the answer's harmonics; the second is for a large truncation error in the report."""
 MIN_EXTRAPOLATED, MAX_EXTRAPOLATED = 3, 8
-"""Fewest and most extrapolated resonances, by orders of a mesh, at which a response is solved."""
+"""Minimum and maximum number of extrapolated resonances for a mesh's shift error."""
 MESH_MODES = 50
-"""Most modes of a structure that shows what the mesh changes. With 120 modes the orbits of the
-breathing plate take 14 times as long, and the parts differ by less than those of the modes."""
+"""Maximum number of modes to compute a mesh error. With 120 modes the breathing plate's orbits take
+14 times as long; the mesh error changes by less than the modal error."""
 CANCELLING_FRACTION = 0.1
-"""Fraction of two parts of one order that is left if they cancel."""
+"""Uncertain fraction of the smaller mesh part, as both parts may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
-"""Motion whose numbers are compared."""
+"""Motion with numbers to compare."""
 
 
 def errors_of(study: Study, result: object) -> Verification | None:
-    """Return the stated errors of any result, or None (collective).
+    """Return the stated errors of a result, or None (collective).
 
-    A curve has those of its largest response, which moves with the resonance unless it is an end of
-    the curve. None: the result is not a vibration, or has not converged.
+    The result may be natural modes, a converged solution with estimated errors, or a curve over
+    frequency or speed; otherwise return None. A curve has the errors of the largest response.
+    Inside the curve this peak moves with the resonance, at an end not.
     """
     if isinstance(result, Modes):
         return errors_of_natural(study, {"open": result.omega})
@@ -141,10 +150,11 @@ def errors_of(study: Study, result: object) -> Verification | None:
 def _errors_at_speed(
     study: Study, solution: PeriodicSolution, structure: RunUpStructure, *, of_peak: bool
 ) -> Verification:
-    """Return the errors of a solution of a run-up (collective).
+    """Return the errors of a solution in a run-up (collective).
 
-    They are those of the scene at its speed, with as many modes. If a resonance is off by e, the
-    speed at which the load meets it is off by e / (1 - s), s being d ln w / d ln W.
+    Solve the scene at the solution's speed W [rad/s], with as many modes. Let s = d ln w / d ln W
+    for a resonance w. A relative error e of the resonance gives the error e / (1 - s) of the speed
+    at resonance.
     """
     speed, rate = structure.speed, 1.0 - structure.stiffening(solution.omega)
     changes = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
@@ -179,18 +189,18 @@ def errors_of_natural(
     at_load: LoadResonance = UNSOUGHT_RESONANCE,
     slopes: np.ndarray | None = None,
 ) -> Verification:
-    """Return mesh errors of natural frequencies and of the resonance at the load (collective).
+    """Return mesh errors of natural frequencies and the load's resonance (collective).
 
     Parameters
     ----------
     study : Study
-        Of the whole structure.
+        Study of the whole structure.
     natural_frequencies : dict of str to (m,) [rad/s]
-        With crack faces "open" and "tied".
+        Frequencies with "open" and "tied" (bonded) crack faces.
     at_load : LoadResonance
-        Of the same structure; its ``numbers`` are among those of the result.
+        Resonance at the load on the same structure; the result includes the ``numbers``.
     slopes : (m,), optional
-        S of each mode (:func:`find_study_resonance`).
+        Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
     factor, _, unit = frequency_axis(scene.in_hertz)
@@ -233,22 +243,24 @@ def stated_errors(
     of_peak: bool = False,
     causes: Sequence[str] = STATED_CAUSES,
 ) -> Verification:
-    """Return the errors of a solution's numbers that are expected by each cause (collective).
+    """Return the expected errors of a solution's numbers by cause (collective).
 
     Parameters
     ----------
     study : Study
-        Of the solution, reduced as it was.
+        Study of the solution, with the solution's structure.
     answer : PeriodicSolution
+        Solution to judge.
     of_peak : bool
-        True if it is the largest of a curve over the frequency, which moves with the resonance.
+        True if the answer is a curve's peak over frequency, which moves with the resonance.
     causes : sequence of str
-        Those that are varied.
+        Causes to vary.
 
     Returns
     -------
     Verification
-        With ``absent`` or ``unknown``, and why, if a cause was not varied.
+        ``absent`` or ``unknown`` has the reason for each cause without a part. A cause that does
+        not apply is left out.
     """
     numbers = numbers_of(study, answer)
     errors = Verification(study.scene, numbers.values, numbers.units)
@@ -270,9 +282,10 @@ def stated_errors(
 
 
 def error_by_modes(study: Study, solution: PeriodicSolution) -> float:
-    """Return the largest expected modal truncation error of what is watched (collective).
+    """Return the largest expected modal truncation error (collective).
 
-    It is relative, of the watched amplitudes and of the opening of cracks; inf if it is unknown.
+    The error is relative, the maximum over watched amplitudes and the crack opening; inf if
+    unknown.
     """
     errors = stated_errors(study, solution, causes=["modes"])
     names = [*(point.column("amplitude") for point in study.watched), "opening"]
@@ -283,7 +296,7 @@ def error_by_modes(study: Study, solution: PeriodicSolution) -> float:
 
 
 def not_estimated(report: ErrorReport) -> str:
-    """Return which part of an unknown error could not be estimated."""
+    """Describe the part of an unknown error that could not be estimated."""
     part = report.largest_part
     words = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
     return f"the error due to the {words.get(part, part)} could not be estimated"
@@ -291,7 +304,7 @@ def not_estimated(report: ErrorReport) -> str:
 
 @dataclass(frozen=True)
 class StatedCase(Case):
-    """Answer whose causes are each judged by one other run.
+    """Judge each cause of an answer's error by an additional run.
 
     Attributes
     ----------
@@ -302,10 +315,10 @@ class StatedCase(Case):
     of_peak: bool
 
     def modes(self) -> Varied:
-        """Judge by the motion with the modes of the reference (collective).
+        """Judge modes by the motion with the reference's modes (collective).
 
-        The change is at least the part of harmonics in motions that are truncated: modes above all
-        harmonics are static in both.
+        If the motions are truncated to harmonics, the error is at least the part of harmonics: with
+        few harmonics, modes above all harmonics are static in both motions.
         """
         structure, reference = self.study.structure, more_modes_structure_of(self.wave)
         if reference is None:
@@ -335,11 +348,12 @@ class StatedCase(Case):
         return counts, parts
 
     def _motions_with(self, larger_study: Study) -> tuple[Motion, Motion]:
-        """Return the motion with the answer's modes, and with those of a larger study.
+        """Return the motions with the answer's modes and a larger study's modes (collective).
 
-        They are the nearest exact orbits; with few harmonics the second may be a predicted motion.
-        If these are not known, they are solutions, with :data:`MIN_HARMONICS_FOR_MODAL_CHANGE` if
-        orbits are affordable.
+        Both are the nearest exact orbits, if known; with few harmonics the second may be a
+        corrected motion. Otherwise both are solutions, with as many harmonics. If orbits are
+        affordable and crack faces have no mass, there are at least
+        :data:`MIN_HARMONICS_FOR_MODAL_CHANGE` harmonics per load period.
         """
         wave, assessment = self.wave, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * wave.subharmonic
@@ -358,12 +372,12 @@ class StatedCase(Case):
         return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
 
     def harmonics(self) -> Varied:
-        """Judge by the exact orbit, or by more harmonics (collective)."""
+        """Judge harmonics by the exact orbit, or by more harmonics (collective)."""
         return self.truncation
 
     @cached_property
     def truncation(self) -> Varied:
-        """The part of harmonics."""
+        """Part of the cause harmonics (collective)."""
         if self.study.contact is None:
             return CAUSE_WITHOUT_CONTACT
         if self.orbit_values is not None:
@@ -387,7 +401,10 @@ class StatedCase(Case):
         return (count, 2 * count), parts
 
     def mesh(self) -> Varied:
-        """Judge by a coarser mesh, with at most :data:`MESH_MODES` modes (collective)."""
+        """Judge the mesh by a coarser mesh, with few modes (collective).
+
+        A reduced plate or solid has at most :data:`MESH_MODES` modes in both runs.
+        """
         few_modes = self._with_few_modes()
         mesh_part = few_modes._judge_by_coarser_mesh()
         if few_modes is self or isinstance(mesh_part, str):
@@ -403,7 +420,10 @@ class StatedCase(Case):
         return counts, parts
 
     def _with_few_modes(self) -> StatedCase:
-        """Return the answer's case on a structure with at most :data:`MESH_MODES` modes."""
+        """Return the answer's case with at most :data:`MESH_MODES` modes (collective).
+
+        Disks and structures without reduction stay unchanged.
+        """
         study, scene = self.study, self.study.scene
         structure = study.structure
         if not isinstance(structure, ReducedStructure) or scene.disk is not None:
@@ -420,10 +440,11 @@ class StatedCase(Case):
         return replace(self, study=study, wave=wave, numbers=numbers)
 
     def _judge_by_coarser_mesh(self) -> Varied:
-        """Judge by a coarser mesh of the same modes (collective).
+        """Judge the mesh by a coarser mesh with equally many modes (collective).
 
-        The part is the largest by any order of the mesh. It has the shift of the resonance, but not
-        of a peak; the place where crack faces part; and the dent under a force.
+        The part is the maximum over the mesh's orders. Besides the shape error, the part includes
+        the shift of the resonance unless the answer is a peak. Further parts are the shifted
+        clearance, closed crack fronts and the dent under a force (see the module).
         """
         study, wave = self.study, self.wave
         coarse_mesh = prepare_coarser_study(study)
@@ -462,9 +483,10 @@ class StatedCase(Case):
         return counts, parts
 
     def _values_at_shifts(self, shifts: np.ndarray) -> list[dict[str, float]]:
-        """Return the numbers at relative shifts of the resonance; unchanged for peaks.
+        """Return the numbers at relative shifts of the resonance (collective).
 
-        Each solution is found from rest, as on a finer mesh, which may reach another motion.
+        Peaks have unchanged numbers. Each solution starts from rest, as on a finer mesh, and may
+        reach a different motion.
         """
         if self.of_peak:
             return [self.numbers.values] * len(shifts)
@@ -477,7 +499,8 @@ class StatedCase(Case):
     def _n_extrapolated(self, shift_range: float, mode: int) -> int:
         """Return the number of extrapolated resonances in a range of relative shifts.
 
-        They are the ends, the middle, and so many that a peak's half-power width has four.
+        A peak's half-power width has four, within the limits :data:`MIN_EXTRAPOLATED` and
+        :data:`MAX_EXTRAPOLATED`.
         """
         modes = all_modes(self.study.structure)
         rates = modes.damping if modes.damping.ndim == 1 else np.diag(modes.damping)
@@ -488,10 +511,11 @@ class StatedCase(Case):
         return min(max(1 + n_steps, MIN_EXTRAPOLATED), MAX_EXTRAPOLATED)
 
     def _mode_of_shift(self) -> int:
-        """Return the mode whose shifted resonance moves the watched points the most (collective).
+        """Return the mode with the strongest shift effect on watched points (collective).
 
-        Harmonic k of the amplitude U_k changes by about 2 U_k / |1 - (k w / w_j)^2| times the
-        relative shift.
+        Let w be the load frequency, w_j the bilinear frequency of mode j and U_k the amplitude of
+        harmonic k. The harmonic changes by about 2 U_k / |1 - (k w / w_j)^2| times the relative
+        shift of w_j.
         """
         wave = self.wave
         rows = wave.coefficients_at([point.dof for point in self.study.watched])
@@ -503,17 +527,17 @@ class StatedCase(Case):
 
     @property
     def _relative_dent(self) -> float:
-        """Relative amplitude that half as long elements add under a point force."""
+        """Relative amplitude added by half as long elements under a point force."""
         if self.study.scene.points:
             return 0.0
         amplitude = self.wave.amplitude(self.study.watched[0].dof)
         return dent_by_force(self.study.scene) / amplitude
 
     def _values_with_shifted_clearance(self) -> dict[str, float]:
-        """Return the numbers with a clearance that is moved between two pairs (collective).
+        """Return the numbers with each crack's clearance shifted (collective).
 
-        The shift is half a step of the gap from pair to pair, times the part of the period in which
-        some pairs of a crack touch and others do not.
+        The shift [m] is half the step of the extreme gap between neighbouring pairs, times the
+        range of the pairs' closed shares of the period. Without cracks, return no numbers.
         """
         study, wave, instants = self.study, self.wave, self.wave.instants()
         cracks = study.structure.pairs.cracks
@@ -533,7 +557,7 @@ class StatedCase(Case):
 
 
 def _with_known_numbers(study: Study) -> Study:
-    """Drop stress intensities from a study if its elements are too long."""
+    """Drop stress intensities from a study with elements that are too long."""
     try:
         make_requested_rows(study)
     except InputError:

@@ -1,7 +1,8 @@
-"""Errors of a result's numbers by cause: storage, text and files.
+"""Store, describe and save the errors of a result's numbers by cause.
 
-:func:`fenics_crack.verify` finds them with finer meshes, more modes, harmonics and samples
-(:mod:`verify`); each command with one other run for each cause (:mod:`stated`).
+:func:`fenics_crack.verify` computes the errors with finer meshes, more modes, harmonics and samples
+(:mod:`verify`). Each command computes stated errors with an additional run for each cause
+(:mod:`stated`).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ DOUBTS = {
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
     "irregular": "the values show no order: the uncertainty is 3 times their spread",
 }
-"""Sentence for each behaviour of :class:`GridConvergence` but "asymptotic"."""
+"""Sentence for each doubtful behaviour in :class:`GridConvergence`."""
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -47,34 +48,35 @@ DOUBTS = {
 
 @dataclass(frozen=True, repr=False)
 class Verification(SavedResult):
-    """Contributions to the error of a scene's result.
+    """Hold the contributions to the error of a scene's result.
 
     Attributes
     ----------
     scene : Scene
-        With all that was chosen for it: length of the crack, modes, harmonics.
+        Scene with all choices made for the result: crack length, modes, harmonics.
     values, units : dict of str to float, and to str
-        The scene's own answer by its quantities, as ``[output] quantities`` names them, with those
-        of named points as "tip.ux.amplitude"; "frequency_open_1" [Hz] or "omega_open_1" [rad/s] are
-        natural frequencies with the crack open.
+        Value and unit of each quantity in the scene's answer, named as in ``[output] quantities``;
+        at a named point "tip.ux.amplitude". Natural frequencies with the crack open are
+        "frequency_open_1" [Hz] or "omega_open_1" [rad/s].
     parts : dict of str to dict of str to GridConvergence
-        By the cause, "mesh", "modes", "harmonics", "friction" or "samples", and the quantity. Sizes
-        are the side of a mean element [m], and one over the number of modes, harmonics or samples;
-        the last value is that of the scene's own choice. Of friction they are coefficients, and the
-        first value is the scene's.
+        Part by cause ("mesh", "shift", "modes", "harmonics", "friction" or "samples") and quantity.
+        Sizes are the side of a mean element [m] for the mesh and the shift, and 1 / count for
+        modes, harmonics and samples. The scene's value is the first with a coarser mesh, otherwise
+        the last. Sizes for friction are two coefficients, or 0 and 1 for friction along lines, and
+        the scene's value is the first.
     counts : dict of str to tuple of int
-        The numbers of elements, modes, harmonics or samples, the scene's own first; of friction the
-        modes of both solutions.
+        Numbers of elements, modes, harmonics or samples by cause, the scene's count first. For
+        friction: the modes in both solutions.
     absent : dict of str to str
-        Causes that contribute nothing, and why.
+        Reason by cause without a contribution.
     unknown : dict of str to str
-        Causes whose contribution is not known, and why: no total has it.
+        Reason by cause with an unknown contribution, which all totals lack.
     failed_causes : tuple of str
-        Those of them without which no error is known, as their other run failed.
+        Unknown causes with a failed run, which leave every error unknown.
     failures : tuple of str
         Runs that were refused or did not converge.
     verdicts : dict of str to str
-        Of the stability, by the run, where an orbit is not known to be stable.
+        Verdict on stability by run, if the orbit is not known to be stable.
     """
 
     scene: Scene
@@ -91,9 +93,10 @@ class Verification(SavedResult):
     KIND: ClassVar[str] = "verification"
 
     def with_part(self, cause: str, part: Varied) -> Verification:
-        """Add the part of a cause, or the reason why it was not varied.
+        """Add the part of a cause, or the reason for no part.
 
-        An optional cause that is not varied is unknown; other causes then contribute nothing.
+        Without a part, an optional cause is unknown; any further cause contributes nothing. An
+        empty reason adds nothing.
         """
         if not isinstance(part, str):
             counts, convergence = part
@@ -113,7 +116,7 @@ class Verification(SavedResult):
     # --- files ------------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """Return everything but the scene as text, a dataset of a file."""
+        """Return everything except the scene as JSON text, for a file."""
         return to_json_text(self, "", {})
 
     def _pack_fields(self) -> Datasets:
@@ -127,18 +130,18 @@ class Verification(SavedResult):
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """The causes that were varied."""
+        """The varied causes."""
         return tuple(self.parts)
 
     def contributions(self, quantity: str) -> dict[str, float]:
-        """Return the uncertainty of a quantity by cause, in the quantity's unit.
+        """Return a quantity's uncertainty by cause, in the quantity's unit.
 
         Causes without a part for the quantity have no entry.
 
         Raises
         ------
         InputError
-            There is no such quantity.
+            The quantity is unknown.
         """
         check_choice("quantity", quantity, self.values)
         return {
@@ -150,7 +153,7 @@ class Verification(SavedResult):
         }
 
     def missing_causes(self, quantity: str) -> dict[str, str]:
-        """Return varied causes that have no part for a quantity, with reasons."""
+        """Return reasons by varied cause without a part for a quantity."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(cause, "the other run has no such number")
             for cause, parts in self.parts.items()
@@ -158,43 +161,44 @@ class Verification(SavedResult):
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
-        """Return the error of a quantity by all causes, in the quantity's unit.
+        """Return a quantity's error by all causes, in the quantity's unit.
 
-        Contributions by the mesh and by its shift are added first. The total is the root of the sum
-        of squares; if the causes are not ``independent``, it is the sum.
+        Contributions by the mesh and the mesh's shift are added first. The total is the root of
+        the sum of squares; if the causes are not ``independent``, the total is the sum.
         """
         contributions = self._parts(quantity).values()
         return math.hypot(*contributions) if independent else sum(contributions)
 
     def _parts(self, quantity: str) -> dict[str, float]:
-        """Return contributions with both causes of the mesh added up as "mesh"."""
+        """Return contributions by cause, with mesh and shift added up as "mesh"."""
         parts = self.contributions(quantity)
         mesh = [parts.pop(cause) for cause in MESH_ERROR_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:
-        """Return a value corrected by all causes with a finite limit."""
+        """Return a quantity's value, corrected by all causes with a finite limit."""
         scene_number = self.values[quantity]
         parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
         limits = (parts[quantity].extrapolated for parts in parts_with_quantity)
         return scene_number + sum(limit - scene_number for limit in limits if math.isfinite(limit))
 
     def relative(self, quantity: str, error: float) -> float:
-        """Divide an error by a quantity's size; nan if the quantity is 0."""
+        """Divide an error by a quantity's size (nan for a quantity 0)."""
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """Return the relative error of a quantity by all causes (:meth:`total`).
+        """Return a quantity's relative error by all causes (:meth:`total`).
 
         Returns
         -------
         float
-            Total over the quantity. It is nan without any part, if harmonics or modes are unknown
-            causes, or if the other mesh failed. It is nan, too, if the total is 0 and another cause
-            is unknown or lacks a part. It is inf if the estimate is as large as the quantity.
+            Total over the quantity. The error is nan without any part, if harmonics or modes are
+            unknown causes, or if the second mesh failed. A total of 0 gives nan, too, if any cause
+            is unknown or lacks a part. If the total is as large as the quantity, the error is inf.
         str
-            Cause of the largest part: "mesh", "modes", "harmonics", "friction" or "samples".
+            Cause with the largest part: "mesh", "modes", "harmonics", "friction" or "samples"; ""
+            with nan.
         """
         unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed_causes))
         parts = self._parts(quantity) if quantity in self.values else {}
@@ -207,9 +211,9 @@ class Verification(SavedResult):
         return math.inf if total >= 1.0 else total, cause
 
     def doubt(self, quantity: str) -> str:
-        """Return why the error of a quantity is unknown.
+        """Return the reason for doubt about a quantity's error.
 
-        Empty if the error is known, or was left out by choice.
+        The text is empty if the error is known, or was left out by choice.
         """
         for cause in (*REQUIRED_CAUSES, *self.failed_causes):
             if cause in self.unknown:
@@ -224,29 +228,29 @@ class Verification(SavedResult):
     def resonance(self) -> str:
         """Name of the resonance next to the result; empty without crack faces.
 
-        In a run-up it is "speed", at which the resonance is met.
+        In a run-up the name is "speed", the speed at the resonance.
         """
         resonances = (name for name in self.values if "_bilinear_" in name)
         return "speed" if "speed" in self.values else next(resonances, "")
 
     @property
     def without(self) -> str:
-        """Missing causes in words: "error due to the mesh not included"; else empty."""
+        """Unknown causes in words: "error due to the mesh not included"; or empty."""
         return describe_omitted_causes(self.unknown)
 
     @property
     def left_out(self) -> str:
-        """The missing causes (:attr:`without`) and the reasons; empty without any."""
+        """Unknown causes (:attr:`without`) and the reasons; or empty."""
         reasons = "; ".join(dict.fromkeys(self.unknown.values()))
         return f"{self.without}: {reasons}" if self.unknown else ""
 
     # --- tables -----------------------------------------------------------------------------------
 
     def totals(self) -> Table:
-        """Return a table of all quantities with their errors.
+        """Return a table with the errors of all quantities.
 
-        A row has the value, contributions and totals relative to it in per cent, to three digits,
-        the observed order of the mesh, and the extrapolated value.
+        A row has the value, relative contributions and totals [%] to three digits, the mesh's
+        observed order, and the extrapolated value.
         """
         rows = []
         for name, value in self.values.items():
@@ -262,10 +266,10 @@ class Verification(SavedResult):
         return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for each quantity and cause, and for totals.
+        """Return columns with a row per quantity and cause or total.
 
-        A row has the counts that were varied, up to three values, the order and the factor that
-        follow from them, and the uncertainty of the first value.
+        A row has the varied counts, up to three values, the order and factor from these values,
+        and the uncertainty of the first value.
         """
         rows = [row for name in self.values for row in self._rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
@@ -292,7 +296,7 @@ class Verification(SavedResult):
         return self.statement[0]
 
     def said(self) -> Conclusion:
-        """Return the parts of the last sentence on the study."""
+        """Return the parts of the study's concluding sentence."""
         name = next(iter(self.values))
         words = getattr(OBSERVABLES_BY_NAME.get(name.rpartition(".")[2]), "words", name)
         error, cause = self.stated(name)
@@ -309,7 +313,7 @@ class Verification(SavedResult):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """Sentences on the errors, with those that are unknown or doubtful."""
+        """Sentences on the errors, including unknown and doubtful errors."""
         main_quantity = next(iter(self.values))
         shares = {name: self.relative(name, self.total(name)) for name in self.values}
         worst_quantity = max(shares, key=lambda name: shares[name])
@@ -323,7 +327,7 @@ class Verification(SavedResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences that cast doubt on the numbers."""
+        """Sentences with doubts about the numbers."""
         sentences = [
             f"{cause} not varied, so it is missing in the totals: {reason}"
             for cause, reason in self.unknown.items()
@@ -349,7 +353,7 @@ class Verification(SavedResult):
 
     @property
     def incomplete(self) -> tuple[str, ...]:
-        """Sentences on numbers whose error lacks a cause that was varied."""
+        """Sentences on numbers with an error that lacks a varied cause."""
         return tuple(
             f"{', '.join(names)}: error due to the {cause} not included: "
             f"{self.missing_causes(names[0])[cause]}"
@@ -359,9 +363,9 @@ class Verification(SavedResult):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """Warning that the displacement under a point force has no limit.
+        """Warning about the unlimited displacement under a point force.
 
-        It is given if elements half as long add much to the amplitude.
+        Given if elements half as long add much to the amplitude.
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
         dent = dent_by_force(scene)
@@ -377,7 +381,8 @@ class Verification(SavedResult):
     def _matters(self, name: str, cause: str) -> bool:
         """Return True if doubts about a contribution are reported.
 
-        It must be at least a tenth of the total, and of the value times TOLERANCE.
+        The contribution must reach a tenth of the total, and a tenth of the value times
+        ``DEFAULT_ERROR_TOLERANCE``.
         """
         size = max(self.total(name), DEFAULT_ERROR_TOLERANCE * abs(self.values[name]))
         return self.contributions(name)[cause] >= 0.1 * size
@@ -405,12 +410,12 @@ class Verification(SavedResult):
 
 
 def verification_of(result_file: StoredFile) -> Verification | None:
-    """Return the verification in the file of a result; None: none.
+    """Return the verification in a result's file, or None without any.
 
     Raises
     ------
     InputError
-        It does not fit.
+        The stored verification does not fit.
     """
     with result_file.checked_datasets() as parts:
         if "verification" not in parts:
@@ -421,12 +426,13 @@ def verification_of(result_file: StoredFile) -> Verification | None:
 
 
 def dent_by_force(scene: Scene) -> float:
-    """Estimate the displacement that elements half as long add under a force [m].
+    """Estimate the displacement [m] added by halved elements at a force.
 
-    The force F acts at a point. Without such a force the displacement is 0.
-
-    Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
-    one of its edges; a = pi on an edge, and 2 pi inside, about. Of a solid F / (E h), about.
+    F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
+    [m]. The force acts at a corner with angle a [rad]; a = pi on an edge and about 2 pi inside. In
+    a plate the displacement along an edge is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In
+    a solid the displacement is about F / (E h). Without a force at a point, or with matrices as
+    structure, return 0.
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     at_points = [load for load in scene.loads if load.point is not None]
@@ -447,5 +453,5 @@ def dent_by_force(scene: Scene) -> float:
 
 
 def _uncertainty_entries(verification: Verification, name: str, error: float) -> dict[str, float]:
-    """Return the columns of an error of a quantity, absolute and relative."""
+    """Return the columns for a quantity's error, absolute and relative."""
     return {"uncertainty": error, "relative": verification.relative(name, error)}

@@ -1,17 +1,22 @@
-"""Verification of a scene's numbers: two finer runs for each cause.
+"""Verify a scene's numbers by two finer runs for each cause.
 
-Each number is extrapolated with the order that it shows (:mod:`convergence`). The uncertainty is
-that of the scene's own choice, the coarsest of the three: coarser meshes mostly are not in the
-asymptotic range.
+Each number is extrapolated with the observed order (:mod:`convergence`). The uncertainty belongs to
+the scene's value, the coarsest of three: coarser meshes mostly are outside the asymptotic range.
 
-Orders of theory: at the tip of a crack displacements are like r^(1/2), so frequencies and work
-converge like h with elements of both orders, on equal cells and on cells graded by a fixed ratio
-(Strang and Fix, An Analysis of the Finite Element Method, 1973, chapter 8). At the ends of a clamp
-they converge like h^(3/2) (Williams' equation for a right angle with one side held, nu = 0.3, plane
-stress: 1.52). Modes in a plane have w_j^2 proportional to j, and each that is left out contributes
-w^2 / w_j^4, which sums up to N^-1. Where crack faces hit each other velocities jump: |U_k| falls
-like k^-2 and the remainder like H^-1. It often falls faster (H^-3 where only forces have kinks),
-which is not relied on. Samples of a force with kinks err like N^-2.
+Theory gives an order for each cause:
+
+- *mesh* with a crack: 1. At distance r from a tip, displacements vary as r^(1/2). So frequencies
+  and work converge as the element size h. This holds for elements with both orders, on equal cells
+  and on cells graded by a fixed ratio (Strang and Fix, An Analysis of the Finite Element Method,
+  1973, chapter 8).
+- *mesh* without a crack: 3/2, at a clamp's ends. Williams' equation gives 1.52 for a right angle
+  with a held side, nu = 0.3, plane stress.
+- *modes*: 1. In a plane w_j^2 is proportional to j. A truncated mode j contributes w^2 / w_j^4 at
+  the load frequency w; beyond N modes the sum decays as N^-1.
+- *harmonics*: 1. When crack faces hit, velocities jump: the amplitude U_k of harmonic k decays as
+  k^-2, and the remainder beyond H harmonics as H^-1. If only forces have kinks, the decay is H^-3,
+  but the verification does not rely on this.
+- *samples*: 2. N samples of a force with kinks have errors proportional to N^-2.
 """
 
 from __future__ import annotations
@@ -44,48 +49,50 @@ from fenics_crack.study.prepare import (
 from fenics_crack.study.solve import SolvedStudy, solve_study
 
 REFINEMENT_FACTORS = (1, 2, 4)
-"""Factors of counts in the answer and in both finer runs."""
+"""Factors on the count in the answer and both finer runs."""
 SAMPLES_ORDER = 2.0
 """Order of convergence with samples of a force."""
 SCENE_CHOICE = "the scene's own choice"
 
 
 def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
-    """Compute the convergence of a scene's steady vibration and natural frequencies (collective).
+    """Verify the numbers of a scene's steady vibration and frequencies (collective).
 
-    Mesh, modes, harmonics and samples are made finer, one at a time and twice: a graded mesh by 1.5
-    and 2, a grid by 2 and 3, numbers by 2 and 4. Of the three values of each quantity the observed
-    order p, the extrapolated value f and the uncertainty F abs(f_i - f) follow, with a factor of
-    safety F of 1.25 or 3 (:func:`fenics_crack.grid_convergence`; Roache 1994, Celik and others
-    2008, ASME V&V 20-2009). Harmonics are not varied where an exact orbit is the solution's
-    own: their part is the distance from its numbers.
+    Mesh, modes, harmonics and samples are refined twice, each cause alone: a graded mesh by 1.5
+    and 2 if the result is similar, any further mesh by 2 and 3, counts by 2 and 4. The three values
+    f_i of each quantity give the observed order p, the extrapolated value f and the uncertainty
+    F abs(f_i - f). The factor of safety F is 1.25 or 3 (:func:`fenics_crack.grid_convergence`;
+    Roache 1994, Celik et al. 2008, ASME V&V 20-2009). If the solution has an accepted exact orbit
+    and the scene gives no number of samples, the part of harmonics is the distance to the orbit's
+    numbers. Friction is judged by exact orbits with and without friction.
 
-    A tolerance of the scene chooses harmonics and modes first. Of a mesh file and of matrices the
-    mesh is left alone, and that is said. Runs that fail, and orbits that are not stable, are named.
+    A tolerance in the scene chooses harmonics and modes first. A mesh from a file or matrices is
+    not refined, and the result gives the reason. The result lists failed runs, and orbits not known
+    to be stable.
 
     Parameters
     ----------
     scene : Scene
-        As it is solved.
+        Scene to solve and verify.
     comm : MPI.Comm
         Ranks that share each mesh.
 
     Returns
     -------
     Verification
-        Each cause's part of the error of each quantity, and their total.
+        Part of each cause in each quantity's error, and the total errors.
 
     Raises
     ------
     InputError
-        As :func:`fenics_crack.prepare`.
+        See :func:`fenics_crack.prepare`.
     ConvergenceError
         The scene itself does not converge.
 
     Examples
     --------
-    >>> found = fc.verify(scene)
-    >>> percent = found.total("amplitude")
+    >>> verification = fc.verify(scene)
+    >>> error = verification.total("amplitude")
     """
     with prefix_stages(SCENE_CHOICE):
         whole_study = prepare(scene, comm, whole=True)
@@ -113,9 +120,9 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
 
 
 def _settled_scene(run: SolvedStudy) -> Scene:
-    """Return the scene of a solution with what was chosen for it.
+    """Return a solution's scene with the chosen harmonics and modes.
 
-    If all modes are kept, it is not reduced, so that none is left out on a finer mesh.
+    If all modes are kept, reduction is off, so a finer mesh keeps all modes, too.
     """
     scene, whole_structure = run.scene, run.structure.whole
     changes: dict[str, Any] = {}
@@ -133,7 +140,10 @@ def _settled_scene(run: SolvedStudy) -> Scene:
 
 
 def _kept_modes(study: Study) -> tuple[int, int] | str:
-    """Return kept and possible numbers of modes, or why they are not varied."""
+    """Return kept and possible mode numbers, or the reason for no variation.
+
+    The numbers for a disk count modes per nodal diameter.
+    """
     disk, reduction = study.scene.disk, reduction_of(study.scene, study.structure)
     if disk is not None:
         return disk.families, study.structure.n_dofs // disk.sectors
@@ -145,16 +155,16 @@ def _kept_modes(study: Study) -> tuple[int, int] | str:
 
 @dataclass(frozen=True)
 class _VerifiedCase(Case):
-    """Answer whose causes are each judged by finer runs.
+    """Judge each cause of an answer's error by finer runs.
 
     Attributes
     ----------
     whole_study : Study
-        Settled scene with its whole structure.
+        Study of the settled scene (:func:`_settled_scene`), with the whole structure.
     failures : list of str
-        Finer runs that failed.
+        Failed finer runs, with reasons.
     verdicts : dict of str to str
-        Verdicts of runs that are not known to be stable.
+        Verdict on stability by run, if the run is not known to be stable.
     """
 
     whole_study: Study
@@ -162,7 +172,7 @@ class _VerifiedCase(Case):
     verdicts: dict[str, str] = field(default_factory=dict)
 
     def note_verdict(self, name: str, run: SolvedStudy) -> None:
-        """Add the verdict of a run if it is not known to be stable."""
+        """Add a run's verdict unless the run is known to be stable."""
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
             self.verdicts[name] = stability.verdict
@@ -177,19 +187,25 @@ class _VerifiedCase(Case):
         shared_study: Study | None = None,
         scheme_order: float = math.inf,
     ) -> Varied:
-        """Return the part of a cause by finer runs (collective).
+        """Return a cause's part from finer runs (collective).
 
         Parameters
         ----------
         cause : str
+            Cause to judge.
         finer_scenes : sequence of (name, count, scene)
-            The count is None of a mesh, whose elements are counted when it is made.
+            Finer runs. The count is None for a mesh, to count the elements after meshing.
         count : int
-            That of the answer.
+            Count in the answer.
         formal, scheme_order : float
-            Orders of theory, and of the scheme.
+            Orders expected by theory, and of the undisturbed scheme.
         shared_study : Study, optional
-            Study of all runs but those of a mesh.
+            Study with the structure of all runs; None for meshes, to make a structure per run.
+
+        Raises
+        ------
+        ConvergenceError
+            All finer runs fail.
         """
         levels: list[Level] = [(count, self.numbers.values)]
         for name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
@@ -213,8 +229,8 @@ class _VerifiedCase(Case):
     def _run(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
-        It begins at the answer if it shares its structure. On another mesh the load is as far from
-        the resonance of a mode.
+        With the answer's structure the search starts from the answer. On a new mesh the load
+        frequency keeps the ratio to the resonance. ConvergenceError without a solution.
         """
         study, mode = self.study, self.numbers.mode
         initial, omega = self.answer if shared_study is study else None, self.answer.omega
@@ -229,10 +245,10 @@ class _VerifiedCase(Case):
         return run
 
     def _run_values(self, run: SolvedStudy, cause: str) -> dict[str, float]:
-        """Return the numbers of a finer run (collective).
+        """Return a finer run's numbers (collective).
 
-        With more modes they change as exact orbits do, if both runs have their own: to few
-        harmonics the modes above all of them seem static.
+        With more modes, the numbers change as between exact orbits if both runs have an accepted
+        orbit: with few harmonics, modes above all harmonics seem static.
         """
         if cause == "modes" and self.orbit_values is not None:
             orbit = accepted_orbit(run.result)
@@ -251,7 +267,10 @@ class _VerifiedCase(Case):
         max_count: int,
         formal: float,
     ) -> Varied:
-        """Judge by twice and four times the count of a key (collective)."""
+        """Judge a cause by two and four times a key's count (collective).
+
+        No count is above ``max_count``.
+        """
         counts = sorted({min(factor * count, max_count) for factor in REFINEMENT_FACTORS})
         name = key.rpartition(".")[2]
         finer_scenes = [
@@ -261,7 +280,7 @@ class _VerifiedCase(Case):
         return self._judge_by(cause, finer_scenes, count, formal, shared_study=shared_study)
 
     def mesh(self) -> Varied:
-        """Judge by finer meshes (collective)."""
+        """Judge the mesh by finer meshes (collective)."""
         scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
@@ -281,10 +300,11 @@ class _VerifiedCase(Case):
         return self._judge_by("mesh", finer_scenes, count, formal, scheme_order=scheme_order)
 
     def shift(self, errors: Verification) -> Varied:
-        """Judge by the mesh's shift of the resonance (collective).
+        """Judge the mesh's shift of the resonance (collective).
 
-        The part is the largest change of a number at three shifts: half of the resonance's
-        uncertainty, all of it, and the shift to the extrapolated value. Peaks may lie between.
+        The part is a number's largest change at up to three shifts: half the resonance's
+        uncertainty, all the uncertainty, and the shift to an extrapolated value. Peaks may lie
+        between.
         """
         if "mesh" not in errors.parts:
             return ""
@@ -317,7 +337,7 @@ class _VerifiedCase(Case):
         return counts[:: len(counts) - 1], parts
 
     def modes(self) -> Varied:
-        """Judge by more modes (collective)."""
+        """Judge modes by more modes (collective)."""
         whole_study, kept_modes = self.whole_study, _kept_modes(self.whole_study)
         if isinstance(kept_modes, str):
             return kept_modes
@@ -331,7 +351,10 @@ class _VerifiedCase(Case):
         )
 
     def harmonics(self) -> Varied:
-        """Judge by the exact orbit, or by more harmonics (collective)."""
+        """Judge harmonics by the exact orbit, or by more harmonics (collective).
+
+        With a given number of samples, more harmonics are always used.
+        """
         scene = self.whole_study.scene
         table = scene.harmonic_balance
         if self.study.contact is None:
@@ -348,7 +371,7 @@ class _VerifiedCase(Case):
         )
 
     def samples(self) -> Varied:
-        """Judge by more samples of the contact force (collective)."""
+        """Judge samples by more samples of the contact force (collective)."""
         scene, law = self.whole_study.scene, self.study.contact
         table, key = scene.harmonic_balance, "harmonic_balance.samples"
         if law is None:
