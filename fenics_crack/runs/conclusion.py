@@ -80,8 +80,8 @@ def describe_linearity(closed_share: np.ndarray) -> list[str]:
     """Return a sentence if the vibration is linear, else an empty list.
 
     It is linear if in every solution all pairs stay closed, or all stay open. ``closed_share``
-    (...) is the fraction of the period in which a pair is closed, a mean over the pairs. The list
-    is empty also without pairs, nan, and where some pairs stay closed and the others open.
+    (...) is the time fraction with closed pairs, a mean over the pairs. The list is also empty
+    without pairs (nan), and if some pairs stay closed and some open.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))
