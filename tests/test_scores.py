@@ -30,7 +30,10 @@ def test_the_table_is_the_record() -> None:
         numbers = " | ".join(score.line(program, rows)[1:])
         lines = [line for line in page.splitlines() if line.lower().startswith(f"| {program}")]
         assert len(lines) == 1 and lines[0].endswith(f" | {numbers} |"), numbers
-    assert record["commit"] in page and record["date"] in page
+    table = page[page.index("| program | version |") :].partition("\n\n")[0]
+    assert len(table.splitlines()) == 2 + len(record["rows_by_program"])
+    for text in (record["commit"], record["date"], f"{len(rows)} cases"):
+        assert text in page
 
 
 def case_of(name: str) -> dict[str, Any]:

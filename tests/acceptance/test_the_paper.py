@@ -37,6 +37,15 @@ def test_every_figure_and_equation_has_a_row() -> None:
     assert numbers_by_kind == {"Figure": set(range(1, 9)), "Equation": set(range(1, 16))}
 
 
+def test_the_data_are_those_of_the_scene() -> None:
+    """Stiffness, damping and harmonics stand in the page's first sentences."""
+    scene = fc.Scene.load(DEMOS / "paper_plate.toml")
+    page = " ".join((ROOT / "docs" / "the_paper.md").read_text().split())
+    ratio, stiffness = scene.damping.ratio, f"{scene.contact.stiffness:.0e}".replace("+", "")
+    data = f"{100.0 * ratio:g} % of critical damping, H = {scene.harmonic_balance.harmonics}."
+    assert f"{stiffness} N/m, {data}" in page
+
+
 @pytest.mark.parametrize("name", rows_of_the_paper())
 def test_row_names_what_checks_it(name: str) -> None:
     """A test that exists, and what it is about."""
@@ -136,6 +145,7 @@ def test_small_difference() -> None:
         ).result  # fmt: skip
         size = curve.amplitude()
         peak = int(size.argmax())
+        sizes += [f"{100.0 * length / blade.geometry.width:.0f} %"]
         sizes += [f"{1e6 * size[peak]:.1f} um", f"{curve.omega[peak] / (2.0 * np.pi):.1f} Hz"]
     full_structure = fc.build_structure(blade.replace({"crack": None, "contact": None}))
     first_omega = fc.solve_modes(full_structure, 1).omega[0]
