@@ -217,7 +217,7 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
 def test_no_remark_on_demos(demo: Path, tmp_path: Path) -> None:
     """Every scene of demos is usual; a part is made as its demo makes it."""
     scene = fc.Scene.load(demo)
-    if scene.geometry.file is not None:
+    if scene.geometry is not None and scene.geometry.file is not None:
         part = str(tmp_path / "part.step")
         with gmsh_model():
             gmsh.merge(str(ROOT / "meshes" / f"{demo.stem}.geo"))
