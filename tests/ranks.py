@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from surroundings import MPI_ENVIRONMENT, ROOT, main
+from surroundings import MPI_ENVIRONMENT, ROOT, main, no_rank
 
 LIMIT = 900.0
 """Wall-clock seconds after which a process that tests start counts as hanging: each takes seconds
@@ -71,12 +71,15 @@ def command(program: str | Path, ranks: int) -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """What ranks need besides: a program of theirs can import the test files."""
+    """What ranks need besides: a program of theirs can import the test files.
+
+    Words of an MPI that has begun already, as in a conftest of the folder asked for, are left out.
+    """
     tests = ROOT / "tests"
     test_folders = (item for item in tests.iterdir() if item.is_dir())
     folders = [tests, *test_folders, ROOT / "benchmarks", ROOT, os.environ.get("PYTHONPATH", "")]
     search = os.pathsep.join(filter(None, map(str, folders)))
-    return os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": search}
+    return no_rank() | MPI_ENVIRONMENT | {"PYTHONPATH": search}
 
 
 def kill(process: subprocess.Popen[bytes], pids: Sequence[int]) -> None:
@@ -143,9 +146,9 @@ class Ranks:
                 command(f"import ranks; ranks.serve({str(place)!r})", 2),
                 env=environment(), stdin=subprocess.DEVNULL, stdout=log_file, stderr=log_file,
             )  # fmt: skip
-            self.lines = [Connection(self.accepted(door).detach()) for _ in range(2)]
+            self.lines = [Connection(self.accept_connection(door).detach()) for _ in range(2)]
 
-    def accepted(self, door: socket.socket) -> socket.socket:
+    def accept_connection(self, door: socket.socket) -> socket.socket:
         """The next rank's connection; it comes at once, unless ``mpirun`` has failed."""
         assert self.process is not None
         deadline = time.monotonic() + LIMIT
