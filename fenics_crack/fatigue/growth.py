@@ -286,6 +286,12 @@ SWEEP_COLUMN_NAMES = (
     *LINEAR_COLUMN_NAMES,
 )
 """Columns of the sweep that a path is made from."""
+COLUMN_BY_GROWTH_FIELD = {
+    "omega": "omega", "omega_open": "omega_open", "omega_bilinear": "omega_bilinear",
+    "response": "response", "largest": "K_max", "smallest": "K_min",
+    "effective": "delta_K_effective", "sliding": "K_II_max",
+}  # fmt: skip
+"""Column of a path by the field of :class:`Growth` that holds it."""
 
 
 def grow(
@@ -377,19 +383,11 @@ def grow(
         lengths,
         cycles,
         elapsed_time,
-        values_by_column["omega"],
-        values_by_column["omega_open"],
-        values_by_column["omega_bilinear"],
-        values_by_column["response"],
-        values_by_column["K_max"],
-        values_by_column["K_min"],
-        values_by_column["delta_K_effective"],
-        values_by_column["K_II_max"],
-        growth_rates,
-        end_reason,
-        length_path.lengths,
-        error_by_cause,
-        (
+        rate=growth_rates,
+        end=end_reason,
+        solved=length_path.lengths,
+        errors=error_by_cause,
+        remarks=(
             *_collect_growth_remarks(
                 scene,
                 length_path,
@@ -401,7 +399,13 @@ def grow(
             ),
             *omission_remarks,
         ),
+        **_select_growth_fields(values_by_column),
     )
+
+
+def _select_growth_fields(values_by_column: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return a path's columns by the fields of :class:`Growth`."""
+    return {field: values_by_column[column] for field, column in COLUMN_BY_GROWTH_FIELD.items()}
 
 
 def _integrate_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
@@ -534,20 +538,13 @@ def _grow_ellipse(
         ellipse_path.length,
         ellipse_path.cycles,
         elapsed_time,
-        values_by_column["omega"],
-        values_by_column["omega_open"],
-        values_by_column["omega_bilinear"],
-        values_by_column["response"],
-        values_by_column["K_max"],
-        values_by_column["K_min"],
-        values_by_column["delta_K_effective"],
-        values_by_column["K_II_max"],
-        ellipse_path.growth_per_cycle[:, 1],
-        ellipse_path.end_reason,
-        size_grid[sweep_result.converged],
-        error_by_cause,
-        (*remark_texts, *omission_remarks),
-        ellipse_path.depth,
+        rate=ellipse_path.growth_per_cycle[:, 1],
+        end=ellipse_path.end_reason,
+        solved=size_grid[sweep_result.converged],
+        errors=error_by_cause,
+        remarks=(*remark_texts, *omission_remarks),
+        depth=ellipse_path.depth,
+        **_select_growth_fields(values_by_column),
     )
 
 
@@ -642,10 +639,10 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     )  # nan where nothing moves
     log_sizes = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
     for column in column_by_name.values() if sweep_result.failed else ():
-        filled_values = RBFInterpolator(log_sizes[is_solved], column[is_solved])(
+        interpolated_column = RBFInterpolator(log_sizes[is_solved], column[is_solved])(
             log_sizes[~is_solved]
         )
-        column[~is_solved] = np.maximum(filled_values, 0.0)
+        column[~is_solved] = np.maximum(interpolated_column, 0.0)
     return EllipseTable(depths, lengths, column_by_name)
 
 

@@ -993,21 +993,16 @@ SCENE_RULES = (
         factor_by_unit={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9},
     ),
     RemarkRule("material.poisson", 0.0, 0.49, "most solids have 0 to 0.49, steel 0.3"),
-    RemarkRule(
-        "geometry.width",
-        0.0,
-        MAX_PLAUSIBLE_SIDE,
-        "a {kind} of {:g} m",
-        _longest_side,
-        MILLIMETRE_UNIT,
-    ),
-    RemarkRule(
-        "geometry.height",
-        0.0,
-        MAX_PLAUSIBLE_SIDE,
-        "a {kind} of {:g} m",
-        _longest_side,
-        MILLIMETRE_UNIT,
+    *(
+        RemarkRule(
+            f"geometry.{side}",
+            0.0,
+            MAX_PLAUSIBLE_SIDE,
+            "a {kind} of {:g} m",
+            _longest_side,
+            MILLIMETRE_UNIT,
+        )
+        for side in ("width", "height")
     ),
     RemarkRule(
         "geometry.thickness",
