@@ -293,13 +293,13 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
     elif kind == 5 and numeric and array.ndim > 1:
         file[name] = np.ascontiguousarray(array.T)
     elif numeric and array.size and array.dtype.kind != "b":
-        flat_values = array.astype(complex if array.dtype.kind == "c" else float).reshape(-1)
+        flat_array = array.astype(complex if array.dtype.kind == "c" else float).reshape(-1)
         places = [
-            rng.randrange(flat_values.size) for _ in range(rng.choice([1, 1, flat_values.size]))
+            rng.randrange(flat_array.size) for _ in range(rng.choice([1, 1, flat_array.size]))
         ]
-        flat_values[places] = rng.choice(NUMBERS)
+        flat_array[places] = rng.choice(NUMBERS)
         with np.errstate(all="ignore"):
-            file[name] = flat_values.reshape(array.shape).astype(array.dtype)
+            file[name] = flat_array.reshape(array.shape).astype(array.dtype)
     else:
         file[f"{name}_"] = value if numeric else _as_words(array)
 
@@ -920,7 +920,7 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
     name = rng.choice(sorted(CALLS))
     scene = fc.Scene.load(folder / rng.choice(WHEELS))
     of_wheel = fc.Scene.load(folder / "wheel.toml")
-    right_values: dict[str, Callable[[], Any]] = {
+    make_argument_by_name: dict[str, Callable[[], Any]] = {
         "scene": lambda: scene, "wheel_scene": lambda: of_wheel, "tables": dict,
         "path": lambda: folder / "wheel.toml", "changes": dict, "families": lambda: 1,
         "patterns": lambda: 3, "deviation": lambda: 0.01, "seed": lambda: 1,
@@ -945,9 +945,11 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
 
     def attempt() -> object:
         owner, _, method = name.rpartition(".")
-        place = {"Scene": lambda: fc.Scene, "": lambda: fc}.get(owner) or right_values[owner]
+        place = {"Scene": lambda: fc.Scene, "": lambda: fc}.get(owner) or make_argument_by_name[
+            owner
+        ]
         arguments = {
-            one: odd_arguments[one] if one in odd_arguments else right_values[one]()
+            one: odd_arguments[one] if one in odd_arguments else make_argument_by_name[one]()
             for one in names
         }
         return getattr(place(), method)(*arguments.values(), **more_arguments)

@@ -258,16 +258,16 @@ class Piece:
             )
             values[:, 0] = np.minimum(values[:, 0], 0.0)  # it holds at first, but for rounding
             # A top between two samples is below the tangents of both.
-            left_values, right_values = values[:, :-1], values[:, 1:]
+            start_samples, end_samples = values[:, :-1], values[:, 1:]
             top = np.minimum(
-                left_values + step * slopes[:, :-1], right_values - step * slopes[:, 1:]
+                start_samples + step * slopes[:, :-1], end_samples - step * slopes[:, 1:]
             )
             humps = (slopes[:, :-1] > 0.0) & (slopes[:, 1:] < 0.0) & (top > 0.0)
-            suspect = (right_values > 0.0) | humps
+            suspect = (end_samples > 0.0) | humps
             for k in np.flatnonzero(suspect.any(axis=0)):
                 pairs, first_pair, end = np.flatnonzero(suspect[:, k]), None, float(times[k + 1])
-                early = left_values[pairs, k] / np.maximum(
-                    right_values[pairs, k] - left_values[pairs, k], 1e-300
+                early = start_samples[pairs, k] / np.maximum(
+                    end_samples[pairs, k] - start_samples[pairs, k], 1e-300
                 )
                 for pair in pairs[np.argsort(-early)]:  # the others only before what is found
                     root = self._root(int(pair), times[k], end)

@@ -62,8 +62,8 @@ def test_a_preload_and_the_length_of_a_crack(folder: Path, ask: object) -> None:
     """A crack breathes at every length and load frequency. One that is pressed together stays
     closed under a small load, and breathes under a large one."""
     assert callable(ask)
-    checked_values = {r["what"]: r["value"] for r in json.loads(ask("check --format json"))}
-    breathing_frequency = checked_values[BREATHING]
+    value_by_text = {r["what"]: r["value"] for r in json.loads(ask("check --format json"))}
+    breathing_frequency = value_by_text[BREATHING]
     printed_text = ask(
         "sweep",
         "sweep.over={'excitation.frequency' = {start = 780.0, stop = 880.0, count = 5}, "

@@ -70,8 +70,8 @@ def value(X: list[arb], parts: list, R: arb_mat, pairs: list, T: arb) -> tuple[a
 def prove(case: dict, orbit: dict) -> dict:
     """Prove an orbit of a case near its state and its crossings."""
     require(case["law"]["kind"] == "penalty", "not a penalty")
-    (times, pairs), first_set = zip(*orbit["crossings"], strict=True), orbit["first"]
-    sets = [[on ^ (pairs[:part].count(j) % 2 == 1) for j, on in enumerate(first_set)]
+    (times, pairs), start_contact_set = zip(*orbit["crossings"], strict=True), orbit["first"]
+    sets = [[on ^ (pairs[:part].count(j) % 2 == 1) for j, on in enumerate(start_contact_set)]
             for part in range(len(pairs) + 1)]  # fmt: skip
     require(sets[0] == sets[-1], "the last set is not the first")
     (G, P, R), k, states = equations(case), case["law"]["stiffness"], len(orbit["state"])
@@ -104,7 +104,7 @@ def prove(case: dict, orbit: dict) -> dict:
             pieces += [(i, j, left_end, middle, rises, False, halvings + 1),
                        (i, j, middle, right_end, False, falls, halvings + 1)]  # fmt: skip
     crossings = [[float(t), j] for t, j in zip(accumulate(m[states:]), pairs, strict=True)]
-    return {"crossings": crossings, "first": first_set, "radius": float(RADIUS),
+    return {"crossings": crossings, "first": start_contact_set, "radius": float(RADIUS),
             "state": [v.str(25, radius=False) for v in m[:states]]}  # fmt: skip
 
 

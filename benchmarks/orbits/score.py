@@ -171,8 +171,8 @@ def scored(case: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
 
 def share(values: list[Any]) -> str:
     """How many of those that are known are true."""
-    known_values = [value for value in values if value is not None]
-    return f"{sum(known_values)} of {len(known_values)}" if known_values else "-"
+    known_verdicts = [value for value in values if value is not None]
+    return f"{sum(known_verdicts)} of {len(known_verdicts)}" if known_verdicts else "-"
 
 
 def line(name: str, rows: list[dict[str, Any]]) -> list[str]:

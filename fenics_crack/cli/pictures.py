@@ -346,13 +346,13 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     fixed_combinations = itertools.product(
         *(sweep_result.axes[axis_index].values for axis_index in fixed_indices)
     )
-    for picture_index, fixed_values in enumerate(
+    for picture_index, fixed_combination in enumerate(
         itertools.islice(fixed_combinations, 12)
     ):  # of each quantity
         fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
         fixed_value_texts = [
-            f"{key_in_words(key)} {value_in_words(key, fixed_value)}"
-            for key, fixed_value in zip(fixed_keys, fixed_values, strict=True)
+            f"{key_in_words(key)} {value_in_words(key, axis_value)}"
+            for key, axis_value in zip(fixed_keys, fixed_combination, strict=True)
         ]
         for quantity_name, name_and_unit in sweep_result.quantities.items():
             picture_values = split_pictures(

@@ -399,8 +399,10 @@ class _AnimationPage:
             self.figure.draw_artist(artist)
         page_image = copy_canvas_image(self.canvas)
         plate_image = plate_image.reduce(2)
-        left, top = self.plate_corner
-        page_image.paste(plate_image, (left + (self.plate_size[0] - plate_image.width) // 2, top))
+        left_pixel, top_pixel = self.plate_corner
+        page_image.paste(
+            plate_image, (left_pixel + (self.plate_size[0] - plate_image.width) // 2, top_pixel)
+        )
         return page_image
 
     def _draw_legend(self, fields: PeriodFields) -> None:

@@ -155,8 +155,11 @@ def render_cropped_image(plotter: Any, points: np.ndarray) -> np.ndarray:
     image = plotter.screenshot(None, return_img=True)
     plotter.close()
     coloured_pixels = np.argwhere((image < 250).any(axis=2))
-    (top, left), (bottom, right) = coloured_pixels.min(axis=0), coloured_pixels.max(axis=0) + 1
-    return np.asarray(image[top:bottom, left:right])
+    (top_row, left_column), (bottom_row, right_column) = (
+        coloured_pixels.min(axis=0),
+        coloured_pixels.max(axis=0) + 1,
+    )
+    return np.asarray(image[top_row:bottom_row, left_column:right_column])
 
 
 # --- stresses -------------------------------------------------------------------------------------

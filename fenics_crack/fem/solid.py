@@ -359,9 +359,9 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
         )
     except solid_mesher.Refusal as refusal:
         refused_key, requirement = refusal.args
-        if (refused_value := _value_for_message(scene, refused_key)) is None:
+        if (message_value := _value_for_message(scene, refused_key)) is None:
             raise meshing_refusal(scene, requirement) from None
-        raise InputError(refused_key, refused_value, requirement) from None
+        raise InputError(refused_key, message_value, requirement) from None
     _check_cell_number(scene, unit, fronts)
     box_side_planes = [
         ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),

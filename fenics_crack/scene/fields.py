@@ -170,7 +170,7 @@ def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
 
 
 def _make_axes_reader(
-    axis_class: type[Axis], read_values: Callable[[str, object], tuple[Any, ...]]
+    axis_class: type[Axis], read_axis_values: Callable[[str, object], tuple[Any, ...]]
 ) -> Callable[[object], tuple[Axis, ...]]:
     """Return a function that reads axes from a mapping: names to values."""
 
@@ -179,7 +179,7 @@ def _make_axes_reader(
             return value
         raw_value_items = _require_instance(Mapping, value).items()
         return tuple(
-            axis_class(_read_string(name), read_values(name, raw_values))
+            axis_class(_read_string(name), read_axis_values(name, raw_values))
             for name, raw_values in raw_value_items
         )
 

@@ -439,12 +439,12 @@ def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Sc
         )
 
     if needs_mesh(scene):
-        for changed_key, changed_value in changes.items():
+        for changed_key, scene_value in changes.items():
             with suppress(InputError):  # keys that cannot change without another key
-                if needs_mesh(file_scene.replace({changed_key: changed_value})):
+                if needs_mesh(file_scene.replace({changed_key: scene_value})):
                     break
         raise InputError(
-            changed_key, changed_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
+            changed_key, scene_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
         )
     unavailable_quantities = [
         quantity_name

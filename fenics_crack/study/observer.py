@@ -441,15 +441,15 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
     periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
     turning_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
-    unpaired_values: list[float] = []
+    pending_points: list[float] = []
     cycles = []
     for value in periodic_values[[0, *turning_indices, -1]].tolist():
-        unpaired_values.append(value)
-        while len(unpaired_values) > 2 and abs(unpaired_values[-1] - unpaired_values[-2]) >= abs(
-            unpaired_values[-2] - unpaired_values[-3]
+        pending_points.append(value)
+        while len(pending_points) > 2 and abs(pending_points[-1] - pending_points[-2]) >= abs(
+            pending_points[-2] - pending_points[-3]
         ):
-            cycles.append((max(unpaired_values[-3:-1]), min(unpaired_values[-3:-1])))
-            del unpaired_values[-3:-1]
+            cycles.append((max(pending_points[-3:-1]), min(pending_points[-3:-1])))
+            del pending_points[-3:-1]
     return np.array(cycles).reshape(-1, 2)
 
 

@@ -79,11 +79,11 @@ class Worker:
         self._geometry_or_error: SweepGeometry | Exception | None = None
         """Last geometry, or the error from building it."""
 
-    def release_geometry(self, *, stopped: bool) -> None:
+    def release_geometry(self, *, is_stopped: bool) -> None:
         """Release the memory of the last geometry."""
         self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
-        collect_garbage(MPI.COMM_SELF, was_stopped=stopped)
+        collect_garbage(MPI.COMM_SELF, was_stopped=is_stopped)
 
     def run_job(
         self, job: Job, may_continue: Callable[[], bool]

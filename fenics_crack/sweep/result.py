@@ -181,7 +181,7 @@ def run_sweep(
                 managers[0].run(worker, job_comm, stop_request)
         else:
             serve_jobs(worker, job_comm)
-    worker.release_geometry(stopped=stop_request.is_requested(comm))
+    worker.release_geometry(is_stopped=stop_request.is_requested(comm))
     job_comm.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].sweep_header))
 

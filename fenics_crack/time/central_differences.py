@@ -120,8 +120,8 @@ def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarra
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
-        allowed = "a penalty with a tangential stiffness: crack faces have mass"
-        raise InputError("contact", contact, allowed)
+        requirement = "a penalty with a tangential stiffness: crack faces have mass"
+        raise InputError("contact", contact, requirement)
     return np.divide(1.0, softness, out=np.zeros_like(softness), where=softness > 0.0)
 
 

@@ -45,10 +45,10 @@ def test_curve_has_the_indicators_of_its_solutions(massless: bool) -> None:
         for index in (0, len(curve) // 2, -1):
             solution_indicators = curve.solution(index).indicators(dof)
             for name, value in solution_indicators.to_dict().items():
-                expected_value = pytest.approx(
+                expected_indicator = pytest.approx(
                     value, rel=5e-3, abs=5e-3 * solution_indicators.amplitude, nan_ok=True
                 )
-                assert getattr(curve_indicators, name)[index] == expected_value, name
+                assert getattr(curve_indicators, name)[index] == expected_indicator, name
     assert f"{len(curve)} points" in repr(curve_indicators)
     assert curve_indicators.table().columns[:2] == ["omega [rad/s]", "amplitude [m]"]
 

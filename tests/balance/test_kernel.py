@@ -309,9 +309,9 @@ def test_stiffness_follows_from_its_changes(pairs: int, harmonics: int, seed: in
     intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     stiffness = intervals.stiffness.copy()
     changes = zip(intervals.gains, intervals.vectors, strict=True)
-    for closed_set, change in zip(intervals.closed, [*changes, None], strict=True):
+    for closed_pairs, change in zip(intervals.closed, [*changes, None], strict=True):
         expected_stiffness = np.zeros((pairs, pairs))
-        closed_block = np.ix_(closed_set, closed_set)
+        closed_block = np.ix_(closed_pairs, closed_pairs)
         expected_stiffness[closed_block] = np.linalg.inv(compliance[closed_block])
         assert np.abs(stiffness - expected_stiffness).max() <= 1e-12 * max(
             1.0, np.abs(expected_stiffness).max()
@@ -329,12 +329,12 @@ def test_a_compliance_close_to_singular(stiffness: float) -> None:
     intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 200)
     values = evaluate_series(gap, 1.0, theta)
-    for value, closed_set in zip(values, closed_at(intervals, theta), strict=True):
+    for value, closed_pairs in zip(values, closed_at(intervals, theta), strict=True):
         force = np.zeros(40)
-        force[closed_set] = np.linalg.solve(
-            compliance[np.ix_(closed_set, closed_set)], value[closed_set]
+        force[closed_pairs] = np.linalg.solve(
+            compliance[np.ix_(closed_pairs, closed_pairs)], value[closed_pairs]
         )
-        assert np.all(force >= 0.0) and np.all((compliance @ force - value)[~closed_set] > -1e-9)
+        assert np.all(force >= 0.0) and np.all((compliance @ force - value)[~closed_pairs] > -1e-9)
     last_stiffness = (
         intervals.stiffness + (intervals.vectors.T * intervals.gains) @ intervals.vectors
     )

@@ -256,13 +256,13 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     time = np.linspace(0.0, solution.period, 1024, endpoint=False)
     gap, force = solution.gap(time), solution.contact_force(time)
     entries = solution.to_dict()
-    sampled_values = gap.max(), force.max(), np.ptp(solution.displacement(time, [1])) / 2.0
-    for exact, stored_value in zip(
+    sampled_maxima = gap.max(), force.max(), np.ptp(solution.displacement(time, [1])) / 2.0
+    for exact, entry in zip(
         (entries["penetration"], entries["contact_force"], solution.amplitude(1)),
-        sampled_values,
+        sampled_maxima,
         strict=True,
     ):
-        assert 0.0 < stored_value <= exact < stored_value * (1.0 + 1e-5)
+        assert 0.0 < entry <= exact < entry * (1.0 + 1e-5)
     assert entries["closed_share"] == np.mean(force > 0.0)
     free_linear_solution = fc.solve_linear(
         fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
@@ -340,11 +340,11 @@ def test_ranges_in_words() -> None:
 
 def test_units_that_read_well() -> None:
     """Three digits before the point at most."""
-    for largest_value, unit, factor, expected_unit in (
+    for magnitude, unit, factor, expected_unit in (
         (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
         (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
     ):  # fmt: skip
-        assert choose_unit_prefix(largest_value, unit) == (pytest.approx(factor), expected_unit)
+        assert choose_unit_prefix(magnitude, unit) == (pytest.approx(factor), expected_unit)
 
 
 def test_values_of_keys_in_words() -> None:

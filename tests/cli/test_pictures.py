@@ -183,10 +183,10 @@ def test_map(tmp_path: Path) -> None:
     """Cells without a value are grey; colours are logarithmic over large ranges."""
     x, y = np.linspace(1500.0, 4000.0, 8), np.linspace(0.02, 0.06, 5)
     words = {"title": "t", "x_label": "x", "y_label": "y", "value_label": "v [m]"}
-    rising_values = np.outer(np.ones(5), np.arange(1.0, 9.0))
-    steep, holes = 10.0**rising_values, rising_values.copy()
+    column_numbers = np.outer(np.ones(5), np.arange(1.0, 9.0))
+    steep, holes = 10.0**column_numbers, column_numbers.copy()
     holes[1:3, 2] = np.nan
-    for name, values in (("map", rising_values), ("map holes", holes), ("map steep", steep)):
+    for name, values in (("map", column_numbers), ("map holes", holes), ("map steep", steep)):
         fc.draw_map(x, y, values, path=tmp_path / f"{name}.png", **words)
         assert_drawn(tmp_path / f"{name}.png", (1050, 630))
     grey = (0xB5, 0xB5, 0xB5)

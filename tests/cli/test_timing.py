@@ -75,8 +75,8 @@ def test_what_probes_cannot_tell(tmp_path: Path, timing: RunCommand) -> None:
     harmonics that are left out, of which eight probes see one number, and twelve five."""
     scene = written(tmp_path, {"tip_timing.noise": 1e-8, "tip_timing.orders": [5, 6, 7, 8]})
     exact = ["harmonic_balance.harmonics=9"]
-    folding_warning = "warning: harmonics that are not fitted may be folded onto the fitted ones"
-    assert folding_warning in timing(scene, sets=exact).err
+    warning_text = "warning: harmonics that are not fitted may be folded onto the fitted ones"
+    assert warning_text in timing(scene, sets=exact).err
     exact += [f"tip_timing.probes={sorted([*PROBES, 48.0, 122.0, 171.0, 332.0])}"]
     process = timing(scene, sets=exact)
     assert "arrivals of 20 revolutions, 12 probes, 360 rad/s: " in process.err
@@ -129,13 +129,13 @@ def test_a_result_of_another_scene(tmp_path: Path, timing: RunCommand) -> None:
     """Its arrivals are of its own scene; a warning has what differs here, but for what is
     looked at and sought."""
     scene, result = solved(tmp_path), tmp_path / "solution.h5"
-    expected_warning = (
+    warning_text = (
         "warning: the arrivals are those of a result with excitation.omega = 1800 rad/s; the "
     )
-    expected_warning += "vibration is sought by this scene, which has excitation.omega = 1500 rad/s"
+    warning_text += "vibration is sought by this scene, which has excitation.omega = 1500 rad/s"
     for change in ("tip_timing.order=4", 'output.quantities=["opening"]', "excitation.omega=1500"):
         message = " ".join(timing(scene, result, sets=[change]).err.split())
-        assert (expected_warning in message) == change.startswith("excitation")
+        assert (warning_text in message) == change.startswith("excitation")
     assert "this scene" not in timing(scene).err
 
 

@@ -359,11 +359,11 @@ def test_branch_only_from_where_one_begins() -> None:
     curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6)
     with pytest.raises(fc.InputError, match="fold"):
         fc.follow_branch(curve, curve.bifurcations[0])
-    false_doubling = replace(curve.bifurcations[0], kind="period_doubling")
+    renamed_bifurcation = replace(curve.bifurcations[0], kind="period_doubling")
     for call, words in (
-        (lambda: fc.follow_branch(curve, false_doubling, 1.9, 2.0), "either side"),
-        (lambda: fc.follow_branch(curve, false_doubling, harmonics=7), "harmonics"),
-        (lambda: fc.follow_branch(curve, false_doubling, step=0.1), "step"),
+        (lambda: fc.follow_branch(curve, renamed_bifurcation, 1.9, 2.0), "either side"),
+        (lambda: fc.follow_branch(curve, renamed_bifurcation, harmonics=7), "harmonics"),
+        (lambda: fc.follow_branch(curve, renamed_bifurcation, step=0.1), "step"),
     ):
         with pytest.raises(fc.InputError, match=words):
             call()

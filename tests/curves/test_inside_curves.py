@@ -224,9 +224,9 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     recorded_controls: list[np.ndarray] = []
 
     class Watched(MultiplierStepControl):
-        def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
+        def mark_rejected_steps(self, points: Any, first_index: int = 0) -> np.ndarray:
             recorded_controls.append(points.step_control_values[-1])
-            return np.zeros(len(points) - 1 - first, dtype=bool)
+            return np.zeros(len(points) - 1 - first_index, dtype=bool)
 
     path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
     for stretch in path:
@@ -250,7 +250,7 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
     class ShortBehind(MultiplierStepControl):
         bound = longest_step
 
-        def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
+        def mark_rejected_steps(self, points: Any, first_index: int = 0) -> np.ndarray:
             ends = points.parameters
             is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
             n_kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
@@ -261,7 +261,7 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
                 self.bound = 0.5 * points.chord_lengths[n_kept]
             kept_points.append(ends[:n_kept])
             kept_counts.append(int(n_kept) if is_long.any() else 0)
-            return is_long[first:]
+            return is_long[first_index:]
 
     options = PathOptions(longest_step, longest_step, max_steps=12)
     path = Path(family, start, options, [], ShortBehind(longest_step))
@@ -287,12 +287,12 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
     class OnceBesideCrossing(MultiplierStepControl):
         is_done = False
 
-        def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
+        def mark_rejected_steps(self, points: Any, first_index: int = 0) -> np.ndarray:
             is_long = np.zeros(len(points) - 1, dtype=bool)
             places = np.flatnonzero(points.crosses_branch[:-1])
             if len(places) and not self.is_done:
                 is_long[places[0] - points_before] = self.is_done = True
-            return is_long[first:]
+            return is_long[first_index:]
 
     for is_undisturbed in (True, False):
         control = OnceBesideCrossing(0.05)

@@ -246,10 +246,10 @@ def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> l
     for column, values in enumerate(matrix.T, 1):
         nonzero_rows = np.flatnonzero(values)
         if layout == "dense":
-            kept_values = values[nonzero_rows[0] : nonzero_rows[-1] + 1]
+            nonzero_run = values[nonzero_rows[0] : nonzero_rows[-1] + 1]
             lines += [
-                f"{column:8}{nonzero_rows[0] + 1:8}{len(kept_values):8}",
-                *numbers(kept_values),
+                f"{column:8}{nonzero_rows[0] + 1:8}{len(nonzero_run):8}",
+                *numbers(nonzero_run),
             ]
             continue
         strings = np.split(nonzero_rows, np.flatnonzero(np.diff(nonzero_rows) > 1) + 1)

@@ -259,10 +259,10 @@ def write_and_solve(scene: Scene, folder: str, comm: MPI.Comm) -> np.ndarray:
 def test_on_two_ranks(paper_scene: Scene, tmp_path: Path, on_ranks: Callable[..., Any]) -> None:
     """The first one writes the rows of both."""
     scene = paper_scene.replace(PLATES["friction"])
-    shared_results = on_ranks(write_and_solve, scene, str(tmp_path))
+    numbers_on_ranks = on_ranks(write_and_solve, scene, str(tmp_path))
     read_scene = Scene.load(tmp_path / "matrices.toml")
     assert fc.solve_modes(fc.build_structure(read_scene), 6).omega == pytest.approx(
-        shared_results, rel=1e-9
+        numbers_on_ranks, rel=1e-9
     )
     own_gap, read_gap = (solved(part).gap_coefficients for part in (scene, read_scene))
     assert np.abs(read_gap - own_gap).max() < 1e-6 * np.abs(own_gap).max()

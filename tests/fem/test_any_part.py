@@ -285,5 +285,5 @@ def test_a_half_ellipse_in_a_pulled_plate(folder: Path, radii: tuple[float, floa
     solution = fc.stress_intensity(fc.solve(scene, MPI.COMM_SELF))
     half_length, depth = map(np.array, radii)
     sines = [(0.006 - point[2]) / depth for point in solution.points[1:-1]]
-    expected = [newman_raju(depth, half_length, sine, PULL, 0.0) for sine in sines]
-    np.testing.assert_allclose(solution.largest[1:-1], expected, rtol=0.05)
+    newman_raju_values = [newman_raju(depth, half_length, sine, PULL, 0.0) for sine in sines]
+    np.testing.assert_allclose(solution.largest[1:-1], newman_raju_values, rtol=0.05)

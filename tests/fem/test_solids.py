@@ -283,12 +283,12 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
         solid_cells = cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
-        own_sharing = sharing(nodes, np.concatenate([places, places[twins]]))
+        sharing_by_program = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
             gmsh.plugin.setNumber("Crack", name, value)
         gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", mouth[0] if mouth else 0)
         gmsh.plugin.run("Crack")
-        assert own_sharing == sharing(*cells_of_model())
+        assert sharing_by_program == sharing(*cells_of_model())
     (crack_surface,) = find_crack_surfaces(
         *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
     )
@@ -599,12 +599,12 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
             face = geo.addPlaneSurface([geo.addCurveLoop(sides)])
             geo.mesh.setTransfiniteSurface(face)
             geo.mesh.setRecombine(2, face)
-            extruded = geo.extrude(
+            extruded_entities = geo.extrude(
                 [(2, face)], 0.0, 0.0, THICKNESS, numElements=[2], recombine=True
             )
-            groups["solid"].append(extruded[1][1])
-            groups["clamp"] += [extruded[2][1]] * (j == 0)
-            groups["crack"] += [extruded[4][1]] * (i == j == 0)
+            groups["solid"].append(extruded_entities[1][1])
+            groups["clamp"] += [extruded_entities[2][1]] * (j == 0)
+            groups["crack"] += [extruded_entities[4][1]] * (i == j == 0)
         geo.synchronize()
         for name, tags in groups.items():
             dimension = 3 if name == "solid" else 2

@@ -108,11 +108,11 @@ def test_result_comes_back(name: str, tmp_path: Path) -> None:
     """Every field, and what is computed from them."""
     result, path = RESULTS[name](), tmp_path / f"{name}.h5"
     result.save(path)
-    read_result = type(result).load(path)
-    assert same(result, read_result) and repr(read_result) == repr(result)
-    assert read_result.table().rows == result.table().rows or "nan" in str(result.table().rows)
-    if isinstance(result, fc.Campbell) and isinstance(read_result, fc.Campbell):
-        assert read_result.crossings(1, "real") == pytest.approx(
+    result_of_file = type(result).load(path)
+    assert same(result, result_of_file) and repr(result_of_file) == repr(result)
+    assert result_of_file.table().rows == result.table().rows or "nan" in str(result.table().rows)
+    if isinstance(result, fc.Campbell) and isinstance(result_of_file, fc.Campbell):
+        assert result_of_file.crossings(1, "real") == pytest.approx(
             result.crossings(1, "real"), rel=1e-9
         )
     with h5py.File(path) as file:

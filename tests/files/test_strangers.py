@@ -307,8 +307,8 @@ def same(one: dict, other: dict) -> bool:
 def content_of(path: Path) -> dict[str, object]:
     """Return all that a file holds, by its names."""
     if path.name != "sweep.h5":
-        stored_result = read_result_file(path)
-        return stored_result.datasets | stored_result.attributes
+        result_file = read_result_file(path)
+        return result_file.datasets | result_file.attributes
     sweep = SweepResult.load(path)
     return sweep.columns | {f"gap {case}": sweep.gap(case) for case in range(4)}
 

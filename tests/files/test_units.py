@@ -100,8 +100,8 @@ def test_without_watched_dofs(tmp_path: Path) -> None:
     fc.save(solution, path)
     with h5py.File(path) as file:
         assert "watched" not in file and file["gap_coefficients"].attrs["unit"] == "m"
-    stored_result = fc.load(path, structure)
-    assert isinstance(stored_result, fc.PeriodicSolution) and stored_result.omega == 1.3
+    result_of_file = fc.load(path, structure)
+    assert isinstance(result_of_file, fc.PeriodicSolution) and result_of_file.omega == 1.3
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def test_a_law_of_ones_own_is_known_by_its_forces(tmp_path: Path) -> None:
     for name, result in (("solution", solution), ("curve", curve)):
         path = tmp_path / f"{name}.h5"
         fc.save(result, path)
-        stored_result: Any = fc.load(path, structure, Hardening(1.0))
-        assert np.array_equal(stored_result.gap_coefficients, result.gap_coefficients)
+        result_of_file: Any = fc.load(path, structure, Hardening(1.0))
+        assert np.array_equal(result_of_file.gap_coefficients, result.gap_coefficients)
         with pytest.raises(fc.InputError, match="its forces are others"):
             fc.load(path, structure, Hardening(0.5))

@@ -319,10 +319,10 @@ def test_complementarity_where_active_sets_cycle() -> None:
             visited_sets.add(is_closed.tobytes())
             force = np.zeros(4)
             force[is_closed] = np.linalg.solve(matrix[np.ix_(is_closed, is_closed)], gap[is_closed])
-            next_closed = np.where(is_closed, force > 0.0, matrix @ force - gap < 0.0)
-            if np.array_equal(next_closed, is_closed):
+            is_closed_next = np.where(is_closed, force > 0.0, matrix @ force - gap < 0.0)
+            if np.array_equal(is_closed_next, is_closed):
                 break
-            is_closed = next_closed
+            is_closed = is_closed_next
         else:
             n_cycles += 1
             force = solve_complementarity(matrix, gap)
@@ -485,12 +485,12 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
     """Nothing is computed again, whichever asks first; the damping is the varied one."""
     structure = chain(damping)
     half = structure.varied(damping=0.5, load=3.0)
-    undamped, shifted = half.varied(damping=0.0), structure.varied(clearance=0.1)
+    undamped_copy, shifted_copy = half.varied(damping=0.0), structure.varied(clearance=0.1)
     matrix = dense_matrices(structure)[1]
     half_modes = all_modes(half)
     assert eigensolutions
     del eigensolutions[:]
-    for copy, factor in ((structure, 1.0), (half, 0.5), (undamped, 0.0), (shifted, 1.0)):
+    for copy, factor in ((structure, 1.0), (half, 0.5), (undamped_copy, 0.0), (shifted_copy, 1.0)):
         modes = all_modes(copy)
         assert modes.shapes is half_modes.shapes and modes.gaps_by_mode is half_modes.gaps_by_mode
         modal_matrix = factor * modes.shapes.T @ matrix @ modes.shapes

@@ -308,10 +308,10 @@ def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -
     varied_plate = reduce_structure(wide_plate, modes=6, method="massless").varied(
         load=load, clearance=1e-6
     )
-    redamped = varied_plate.damped(ModalDamping(0.1))
-    np.testing.assert_array_equal(redamped.force, varied_plate.force)
-    np.testing.assert_array_equal(redamped.clearance, varied_plate.clearance)
-    assert str(redamped).endswith("modal damping 10 %)")
+    redamped_plate = varied_plate.damped(ModalDamping(0.1))
+    np.testing.assert_array_equal(redamped_plate.force, varied_plate.force)
+    np.testing.assert_array_equal(redamped_plate.clearance, varied_plate.clearance)
+    assert str(redamped_plate).endswith("modal damping 10 %)")
 
 
 # --- computed once --------------------------------------------------------------------------------

@@ -483,5 +483,7 @@ def test_same_on_two_ranks(cells: str, on_ranks: Callable[..., Any], paper_scene
         length = {"crack.length": 0.0428, "crack.first_omega": None}
         scene = fc.Scene.load(DEMOS / "breathing_plate.toml").replace(length)
     parallel = on_ranks(massless_numbers, scene)
-    for shared, serial in zip(parallel, massless_numbers(scene, MPI.COMM_SELF), strict=True):
-        assert relative(shared, serial) < 1e-8
+    for array_of_ranks, array_of_one_rank in zip(
+        parallel, massless_numbers(scene, MPI.COMM_SELF), strict=True
+    ):
+        assert relative(array_of_ranks, array_of_one_rank) < 1e-8

@@ -346,8 +346,10 @@ def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[.
     changes = {"mesh.columns": 6, "mesh.rows": 6, "damping.ratio": 0.01, "damping.modes": 8}
     scene = paper_scene.replace(changes)
     parallel = on_ranks(reductions, scene)
-    for shared, serial in zip(parallel, reductions(scene, MPI.COMM_SELF), strict=True):
-        assert relative(shared, serial) < 1e-7
+    for array_of_ranks, array_of_one_rank in zip(
+        parallel, reductions(scene, MPI.COMM_SELF), strict=True
+    ):
+        assert relative(array_of_ranks, array_of_one_rank) < 1e-7
 
 
 def test_all_modes_damped_whatever_the_mesh() -> None:

@@ -528,10 +528,10 @@ def test_varied(damping: Any) -> None:
         structure.clearance.copy(),
         structure.damping,
     )
-    varied_once = structure.varied(load=2.0, damping=3.0, clearance=1e-3)
-    varied_twice = varied_once.varied(load=-0.5, damping=0.5, clearance=np.array([0.0, 1.0]))
+    varied_structure = structure.varied(load=2.0, damping=3.0, clearance=1e-3)
+    varied_twice = varied_structure.varied(load=-0.5, damping=0.5, clearance=np.array([0.0, 1.0]))
     for copy, load, factor, added_clearance in (
-        (varied_once, 2.0, 3.0, [1e-3, 1e-3]),
+        (varied_structure, 2.0, 3.0, [1e-3, 1e-3]),
         (varied_twice, -1.0, 1.5, [1e-3, 1.001]),
     ):
         assert copy.body is structure.body and copy.mass is structure.mass
@@ -552,8 +552,8 @@ def test_varied(damping: Any) -> None:
     np.testing.assert_array_equal(structure.clearance, clearance)
     assert structure.damping is damping_before and structure.original is structure
     assert (
-        varied_once.original.damping is damping_before
-        and varied_once.original.force is structure.force
+        varied_structure.original.damping is damping_before
+        and varied_structure.original.force is structure.force
     )
 
 

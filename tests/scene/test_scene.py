@@ -277,10 +277,8 @@ def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
     assert error.key == key
     table, _, leaf = key.partition(".")
     given_table = changed(changes).get(table)
-    expected_value = (
-        given_table.get(leaf) if leaf and isinstance(given_table, dict) else given_table
-    )
-    assert repr(error.value) == repr(expected_value)
+    value_text = given_table.get(leaf) if leaf and isinstance(given_table, dict) else given_table
+    assert repr(error.value) == repr(value_text)
     assert error.allowed
     text = str(error)
     assert error.key in text and error.allowed.removeprefix("left out") in text

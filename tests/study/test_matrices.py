@@ -62,8 +62,8 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
             ),
         ],
     ]
-    for expected_value, actual_value in pairs:
-        assert relative(actual_value, expected_value) < 1e-9
+    for plate_array, matrices_array in pairs:
+        assert relative(matrices_array, plate_array) < 1e-9
     time = {"integration.periods": 3}
     histories = [
         fc.integrate(source_scene.replace(time), comm).result for source_scene in (plate, scene)
@@ -158,12 +158,12 @@ def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> N
         "contact": {"stiffness": 1e5}, "harmonic_balance": {"harmonics": 40},
     }  # fmt: skip
     scene = scene_of_matrices(tmp_path, matrices, tables)
-    marched_result, solved_result = (
+    time_history, orbit_solution = (
         way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve)
     )
-    assert marched_result.settled < 1e-4
-    assert marched_result.indicators(0).amplitude == pytest.approx(
-        solved_result.amplitude(0), rel=1e-3
+    assert time_history.settled < 1e-4
+    assert time_history.indicators(0).amplitude == pytest.approx(
+        orbit_solution.amplitude(0), rel=1e-3
     )
     with pytest.raises(InputError, match=r"crack\.first_omega"):
         fc.find_crack_length(scene, MPI.COMM_SELF)

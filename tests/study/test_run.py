@@ -71,8 +71,8 @@ def test_pictures_of_lips_without_mass(scene: fc.Scene, tmp_path: Path) -> None:
     modes = fc.solve_modes(run.structure, 3)
     fc.write_modes(modes, tmp_path / "modes.vtu")
     fc.save(modes, tmp_path / "modes.h5")
-    stored_result = fc.load(tmp_path / "modes.h5", run.structure)
-    np.testing.assert_allclose(stored_result.omega, fc.solve_modes(run.structure.whole, 3).omega)
+    modes_of_file = fc.load(tmp_path / "modes.h5", run.structure)
+    np.testing.assert_allclose(modes_of_file.omega, fc.solve_modes(run.structure.whole, 3).omega)
 
 
 @laws

@@ -93,7 +93,8 @@ def changes(scene: fc.Scene, run: fc.Run) -> dict[str, float]:
     """Relative changes of a run's numbers in another scene."""
     values = numbers_of(fc.solve(scene, MPI.COMM_SELF))
     return {
-        name: abs(values[name] / own_value - 1.0) for name, own_value in numbers_of(run).items()
+        name: abs(values[name] / number_of_run - 1.0)
+        for name, number_of_run in numbers_of(run).items()
     }
 
 
@@ -156,9 +157,9 @@ def test_a_solid_at_half_of_a_resonance_and_below_it(
     more of the kind)."""
     scene = fc.Scene.from_text(THROUGH).replace({"excitation.frequency": frequency})
     run = fc.solve(scene, MPI.COMM_SELF)
-    for name, right_value in {"amplitude": amplitude, "opening": opening}.items():
+    for name, true_number in {"amplitude": amplitude, "opening": opening}.items():
         true_error, (stated_error, cause) = (
-            abs(right_value / run.errors.values[name] - 1.0),
+            abs(true_number / run.errors.values[name] - 1.0),
             run.errors.stated(name),
         )
         assert cause == "mesh" and 0.2 < true_error / stated_error < 1.5, name

@@ -60,8 +60,8 @@ def test_modes_are_chosen(
     time = np.linspace(0.0, solution.period, 400)
     assert relative(solution.gap(time), exact.gap(time)) < 2.0 * tolerance
     fc.save(solution, tmp_path / "solution.h5", run.scene)
-    stored_result = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
-    assert relative(stored_result.gap(time), solution.gap(time)) < 1e-9
+    solution_of_file = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
+    assert relative(solution_of_file.gap(time), solution.gap(time)) < 1e-9
 
 
 def test_modes_of_the_scene_stay(paper_scene: fc.Scene) -> None:

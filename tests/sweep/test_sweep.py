@@ -115,14 +115,14 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
         corner = plate.find_dof((0.1, 0.1), "x")
         motion, gap = solution.displacement(time_, [corner]), solution.gap(time_)
         force, indicators = solution.contact_force(time_), solution.indicators(corner)
-        for name, exact, sampled_value in (
+        for name, exact, table_number in (
             ("response", indicators.amplitude, np.ptp(motion) / 2.0),
             ("opening", indicators.opening, -gap.min()),
             ("penetration", indicators.penetration, gap.max()),
             ("contact_force", indicators.contact_force, force.max()),
         ):
             assert result[name][index] == pytest.approx(exact, rel=1e-8)
-            assert result[name][index] == pytest.approx(sampled_value, rel=tolerance)
+            assert result[name][index] == pytest.approx(table_number, rel=tolerance)
         assert result["closed_share"][index] == pytest.approx(np.mean(force > 0), abs=1.5 / 1024)
         truncation = solution.report.truncation
         assert result["truncation_error"][index] == pytest.approx(truncation, rel=1e-6)
@@ -175,12 +175,12 @@ def test_loads_and_clearances_are_swept_without_a_new_geometry(
         load_motion = motion @ force / np.linalg.norm(force)
         assert result["response"][index] == pytest.approx(np.ptp(load_motion) / 2.0, rel=close)
         for name, *more_arguments in (("gap",), ("contact_force",), ("displacement", components)):
-            first_values, second_values = (
+            motion_by_hand, motion_of_file = (
                 getattr(compared_solution, name)(instants, *more_arguments)
                 for compared_solution in (solution, stored_solution)
             )
             np.testing.assert_allclose(
-                second_values, first_values, atol=10.0 * close * np.ptp(first_values)
+                motion_of_file, motion_by_hand, atol=10.0 * close * np.ptp(motion_by_hand)
             )
         assert stored_solution.structure.clearance[0] == LOADS["crack.clearance"][index[1]]
         assert stored_solution.contact == solution.contact

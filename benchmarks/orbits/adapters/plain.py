@@ -36,8 +36,8 @@ def solve(problem: Problem) -> Answer:
     )
     if is_converged:
         start = np.vstack([rows, np.zeros((2 * HARMONICS, rows.shape[1]))])
-        finer_rows, finer_converged, _ = balanced(problem, 2 * HARMONICS, start)
-        if finer_converged:
+        finer_rows, has_converged_finer, _ = balanced(problem, 2 * HARMONICS, start)
+        if has_converged_finer:
             gap_change = np.linalg.norm(problem.gap(finer_rows) - answer.gap)
             answer.error = float(gap_change / np.linalg.norm(answer.gap - answer.gap.mean(axis=0)))
     return answer

@@ -491,11 +491,11 @@ def solve_forward(
         for unknown_axis in unknown_axes
         if not unknown_axis.key.startswith(("crack.", "contact."))
     ]
-    uncracked_result = sweeper.run(
+    uncracked_sweep = sweeper.run(
         "uncracked", sweeper.coarse_scene.replace(removal_changes), uncracked_axes
     )
     uncracked_sweeps = sweeper.run_check_sweeps(
-        "uncracked", removal_changes, uncracked_axes, uncracked_result
+        "uncracked", removal_changes, uncracked_axes, uncracked_sweep
     )
     model_maps = (
         _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
@@ -570,15 +570,17 @@ class _ForwardSweeper:
         refined_axis: Axis,
     ) -> SweepResult:
         """Return a sweep with the further values of a refined axis (collective)."""
-        solved_values = unknown_axes[axis_index].values
+        values_solved_before = unknown_axes[axis_index].values
         added_axis_values = tuple(
-            axis_value for axis_value in refined_axis.values if axis_value not in solved_values
+            axis_value
+            for axis_value in refined_axis.values
+            if axis_value not in values_solved_before
         )
         added_axes = [*self.mesh_axes, *unknown_axes]
         axis_index += len(self.mesh_axes)
         added_axes[axis_index] = Axis(refined_axis.key, added_axis_values)
-        added_result = self.run("forward", self.coarse_scene, added_axes)
-        return _join_sweeps(sweep_result, added_result, axis_index)
+        added_sweep = self.run("forward", self.coarse_scene, added_axes)
+        return _join_sweeps(sweep_result, added_sweep, axis_index)
 
     def run_check_sweeps(
         self,

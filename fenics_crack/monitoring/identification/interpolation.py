@@ -250,7 +250,7 @@ def _fill_unknown_nodes(
 
     Returns
     -------
-    filled_values : (n, q)
+    gapless_node_values : (n, q)
         0 for quantities without enough nodes.
     has_enough_nodes : (q,) bool
     fill_errors : (n, q)
@@ -261,14 +261,14 @@ def _fill_unknown_nodes(
     has_enough_nodes = is_known.all(axis=0) | (
         (is_known.sum(axis=0) >= min_known_nodes) & (n_unknowns > 0)
     )
-    filled_values = np.where(is_known & has_enough_nodes, node_values, 0.0)
-    fill_errors = np.zeros_like(filled_values)
+    gapless_node_values = np.where(is_known & has_enough_nodes, node_values, 0.0)
+    fill_errors = np.zeros_like(gapless_node_values)
     for quantity_index in np.flatnonzero(has_enough_nodes & ~is_known.all(axis=0)):
         is_known_node, quantity_values = is_known[:, quantity_index], node_values[:, quantity_index]
         scaled_nodes = (unknown_grid.nodes - unknown_grid.lower_bounds) / (
             unknown_grid.upper_bounds - unknown_grid.lower_bounds
         )
-        filled_values[~is_known_node, quantity_index] = _interpolate_thin_plate(
+        gapless_node_values[~is_known_node, quantity_index] = _interpolate_thin_plate(
             scaled_nodes[is_known_node],
             quantity_values[is_known_node],
             scaled_nodes[~is_known_node],
@@ -285,7 +285,7 @@ def _fill_unknown_nodes(
             fill_errors[unknown_node, quantity_index] = (
                 quantity_values[nearest_node] - nearest_estimate[0]
             )
-    return filled_values, has_enough_nodes, fill_errors
+    return gapless_node_values, has_enough_nodes, fill_errors
 
 
 def _interpolate_thin_plate(

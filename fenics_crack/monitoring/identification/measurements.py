@@ -268,13 +268,13 @@ class Measurements(Tabular):
             measurement.name for measurement in self.rows if measurement.quantity != "displacement"
         )
         if repeated_names := [name for name, name_count in count_by_name.items() if name_count > 1]:
-            repeated_values = [
+            repeated_rows = [
                 measurement.value
                 for measurement in self.rows
                 if measurement.name == repeated_names[0]
             ]
             allowed_text = "one value, the mean, with the standard deviation of that"
-            raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
+            raise InputError(f"measurements, {repeated_names[0]}", repeated_rows, allowed_text)
 
     @classmethod
     def from_arrays(

@@ -748,18 +748,18 @@ class MeasurementPredictor:
                 np.where(is_zero_feature, 0.0, feature_array)
                 for feature_array in (feature_values, interpolation_variances)
             )
-        predicted_values, complex_slopes, common_errors, independent_variances = (
+        predictions, complex_slopes, common_errors, independent_variances = (
             self._predict_all_but_displacements(
                 feature_prediction.damping_ratios, feature_values, smoothing_factors, face_state
             )
         )
-        predicted_values *= self.baseline_changes.temperature_factors
-        load_change_blocks = [np.zeros((*predicted_values.shape, 0))]
+        predictions *= self.baseline_changes.temperature_factors
+        load_change_blocks = [np.zeros((*predictions.shape, 0))]
         omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
         for probe_group in self._probe_groups:
             row_indices = probe_group.row_indices
             feature_indices = self._feature_indices_by_row[row_indices[0]]
-            predicted_values[:, row_indices], real_slopes, load_changes, load_sizes = (
+            predictions[:, row_indices], real_slopes, load_changes, load_sizes = (
                 probe_group.fit_harmonics(feature_values[:, feature_indices])
             )
             mean_squares = (
@@ -780,7 +780,7 @@ class MeasurementPredictor:
             complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
                 real_slopes / smoothing_factors[:, None, feature_indices]
             )
-            group_changes = np.zeros((*predicted_values.shape, load_changes.shape[2]))
+            group_changes = np.zeros((*predictions.shape, load_changes.shape[2]))
             group_changes[:, row_indices] = load_changes
             load_change_blocks.append(group_changes)
         complex_slopes[:, ~self.is_predictable] = 0.0
@@ -792,17 +792,14 @@ class MeasurementPredictor:
             + omitted_covariance
         )
         shared_errors = np.concatenate(
-            [predicted_values[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
+            [predictions[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
         )
         covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
             :, :, None
         ] * np.eye(len(self.rows))
-        predicted_values = np.where(self.is_predictable, predicted_values, np.nan)
+        predictions = np.where(self.is_predictable, predictions, np.nan)
         return MeasurementPrediction(
-            predicted_values,
-            covariance,
-            np.concatenate(load_change_blocks, axis=2),
-            self.is_predictable,
+            predictions, covariance, np.concatenate(load_change_blocks, axis=2), self.is_predictable
         )
 
     def _estimate_omitted_harmonics(
@@ -905,9 +902,9 @@ class MeasurementPredictor:
                 / smoothing_factors
             )
         size_slopes = np.where(is_natural_frequency, feature_sizes / smoothing_factors, size_slopes)
-        predicted_values, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
-        common_errors = np.zeros((*predicted_values.shape, 1 + N_LOWEST_MODES))
-        complex_slopes = np.zeros((*predicted_values.shape, len(self._features)), dtype=complex)
+        predictions, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
+        common_errors = np.zeros((*predictions.shape, 1 + N_LOWEST_MODES))
+        complex_slopes = np.zeros((*predictions.shape, len(self._features)), dtype=complex)
         identify_table = self.model.identify_table
         resonance_deviation = self.model.identify_table.resonance_deviation
         for row_index, (row, feature_indices) in enumerate(
@@ -921,7 +918,7 @@ class MeasurementPredictor:
             state_index = (
                 RESONANCE_STATES.index(row_face_state.resonance_state) if row.resonance else 0
             )
-            predicted_values[:, row_index], row_size_slopes = _combine_features(
+            predictions[:, row_index], row_size_slopes = _combine_features(
                 row, feature_sizes[:, feature_indices], state_index
             )
             complex_slopes[:, row_index, feature_indices] = (
@@ -930,7 +927,7 @@ class MeasurementPredictor:
             if row.resonance:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
-                damping_shift = predicted_values[:, row_index] * damping_ratios[:, 0] ** 2
+                damping_shift = predictions[:, row_index] * damping_ratios[:, 0] ** 2
                 common_errors[:, row_index, 0] = row_face_state.common_deviation * frequency_split
                 mode_deviation = (
                     identify_table.first_resonance_deviation
@@ -949,7 +946,7 @@ class MeasurementPredictor:
             complex_slopes[:, :, uncracked_index] += (
                 complex_slopes[:, :, row_face_state] * smoothing_factors[:, None, row_face_state]
             )
-        return predicted_values, complex_slopes, common_errors, independent_variances
+        return predictions, complex_slopes, common_errors, independent_variances
 
     def _collect_feature_errors(
         self,

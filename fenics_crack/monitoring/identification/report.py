@@ -33,14 +33,14 @@ class IdentificationOutput:
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
-    def of(cls, stored_result: StoredFile) -> IdentificationOutput:
+    def of(cls, stored_file: StoredFile) -> IdentificationOutput:
         """Take a stored result, and the picture beside its file.
 
         Raises LookupError for files of older versions, and InputError without the picture.
         """
-        picture_path = stored_result.path.with_name("posterior.png")
-        with stored_result.checked_datasets() as data_by_name:
-            scene, summary = stored_result.scene(), json.loads(data_by_name["summary"])
+        picture_path = stored_file.path.with_name("posterior.png")
+        with stored_file.checked_datasets() as data_by_name:
+            scene, summary = stored_file.scene(), json.loads(data_by_name["summary"])
             if scene is None:
                 raise LookupError("scene")
             if "priors" not in summary:
@@ -50,7 +50,7 @@ class IdentificationOutput:
             picture_bytes = read_regular_file(picture_path, follows_links=False)
         if not picture_bytes.startswith(PNG_SIGNATURE):
             raise InputError(
-                "result", str(stored_result.path), f"with {picture_path.name} in its folder"
+                "result", str(stored_file.path), f"with {picture_path.name} in its folder"
             )
         return cls(scene, summary, picture_path)
 

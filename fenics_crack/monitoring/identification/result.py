@@ -124,13 +124,13 @@ def rank_measurements(
         candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
     n_measured = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
-    predicted_values = predictor(x[None]).values[0]
+    predictions = predictor(x[None]).values[0]
     candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     if measurements is None:
         candidate_deviations = _assume_deviations(
-            candidate_rows, predicted_values[n_measured:], deviations
+            candidate_rows, predictions[n_measured:], deviations
         )
-    is_usable = np.isfinite(predicted_values[n_measured:]) & (candidate_deviations > 0.0)
+    is_usable = np.isfinite(predictions[n_measured:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
         [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
     )
@@ -162,7 +162,7 @@ def rank_measurements(
         tuple(
             replace(
                 candidate_rows[candidate_index],
-                value=float(predicted_values[n_measured + candidate_index]),
+                value=float(predictions[n_measured + candidate_index]),
                 deviation=float(candidate_deviations[candidate_index]),
             )
             for candidate_index in ranked_indices
@@ -180,7 +180,7 @@ def rank_measurements(
 
 def _assume_deviations(
     candidate_rows: Sequence[Measurement],
-    predicted_values: np.ndarray,
+    predictions: np.ndarray,
     relative_deviations: tuple[float, float],
 ) -> np.ndarray:
     """Return the deviations assumed for default candidates (n,).
@@ -194,7 +194,7 @@ def _assume_deviations(
     row_relative_deviations = np.where(
         [measurement.natural for measurement in candidate_rows], *relative_deviations
     )
-    return np.where(is_at_probe, own_deviations, row_relative_deviations * predicted_values)
+    return np.where(is_at_probe, own_deviations, row_relative_deviations * predictions)
 
 
 def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
@@ -675,17 +675,17 @@ class Identification(Tabular):
         branch, x = self._estimate_branch_and_unknowns
         likelihood = branch.likelihood
         prediction = likelihood.predict_most_probable(x)
-        predicted_values = prediction.values[0]
+        predictions = prediction.values[0]
         model_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
-        residuals = (likelihood.measurement_values - predicted_values) / np.hypot(
+        residuals = (likelihood.measurement_values - predictions) / np.hypot(
             likelihood.measurement_deviations, model_deviations
         )
         table_columns = (
             likelihood.measurement_values,
             likelihood.measurement_deviations,
-            predicted_values,
+            predictions,
             model_deviations,
             residuals,
         )

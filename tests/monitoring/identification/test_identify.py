@@ -198,19 +198,18 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     """A crack that rests on one measurement, of a mode that was taken for another or is wrong, is
     reported; one that all of them show is not."""
     plain_rows = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
-    lower_values = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain_rows.rows]
-    pairs = zip(plain_rows.rows, lower_values, strict=True)
+    measured_values = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain_rows.rows]
+    pairs = zip(plain_rows.rows, measured_values, strict=True)
     measurements = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
     cracked_rows = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4))
     either_text = (
         "frequency_bilinear of mode 3 or frequency_uncracked of mode 3: measure these again"
     )
-    expected_warning = f"a plate without a crack explains all but {either_text}"
+    warning_start = f"a plate without a crack explains all but {either_text}"
     for rows, alone in ((measurements, True), (cracked_rows, False)):
         identification = fc.identify(scene, rows + before(plain_rows), folder=folder)
         assert (
-            any(expected_warning in warning_text for warning_text in identification.warnings)
-            == alone
+            any(warning_start in warning_text for warning_text in identification.warnings) == alone
         )
     sound = fc.identify(scene, plain_rows + before(plain_rows), folder=folder)
     assert sound.verdict == "no crack" and "an undetected one would be at" in sound.reason
@@ -356,9 +355,11 @@ def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunC
     assert "'2400 rpm': must be at 3000 rpm" in message and "excitation.order" in message
 
 
-def of_tip(scene: fc.Scene, noise: float, **true: float) -> fc.Measurements:
+def of_tip(scene: fc.Scene, noise: float, **crack_sizes: float) -> fc.Measurements:
     """Arrivals of the tip of a blade that spins with a crack of a length."""
-    run = fc.solve(scene.replace({f"crack.{key}": true_value for key, true_value in true.items()}))
+    run = fc.solve(
+        scene.replace({f"crack.{key}": crack_size for key, crack_size in crack_sizes.items()})
+    )
     arrivals = fc.tip_timing(
         run.result, run.watched_dof, probes=PROBES, tip_radius=0.5, order=5, revolutions=60,
         noise=noise,
@@ -560,9 +561,9 @@ def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
     assert "right edge" in identification.remarks[0]
     at_load = fc.Measurement("ratio_2_1", 0.01, 0.001, frequency=700.0)  # that of the scene
     assert identification.where_to_measure([at_load]).information[0] > 0.0
-    few_values = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
+    unknown_values = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
     plain_scene = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
-    joint_identification = fc.identify(plain_scene, measurements, few_values, folder=folder)
+    joint_identification = fc.identify(plain_scene, measurements, unknown_values, folder=folder)
     edges = {values["crack.edge"]: mass for values, mass in joint_identification.alternatives}
     assert set(edges) == {"left", "right"} and min(edges.values()) > 0.2
     assert "cannot be distinguished" in joint_identification.warnings[0]

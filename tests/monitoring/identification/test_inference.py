@@ -115,12 +115,12 @@ def test_what_failed_between_others() -> None:
         stated_error = np.sqrt(np.sum(interpolation.compute_weighted_errors(node) ** 2)).item()
         assert true_error < 3.0 * stated_error or not interpolation.is_between_known.all()
     for count in (20, 21):
-        few_values = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(SQUARE, few_values).has_enough_nodes.all() == (count == 21)
+        node_values = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(SQUARE, node_values).has_enough_nodes.all() == (count == 21)
     four = UnknownGrid((np.linspace(0.0, 3.0, 4),))
     for count in (3, 4):
-        own_values = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(four, own_values).has_enough_nodes.all() == (count == 4)
+        case_values = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(four, case_values).has_enough_nodes.all() == (count == 4)
     holes = np.ones((42, 3))
     holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
     np.testing.assert_array_equal(
@@ -150,8 +150,8 @@ class Linear:
     def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
-    def make_predictor(self, rows: Any, more: Any = ()) -> Any:
-        places = [*range(len(self.matrix)), *range(len(more))]
+    def make_predictor(self, rows: Any, more_rows: Any = ()) -> Any:
+        places = [*range(len(self.matrix)), *range(len(more_rows))]
         return replace(self, matrix=self.matrix[places], offset=self.offset[places])
 
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
