@@ -207,10 +207,8 @@ class Assessment:
         start_states = [self.states_over_period[0]]
         if self.predicted_error <= MAX_ACCEPTED_ERROR:
             start_states.insert(0, self.orbit_prediction.states[0])
-        n_load_periods, inverse_function = (
-            self.wave.subharmonic,
-            self.orbit_prediction.solve_i_minus_m,
-        )
+        n_load_periods = self.wave.subharmonic
+        inverse_function = self.orbit_prediction.solve_i_minus_m
         search_from_state = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )

@@ -200,11 +200,9 @@ class BlockSystem(Snes):
 
         ``n_new_columns`` is the number of columns of the result.
         """
-        coo_matrix, n_rows, first_dof_by_rank = (
-            matrix.tocoo(),
-            self._shape[0],
-            self._first_dof_by_rank,
-        )
+        coo_matrix = matrix.tocoo()
+        n_rows = self._shape[0]
+        first_dof_by_rank = self._first_dof_by_rank
         coefficient_rows, global_dofs = np.divmod(coo_matrix.col, first_dof_by_rank[-1])
         owner_ranks = np.searchsorted(first_dof_by_rank, global_dofs, "right") - 1
         new_columns = (

@@ -318,10 +318,8 @@ class ModalCompliance:
         -------
         (2H+1, n, n_local) [m]
         """
-        modes, omega_by_harmonic_and_base = (
-            self._all_modes,
-            np.multiply.outer(self._harmonic_orders, base_omegas),
-        )
+        modes = self._all_modes
+        omega_by_harmonic_and_base = np.multiply.outer(self._harmonic_orders, base_omegas)
         is_mode_loaded = np.repeat(self._modal_load_at_unit_factor != 0.0, len(base_omegas), axis=0)
         modal_receptance = modes.modal_receptances(
             omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
@@ -471,10 +469,8 @@ class ModalCompliance:
         ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
         complex ones.
         """
-        harmonic_orders, negative_modal_displacement = (
-            self._harmonic_orders[:, None],
-            self._negative_modal_displacement(contact_force),
-        )
+        harmonic_orders = self._harmonic_orders[:, None]
+        negative_modal_displacement = self._negative_modal_displacement(contact_force)
         damping_force_per_omega = (
             1j * self._damping_factor * self._all_modes.damping_force(negative_modal_displacement)
         )

@@ -279,10 +279,8 @@ class ExactIntegrals(ContactIntegrals):
         n_rows, n_pairs = gap_coefficients.shape
         gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
         pair_stiffnesses = np.full(n_pairs, self.closed_stiffness)
-        force_coefficients, tangent_by_pair = (
-            np.empty((n_rows, n_pairs)),
-            np.empty((n_pairs, n_rows, n_rows)),
-        )
+        force_coefficients = np.empty((n_rows, n_pairs))
+        tangent_by_pair = np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
             self.harmonics, n_pairs, pointer(gap_coefficients), pointer(pair_stiffnesses),
             pointer(quarter_period_waves(self.harmonics)), pointer(np.empty(2 * n_pairs * n_rows)),
@@ -345,10 +343,8 @@ def multiply_compliance_and_force(compliance_matrices: np.ndarray, force: np.nda
     compliance_matrices = require_shape(
         compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
     )
-    force, response = (
-        require_shape(force, 2 * (n_rows // 2) + 1, n_pairs),
-        np.empty((n_rows, n_pairs)),
-    )
+    force = require_shape(force, 2 * (n_rows // 2) + 1, n_pairs)
+    response = np.empty((n_rows, n_pairs))
     kernel.respond(
         n_rows // 2, n_pairs, pointer(compliance_matrices), pointer(force), pointer(response)
     )
@@ -413,10 +409,8 @@ def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
         pair).
     """
     harmonics, n_pairs = len(stiffness_means) // 4, stiffness_means.shape[1]
-    stiffness_means, n_rows = (
-        require_shape(stiffness_means, 4 * harmonics + 1, n_pairs, n_pairs),
-        2 * harmonics + 1,
-    )
+    stiffness_means = require_shape(stiffness_means, 4 * harmonics + 1, n_pairs, n_pairs)
+    n_rows = 2 * harmonics + 1
     tangent = np.empty((n_rows, n_pairs, n_rows * n_pairs))
     for k in range(harmonics + 1):
         first_row_index = max(0, 2 * k - 1)
@@ -579,10 +573,8 @@ class _ExactForces(CoupledForces):
         return kernel_evaluator.handle
 
     def apply(self, gap_change: np.ndarray) -> np.ndarray:
-        gap_change, force_change = (
-            require_shape(gap_change, *self._gap_coefficients.shape),
-            np.empty(self._gap_coefficients.shape),
-        )
+        gap_change = require_shape(gap_change, *self._gap_coefficients.shape)
+        force_change = np.empty(self._gap_coefficients.shape)
         kernel.forces_by_gap(
             self._evaluated_kernel_handle(), pointer(gap_change), pointer(force_change)
         )
@@ -606,10 +598,8 @@ class _ExactForces(CoupledForces):
 
         The diagonal of D = R_inf + I/k plus the softness grows at ``diagonal_rate`` (n_pairs,).
         """
-        derivative, diagonal_rate = (
-            np.empty(self._gap_coefficients.shape),
-            require_shape(diagonal_rate, self._gap_coefficients.shape[1]),
-        )
+        derivative = np.empty(self._gap_coefficients.shape)
+        diagonal_rate = require_shape(diagonal_rate, self._gap_coefficients.shape[1])
         kernel.forces_by_compliance(
             self._evaluated_kernel_handle(), pointer(diagonal_rate), pointer(derivative)
         )

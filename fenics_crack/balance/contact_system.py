@@ -461,10 +461,8 @@ class Wave:
     def _integrals(self) -> ContactIntegrals:
         """Integrals of contact forces with a residual flexibility, or with friction."""
         assert self.contact is not None
-        residual_compliance_or_none, n_gaps = (
-            self.residual_compliance,
-            self.structure_with_row_pairs.n_pairs,
-        )
+        residual_compliance_or_none = self.residual_compliance
+        n_gaps = self.structure_with_row_pairs.n_pairs
         residual_compliance = (
             np.zeros((n_gaps, n_gaps))
             if residual_compliance_or_none is None

@@ -167,10 +167,8 @@ def estimate_errors(
     def relative_gap_size(change: np.ndarray) -> float:
         return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
-    relative_residual, relative_rms_penetration = (
-        relative_gap_size(point.residual),
-        relative_gap_size(_rms_penetration(point, problem)),
-    )
+    relative_residual = relative_gap_size(point.residual)
+    relative_rms_penetration = relative_gap_size(_rms_penetration(point, problem))
     if not has_converged:
         return ErrorReport(
             relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_rms_penetration, UNKNOWN_ERROR
@@ -267,10 +265,8 @@ def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.nda
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
     """
-    gap_plus_clearance, linear_gap = (
-        point.gap.copy(),
-        point.system.compliance_model.linear_gap.copy(),
-    )
+    gap_plus_clearance = point.gap.copy()
+    linear_gap = point.system.compliance_model.linear_gap.copy()
     gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
     negligible_mean_square = NEGLIGIBLE**2 * mean_square(linear_gap)
@@ -327,10 +323,8 @@ def _change_by_better_system(
     )
     if end_path_point is None:
         return UNKNOWN_ERROR, UNKNOWN_ERROR
-    converged_better_point, n_base_rows = (
-        better_system.linearise(end_path_point.unknown),
-        len(base_point.force),
-    )
+    converged_better_point = better_system.linearise(end_path_point.unknown)
+    n_base_rows = len(base_point.force)
     gap_error = relative_size(
         converged_better_point.gap - start_point.gap,
         base_point,
@@ -350,17 +344,13 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    more_modes_structure, residual_compliance = (
-        more_modes_structure_of(wave),
-        point.system.residual_compliance,
-    )
+    more_modes_structure = more_modes_structure_of(wave)
+    residual_compliance = point.system.residual_compliance
     if more_modes_structure is None:
         return 0.0, 0.0
     cutoff = np.inf if residual_compliance is None else problem.cutoff
-    more_modes_problem, start_slow_gap = (
-        replace(problem, structure=more_modes_structure, static_above=cutoff),
-        point.gap,
-    )
+    more_modes_problem = replace(problem, structure=more_modes_structure, static_above=cutoff)
+    start_slow_gap = point.gap
     if point.system.integrals.has_coupled_pairs:
         assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
@@ -407,8 +397,6 @@ def mean_square(coefficients: np.ndarray) -> float:
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square in which means contribute no more than all else; never zero."""
-    vibration_mean_square, squared_means_sum = (
-        0.5 * np.sum(coefficients[1:] ** 2),
-        np.sum(coefficients[0] ** 2),
-    )
+    vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
+    squared_means_sum = np.sum(coefficients[0] ** 2)
     return motion_square(float(vibration_mean_square), float(squared_means_sum))

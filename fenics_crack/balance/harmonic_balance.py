@@ -843,10 +843,8 @@ def find_line_angles_and_turning(
     assert tangential_gap_matrix is not None
     [motion_record] = motion.records(tangential_gap_matrix.T.toarray())
     n_pairs = motion.structure.n_pairs
-    slip, normal_force = (
-        motion_record.row_products.reshape(len(motion_record.row_products), 2, n_pairs),
-        motion_record.forces[:, :n_pairs],
-    )
+    slip = motion_record.row_products.reshape(len(motion_record.row_products), 2, n_pairs)
+    normal_force = motion_record.forces[:, :n_pairs]
     slip_change = np.roll(slip, -1, axis=0) - slip
     mean_normal_force = np.maximum(0.5 * (np.roll(normal_force, -1, axis=0) + normal_force), 0.0)
     work_matrices = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, mean_normal_force)

@@ -239,10 +239,8 @@ def _yield_cases_with_neighbours(
     ]
     parameter_rows.append(np.abs(flow.clearance).max() / load_magnitudes)
     scaled_parameters = np.nan_to_num(np.array(parameter_rows).T, nan=0.0, posinf=0.0, neginf=0.0)
-    parameter_ranges, median_parameters = (
-        np.ptp(scaled_parameters, axis=0),
-        np.median(scaled_parameters, axis=0),
-    )
+    parameter_ranges = np.ptp(scaled_parameters, axis=0)
+    median_parameters = np.median(scaled_parameters, axis=0)
     mode_index = int(np.abs(flow.modal_model.squares - median_parameters[0] ** 2).argmin())
     resonance_width = (
         median_parameters[1]
@@ -291,10 +289,8 @@ def _find_orbit_of_case(
     is_usable = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0
     )
-    neighbour_indices, offsets = (
-        neighbour_indices[is_usable][:N_NEIGHBOURS],
-        offsets[is_usable][:N_NEIGHBOURS],
-    )
+    neighbour_indices = neighbour_indices[is_usable][:N_NEIGHBOURS]
+    offsets = offsets[is_usable][:N_NEIGHBOURS]
     neighbour_states = (
         orbit_table.states[neighbour_indices]
         * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
@@ -338,10 +334,8 @@ def _table_entries_of_orbit(
 
     ``watched_dof_row`` (1, n_dofs) selects the watched dof.
     """
-    n_instants, contact_track = (
-        max(MIN_INSTANTS_OF_ORBIT, 4 * problem.harmonics + 4),
-        orbit.motion.track,
-    )
+    n_instants = max(MIN_INSTANTS_OF_ORBIT, 4 * problem.harmonics + 4)
+    contact_track = orbit.motion.track
     orbit_samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
     displacement_gaps_forces = orbit_samples.displacement, orbit_samples.gaps, orbit_samples.forces
     wave = problem.wave_of(

@@ -221,10 +221,8 @@ class MoreModes:
         """
         if self.orbit_or_corrected_motion is None:
             return None
-        orbit_samples, motion_samples = (
-            self.nearest_orbit.sampled,
-            self.orbit_or_corrected_motion.sampled,
-        )
+        orbit_samples = self.nearest_orbit.sampled
+        motion_samples = self.orbit_or_corrected_motion.sampled
         gap_error = relative_to_motion(
             motion_samples.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,

@@ -389,10 +389,8 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     n_numbers = N_JACOBIANS_IN_MEMORY * n_unknowns**2
     if structure.light_lips:  # an error estimate has twice the harmonics
         n_vectors = 2 * kernel.MAX_KRYLOV_VECTORS + 2  # vectors kept, and those for a solution
-        n_numbers, memory_exponent = (
-            2 * (2 * N_JACOBIANS_IN_MEMORY * n_pairs + n_vectors) * n_unknowns,
-            1,
-        )
+        n_numbers = 2 * (2 * N_JACOBIANS_IN_MEMORY * n_pairs + n_vectors) * n_unknowns
+        memory_exponent = 1
     machine_bytes = machine_memory()
     if 8 * n_numbers > 0.8 * machine_bytes:
         max_allowed_harmonics = int(
@@ -539,10 +537,8 @@ class Search:
         parameter : float
             Parameter of the system: 1 is the law itself, 0 very soft contact.
         """
-        max_guess_iterations, raised_tolerance = (
-            self._iterations_per_guess,
-            max(self.tolerance, tolerance),
-        )
+        max_guess_iterations = self._iterations_per_guess
+        raised_tolerance = max(self.tolerance, tolerance)
         path_point = solve_at(
             system,
             guess,
@@ -711,11 +707,9 @@ class Search:
         The search for the orbit begins at a simpler solution, if there is one, and otherwise at
         rest. Nothing is yielded without an exact flow, or if the search would take long.
         """
-        problem, simpler_point, state_guesses = (
-            self.problem,
-            self._simpler_point,
-            list[np.ndarray](),
-        )
+        problem = self.problem
+        simpler_point = self._simpler_point
+        state_guesses = list[np.ndarray]()
         flow = exact_flow_or_none(problem.structure, problem.contact)
         load_omega, n_load_periods = problem.omega, problem.subharmonic
         if flow is None or not is_affordable(flow, load_omega, n_load_periods):
@@ -793,10 +787,8 @@ def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLa
     It follows from the largest k R. Raises InputError if rounding leaves nothing of the contact
     force.
     """
-    max_contact_stiffness, row_sums = (
-        float(np.max(law.stiffness)),
-        np.abs(compliance_model.matrices).sum(axis=2),
-    )
+    max_contact_stiffness = float(np.max(law.stiffness))
+    row_sums = np.abs(compliance_model.matrices).sum(axis=2)
     max_allowed_stiffness = COARSE_TOLERANCE / (
         MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))
     )

@@ -178,10 +178,8 @@ def describe_instability(
         f"the orbit is unstable{reason_text}: a disturbed motion leaves it, for one "
         f"{motion_description}{motion_text}"
     )
-    hint_texts, tolerance_options = (
-        [],
-        [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION],
-    )
+    hint_texts = []
+    tolerance_options = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION]
     if stability.verdict == "irregular":
         verdict_text = "; ".join(
             [

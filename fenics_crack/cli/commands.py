@@ -317,10 +317,8 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
             for picture_format in {"png", console.picture_format}:  # a report takes the first
                 draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
-    fit_text, other_stems = (
-        identification.fit_table().formatted("csv"),
-        ("identify", "posterior", "where_to_measure"),
-    )
+    fit_text = identification.fit_table().formatted("csv")
+    other_stems = ("identify", "posterior", "where_to_measure")
     replacement_note = keep_previous_result(
         folder / "fit.csv", fit_text, console.comm, *other_stems
     )

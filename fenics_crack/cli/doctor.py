@@ -226,10 +226,8 @@ def _check_plate() -> str:
     frequency_error = np.min(
         np.abs(package_module.solve_modes(uncracked_structure, 4).omega / bar_omega - 1.0)
     )
-    cracked_structure, contact_law = (
-        package_module.build_structure(plate_scene),
-        package_module.UnilateralPenalty(1e9),
-    )
+    cracked_structure = package_module.build_structure(plate_scene)
+    contact_law = package_module.UnilateralPenalty(1e9)
     condensed_coefficients, block_coefficients = (
         package_module.solve_harmonic_balance(
             cracked_structure, 2000.0, contact_law, harmonics=5, form=solver_form

@@ -431,10 +431,8 @@ class Console:
         Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). If no
         progress is shown, a message appears every few seconds.
         """
-        start_time, is_silent = (
-            time.perf_counter(),
-            self.is_quiet or (has_bars and self.shows_progress),
-        )
+        start_time = time.perf_counter()
+        is_silent = self.is_quiet or (has_bars and self.shows_progress)
         with nullcontext() if is_silent else StageLines(keeps_lines=self.shows_progress):
             begin_stage(stage_name)
             yield

@@ -149,11 +149,9 @@ def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFil
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
     """Draw a motion in time."""
-    integration_table, load_omega, period_omega = (
-        run.scene.integration,
-        run.scene.excitation.omega,
-        None,
-    )
+    integration_table = run.scene.integration
+    load_omega = run.scene.excitation.omega
+    period_omega = None
     title = "Free decay"
     if integration_table is None or not integration_table.free:
         title = (

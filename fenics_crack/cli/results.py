@@ -458,10 +458,8 @@ def _list_natural_frequencies(
     value : ndarray
     """
     for quantity_name in observable_names(Place.MODES):
-        description, unit = (
-            OBSERVABLES_BY_NAME[quantity_name].words,
-            OBSERVABLES_BY_NAME[quantity_name].unit,
-        )
+        description = OBSERVABLES_BY_NAME[quantity_name].words
+        unit = OBSERVABLES_BY_NAME[quantity_name].unit
         yield quantity_name, description, unit, frequencies_by_name[quantity_name]
         if unit == "rad/s":
             yield (

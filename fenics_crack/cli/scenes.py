@@ -259,11 +259,9 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
 
 def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
-    cracks_by_name, contact_law, contact_table = (
-        study.scene.all_cracks,
-        study.contact,
-        study.scene.contact,
-    )
+    cracks_by_name = study.scene.all_cracks
+    contact_law = study.contact
+    contact_table = study.scene.contact
     values_by_label: dict[str, object] = {}
     for crack_name, crack in cracks_by_name.items():
         if crack.length is not None:
@@ -306,10 +304,8 @@ def describe_harmonics(scene: Scene) -> int | str:
 def _describe_reduction(study: Study) -> str:
     """Describe the reduction of a structure in words."""
     scene = study.scene
-    scene_reduction, mode_counts = (
-        reduction_of(scene, study.structure),
-        candidate_mode_counts(study),
-    )
+    scene_reduction = reduction_of(scene, study.structure)
+    mode_counts = candidate_mode_counts(study)
     if scene_reduction is None:
         return "none"
     modes_text = format_count(scene_reduction.n_modes, "mode")

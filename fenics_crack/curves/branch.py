@@ -122,10 +122,8 @@ def branch_start(
     """
     bifurcation_kind, [bifurcation_state] = bifurcation.kind, bifurcation.point.points
     unknown = system.unknown(bifurcation_state, bifurcation.value)
-    parameter, is_doubling = (
-        system.parameter(bifurcation.value),
-        bifurcation_kind == "period_doubling",
-    )
+    parameter = system.parameter(bifurcation.value)
+    is_doubling = bifurcation_kind == "period_doubling"
     parent_tangent = None
     if parent_curve is not None:
         nearest_index, end_index = parent_curve.nearest(bifurcation), len(parent_curve) - 1

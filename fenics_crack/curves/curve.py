@@ -367,10 +367,8 @@ class ResponseCurve(ObservedMotion, Tabular):
                 yield Assessment(point_problem.wave(contact_point))
             return
         equations = self.system
-        contact_system, compliance_model = (
-            equations.system(equations.start),
-            equations.compliance_model_at(equations.start),
-        )
+        contact_system = equations.system(equations.start)
+        compliance_model = equations.compliance_model_at(equations.start)
         points_per_chunk = max(1, equations.points_per_call)
         for chunk_indices in (
             places[first_position : first_position + points_per_chunk]
@@ -385,10 +383,8 @@ class ResponseCurve(ObservedMotion, Tabular):
             )
             for index, unknown in enumerate(unknowns):
                 point_force_coefficients = np.ascontiguousarray(force_coefficients[:, index])
-                point_gap_coefficients, point_displacement_coefficients = (
-                    contact_system.gap(unknown, point_force_coefficients),
-                    displacement_coefficients[:, index],
-                )
+                point_gap_coefficients = contact_system.gap(unknown, point_force_coefficients)
+                point_displacement_coefficients = displacement_coefficients[:, index]
                 harmonic_motion = replace(
                     equations.problem.wave_of(
                         point_displacement_coefficients,

@@ -185,10 +185,8 @@ class MultiplierStepControl(StepControl):
         multiplier_log_moduli = np.log(
             np.maximum(np.abs(segment.step_control_values[:, :-3]), MULTIPLIER_TOLERANCE)
         )
-        log_changes, step_lengths = (
-            np.diff(multiplier_log_moduli, axis=0),
-            segment.chord_lengths[1:],
-        )
+        log_changes = np.diff(multiplier_log_moduli, axis=0)
+        step_lengths = segment.chord_lengths[1:]
         allowed_log_change = np.maximum(
             0.5 * np.abs(multiplier_log_moduli[:-1]), ACCEPTED_LOG_CHANGE
         )

@@ -386,10 +386,8 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         orbit_equations.scale[:, None] * nearest_orbit.monodromy / orbit_equations.scale
     )
     leading_index = int(np.abs(multipliers).argmax())
-    leading_multiplier, start_change = (
-        multipliers[leading_index],
-        eigenvectors[:, leading_index].real,
-    )
+    leading_multiplier = multipliers[leading_index]
+    start_change = eigenvectors[:, leading_index].real
     orbit_states = nearest_orbit.sampled.whole_states
     rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
@@ -464,11 +462,9 @@ def _stability_by_linear_flow(
 
     The uncertainty is their difference from the multipliers with twice the harmonics.
     """
-    gap_coefficients, static_cutoff, uncertainty = (
-        solution.slow_gap_coefficients,
-        solution.static_above,
-        np.inf,
-    )
+    gap_coefficients = solution.slow_gap_coefficients
+    static_cutoff = solution.static_above
+    uncertainty = np.inf
     try:
         multipliers = eigenvalues(
             monodromy_of_linear_flow(

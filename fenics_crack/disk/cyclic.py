@@ -92,10 +92,8 @@ class SectorNumbering:
         self.own_members, self.member_positions = np.unique(
             representative_members, return_inverse=True
         )
-        right_members, upper_members = (
-            node_members[side_nodes[1]],
-            node_members[crack_face_nodes[1]].ravel(),
-        )
+        right_members = node_members[side_nodes[1]]
+        upper_members = node_members[crack_face_nodes[1]].ravel()
         self.is_next_sector = np.isin(np.arange(len(representative_members)), right_members)
         self.upper_members = upper_members[upper_members >= 0]
 
@@ -370,10 +368,8 @@ class NodalDiameter:
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return K_n^-1 f for forces on the sector's own dofs (n_own, m): the same shape."""
-        inside_motion, phased_coupling = (
-            self.solve_inside(forces[self.inside_rows]),
-            self.phased_coupling,
-        )
+        inside_motion = self.solve_inside(forces[self.inside_rows])
+        phased_coupling = self.phased_coupling
         side_force = forces[self.side_rows] - phased_coupling.conj().T @ inside_motion
         displacement = np.empty(
             forces.shape, dtype=np.result_type(forces, self.side_stiffness_inverse)

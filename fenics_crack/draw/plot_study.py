@@ -911,10 +911,8 @@ def draw_passages(
         record_panel.axvline(
             passage.speed / RAD_PER_S_PER_RPM, **line_options, zorder=0, label=label
         )
-        text_position, text_offset = (
-            (passage.speed / RAD_PER_S_PER_RPM, 1.0),
-            (0, 2 + 9 * (passage_index % 2)),
-        )
+        text_position = (passage.speed / RAD_PER_S_PER_RPM, 1.0)
+        text_offset = (0, 2 + 9 * (passage_index % 2))
         text_options = {"ha": "center", "xycoords": coordinate_systems}
         _write_engine_order(record_panel, passage.order, text_position, text_offset, **text_options)
     if passages:

@@ -214,10 +214,8 @@ class Case:
         frictionless_numbers = self.compute_values(
             frictionless_motion, replace(study, contact=friction.law)
         )
-        turning_ratio, parts = (
-            find_line_angles_and_turning(frictionless_motion, friction.direction)[1],
-            {},
-        )
+        turning_ratio = find_line_angles_and_turning(frictionless_motion, friction.direction)[1]
+        parts = {}
         for name, value in self.answer_numbers.items():
             value_with_turning = value + turning_ratio * (
                 frictionless_numbers.get(name, 0.0) - value

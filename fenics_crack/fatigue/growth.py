@@ -291,7 +291,7 @@ COLUMN_BY_GROWTH_FIELD = {
     "response": "response", "largest": "K_max", "smallest": "K_min",
     "effective": "delta_K_effective", "sliding": "K_II_max",
 }  # fmt: skip
-"""Column of a path by the field of :class:`Growth` that holds it."""
+"""Path column by :class:`Growth` field name."""
 
 
 def grow(
@@ -404,7 +404,7 @@ def grow(
 
 
 def _select_growth_fields(values_by_column: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return a path's columns by the fields of :class:`Growth`."""
+    """Return path columns by :class:`Growth` field names."""
     return {field: values_by_column[column] for field, column in COLUMN_BY_GROWTH_FIELD.items()}
 
 

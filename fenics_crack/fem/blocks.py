@@ -381,10 +381,8 @@ def _graded_interval(
         (math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0
     )
     if n_required_elements > n_elements:
-        n_elements, growth_ratio = (
-            n_required_elements,
-            (max_length / min_length) ** (1.0 / max(n_required_elements - 1, 1)),
-        )
+        n_elements = n_required_elements
+        growth_ratio = (max_length / min_length) ** (1.0 / max(n_required_elements - 1, 1))
     return ElementInterval(
         start, stop, n_elements, growth_ratio if start_length <= stop_length else 1.0 / growth_ratio
     )
@@ -731,10 +729,8 @@ class DiskRim:
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
         """Name a face on a solid's rim, given the face's center of mass."""
-        offset_across_blade, offset_along_blade = (
-            face_center[2] - self.blade_middle,
-            face_center[1] - self.axis_height,
-        )
+        offset_across_blade = face_center[2] - self.blade_middle
+        offset_along_blade = face_center[1] - self.axis_height
         face_radius = math.hypot(offset_across_blade, offset_along_blade)
         face_angle = math.atan2(offset_across_blade, offset_along_blade)
         if abs(abs(face_angle) - self.half_angle) < 1e-6:
@@ -853,10 +849,8 @@ def _mesh_current_model_with_gradings(
     InputError
         gmsh fails.
     """
-    size, kernel_structs = (
-        unit_scene.mesh.given("size"),
-        [grading.as_kernel_struct() for grading in gradings],
-    )
+    size = unit_scene.mesh.given("size")
+    kernel_structs = [grading.as_kernel_struct() for grading in gradings]
 
     def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
         """Return the element length at a point.

@@ -129,11 +129,9 @@ def pair_crack_faces(
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
     gap = lower_gap + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
-    points, areas, pair_node_index = (
-        lower_node_table[:, 2:],
-        lower_node_table[:, 1],
-        np.arange(n_inside),
-    )
+    points = lower_node_table[:, 2:]
+    areas = lower_node_table[:, 1]
+    pair_node_index = np.arange(n_inside)
     fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
@@ -429,10 +427,8 @@ def _match_faces(
             np.linalg.norm(upper_node_table[:, 2:] - lower_point, axis=1)
             for lower_point in lower_node_table[:, 2:]
         ]
-        nearest_distances, partners = (
-            np.min(distances_to_upper_nodes, axis=1),
-            np.argmin(distances_to_upper_nodes, axis=1),
-        )
+        nearest_distances = np.min(distances_to_upper_nodes, axis=1)
+        partners = np.argmin(distances_to_upper_nodes, axis=1)
         has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * crack_extent and len(
             np.unique(partners)
         ) == len(partners)

@@ -90,10 +90,8 @@ class CrackPath:
             Distance from the beginning to the nearest point on the path.
         """
         offsets, edge_fractions = offsets_from_edges(points, self.edges)
-        distances_to_edges, corner_arc_lengths = (
-            np.linalg.norm(offsets, axis=2),
-            self.corner_arc_lengths,
-        )
+        distances_to_edges = np.linalg.norm(offsets, axis=2)
+        corner_arc_lengths = self.corner_arc_lengths
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
         edge_index, point_index = distances_to_edges.argmin(axis=1), np.arange(len(points))
         return distances_to_edges[point_index, edge_index], nearest_arc_lengths[

@@ -978,12 +978,10 @@ class _IntegrationDomain:
             Components along e_1, e_2, e_3, and their derivatives with respect to xi and y.
         """
         half_angle = 0.5 * np.arctan2(y, xi)
-        cos_half_angle, sin_half_angle, cos_angle, sin_angle = (
-            np.cos(half_angle),
-            np.sin(half_angle),
-            xi / r,
-            y / r,
-        )
+        cos_half_angle = np.cos(half_angle)
+        sin_half_angle = np.sin(half_angle)
+        cos_angle = xi / r
+        sin_angle = y / r
         kolosov, zeros = 3.0 - 4.0 * self.nu, np.zeros_like(r)
         if mode == 0:
             angular_part = np.array(

@@ -233,10 +233,8 @@ def _singular_displacement_derivative(
     derivative_1, derivative_2 : numbers or UFL expressions
         Components ahead of the crack and normal to it, times 4 G (2 pi)^1/2, G the shear modulus.
     """
-    cos_angle, sin_angle = (
-        cos_half_angle * cos_half_angle - sin_half_angle * sin_half_angle,
-        2.0 * cos_half_angle * sin_half_angle,
-    )
+    cos_angle = cos_half_angle * cos_half_angle - sin_half_angle * sin_half_angle
+    sin_angle = 2.0 * cos_half_angle * sin_half_angle
     mode_1_components = (
         (kolosov - cos_angle - 2.0 * sin_angle * sin_angle) * cos_half_angle,
         -(kolosov - cos_angle + 2.0 * sin_angle * sin_angle) * sin_half_angle,
@@ -315,10 +313,8 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
     e_1, e_2 = ufl.as_vector([e_1x, e_1y]), ufl.as_vector([-e_1y, e_1x])
     x, y = ufl.dot(offset, e_1), ufl.dot(offset, e_2)
     r = ufl.sqrt(x * x + y * y)
-    cos_half_angle, sin_half_angle = (
-        ufl.sqrt((r + x) / (2.0 * r)),
-        ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r)),
-    )
+    cos_half_angle = ufl.sqrt((r + x) / (2.0 * r))
+    sin_half_angle = ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r))
     derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, sin_half_angle, kolosov, mode_constant
     )

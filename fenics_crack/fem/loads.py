@@ -68,10 +68,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh, where the structure is clamped, or on a crack, where there are
         two faces.
     """
-    nodal_force_harmonics, watched_vector = (
-        np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers))),
-        None,
-    )
+    nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
+    watched_vector = None
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:

@@ -598,10 +598,8 @@ def _number_cracks(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray
     from scipy.sparse.csgraph import connected_components
 
     # A first node may be on either face.
-    first_nodes, second_nodes = (
-        twins.first_nodes[twin_pair_index],
-        twins.second_nodes[twin_pair_index],
-    )
+    first_nodes = twins.first_nodes[twin_pair_index]
+    second_nodes = twins.second_nodes[twin_pair_index]
     same_order_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
         twins.connectivity[second_nodes][:, second_nodes]
     )

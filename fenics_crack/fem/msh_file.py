@@ -141,10 +141,8 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
             (*group_head, merged_node_map[group_nodes]) for *group_head, group_nodes in point_groups
         ]
         positions = positions[np.concatenate([kept_nodes, kept_nodes[copied_nodes]])]
-        cells, mesh_positions = (
-            replace(cells, cell_nodes=split_cell_nodes),
-            positions[:, :dimension],
-        )
+        cells = replace(cells, cell_nodes=split_cell_nodes)
+        mesh_positions = positions[:, :dimension]
     face_corners = [
         facets_by_name[name][:, : cells.facet_corner_columns.shape[1]]
         for name in CRACK_FACE_NAMES
@@ -673,10 +671,8 @@ def check_boundary(
     )
     near_point_index = np.concatenate(near_point_lists).astype(int)
     is_other_cell = owner[near_point_index] != near_cell_index
-    near_cell_index, near_point_index = (
-        near_cell_index[is_other_cell],
-        near_point_index[is_other_cell],
-    )
+    near_cell_index = near_cell_index[is_other_cell]
+    near_point_index = near_point_index[is_other_cell]
     if np.any(
         is_covered := _are_in_cells(
             kind, cells.n_corners, cell_positions[near_cell_index], points[near_point_index]

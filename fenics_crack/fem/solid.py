@@ -193,10 +193,8 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     determinants = (side_1 * direction_cross_side_2).sum(axis=1)
     determinants = np.where(np.abs(determinants) < 1e-300, np.inf, determinants)
     offsets = point - triangles[:, 0]
-    u, offset_cross_side_1 = (
-        (offsets * direction_cross_side_2).sum(axis=1) / determinants,
-        np.cross(offsets, side_1),
-    )
+    u = (offsets * direction_cross_side_2).sum(axis=1) / determinants
+    offset_cross_side_1 = np.cross(offsets, side_1)
     v = offset_cross_side_1 @ direction / determinants
     distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())

@@ -203,20 +203,18 @@ def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np
     """Return the distances between points (n, 3) and triangles (m, 3, 3): (n, m)."""
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     offsets = points[:, None] - triangles[:, 0]
-    side_1_squared, side_1_dot_side_2, side_2_squared = (
-        (side_1**2).sum(1),
-        (side_1 * side_2).sum(1),
-        (side_2**2).sum(1),
-    )
+    side_1_squared = (side_1**2).sum(1)
+    side_1_dot_side_2 = (side_1 * side_2).sum(1)
+    side_2_squared = (side_2**2).sum(1)
     offset_dot_side_1 = (offsets * side_1).sum(2)
     offset_dot_side_2 = (offsets * side_2).sum(2)
     gram_determinant = np.maximum(side_1_squared * side_2_squared - side_1_dot_side_2**2, 1e-300)
-    u, v = (
-        (side_2_squared * offset_dot_side_1 - side_1_dot_side_2 * offset_dot_side_2)
-        / gram_determinant,
-        (side_1_squared * offset_dot_side_2 - side_1_dot_side_2 * offset_dot_side_1)
-        / gram_determinant,
-    )
+    u = (
+        side_2_squared * offset_dot_side_1 - side_1_dot_side_2 * offset_dot_side_2
+    ) / gram_determinant
+    v = (
+        side_1_squared * offset_dot_side_2 - side_1_dot_side_2 * offset_dot_side_1
+    ) / gram_determinant
     distances_to_triangles = np.linalg.norm(
         offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2
     )
@@ -440,10 +438,8 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
         rim_points = _sample_curve(rim_curve)
         x, y, _ = ((rim_points - crack["middle"]) @ frame.T).T
         if is_straight:
-            relative_border_position, extent_behind_front = (
-                1.0 + x / half_axes[0],
-                max(extent_behind_front, -float(x.min())),
-            )
+            relative_border_position = 1.0 + x / half_axes[0]
+            extent_behind_front = max(extent_behind_front, -float(x.min()))
         elif crack["is_round"]:
             relative_border_position = np.hypot(x / half_axes[0], y / half_axes[1])
         else:
@@ -538,10 +534,8 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
     graded_fields = []
     for front in fronts:
         if front["curves"]:
-            distance_field, threshold_field = (
-                field_module.add("Distance"),
-                field_module.add("Threshold"),
-            )
+            distance_field = field_module.add("Distance")
+            threshold_field = field_module.add("Threshold")
             field_module.setNumbers(distance_field, "CurvesList", front["curves"])
             n_samples = min(
                 2000, max(N_CURVE_INTERVALS, math.ceil(2.0 * front["length"] / front["shortest"]))

@@ -60,10 +60,8 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
 
     Paths of the C files are relative to ``folder`` if possible.
     """
-    headers, sources = (
-        sort_headers(sorted(KERNEL_FOLDER.glob("*.h"))),
-        sorted(KERNEL_FOLDER.glob("*.c")),
-    )
+    headers = sort_headers(sorted(KERNEL_FOLDER.glob("*.h")))
+    sources = sorted(KERNEL_FOLDER.glob("*.c"))
     is_kernel_inside_folder = KERNEL_FOLDER.is_relative_to(folder)
     source_folder = KERNEL_FOLDER.relative_to(folder) if is_kernel_inside_folder else KERNEL_FOLDER
     ffi, sanitizer_flags = FFI(), SANITIZER_FLAGS if sanitize else []

@@ -375,10 +375,8 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
 
 def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
-    gap, law_name = (
-        np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(n_pairs)),
-        type(law).__name__,
-    )
+    gap = np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(n_pairs))
+    law_name = type(law).__name__
     for method_name in ("force", "tangent"):
         try:
             output_values = numbers(getattr(law, method_name)(gap))

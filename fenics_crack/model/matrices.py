@@ -798,10 +798,8 @@ def check_parts(
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
     with Factor(mass) as factored_mass:
-        n_negative_pivots, n_zero_pivots = (
-            factored_mass.n_negative_pivots,
-            factored_mass.n_null_pivots,
-        )
+        n_negative_pivots = factored_mass.n_negative_pivots
+        n_zero_pivots = factored_mass.n_null_pivots
     if n_negative_pivots or n_zero_pivots:
         problem = f"{n_negative_pivots} negative and {n_zero_pivots} zero eigenvalues"
         raise InputError("mass", problem, "positive definite")

@@ -818,10 +818,8 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
     n_modes = min(N_LOWEST_MODES, structure.n_modes)
-    open_modes, bonded_modes = (
-        solve_modes(structure, n_modes),
-        solve_bonded_modes(structure, n_modes),
-    )
+    open_modes = solve_modes(structure, n_modes)
+    bonded_modes = solve_bonded_modes(structure, n_modes)
     return BilinearFrequencies(
         open_modes.omega, bonded_modes.omega[find_bonded_mode_indices(open_modes, bonded_modes)]
     )

@@ -333,10 +333,8 @@ def _reduce_damping(
         return None
     if (uniform_rule := _uniform_damping_rule_or_none(structure)) is not None:
         return uniform_rule
-    modal_damping, omega = (
-        damping_on_modes(structure, basis, squares),
-        np.sqrt(np.maximum(squares, 0.0)),
-    )
+    modal_damping = damping_on_modes(structure, basis, squares)
+    omega = np.sqrt(np.maximum(squares, 0.0))
     if modal_damping.ndim == 2:
         return modal_damping
     if np.any(modal_damping[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body

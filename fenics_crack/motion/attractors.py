@@ -119,10 +119,8 @@ def find_attractor(
     max_periods = SearchOptions.period_budget // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
     begin_stage(f"the exact motion over up to {max_periods} periods")
-    states_at_periods, state_iterator = (
-        start_unknown[None],
-        follow_periods(orbit_equations, start_unknown, max_periods),
-    )
+    states_at_periods = start_unknown[None]
+    state_iterator = follow_periods(orbit_equations, start_unknown, max_periods)
     while new_states := list(
         islice(state_iterator, len(states_at_periods) - 1 + MAX_RETURN_PERIODS)
     ):

@@ -335,17 +335,13 @@ class ContactFlow(Flow):
         modal_model, n_pairs = self.modal_model, self.structure.n_pairs
         mode_flexibilities = np.zeros_like(modal_model.squares)
         np.divide(1.0, modal_model.squares, out=mode_flexibilities, where=modal_model.squares > 0.0)
-        normal_gaps_of_modes, normal_compliance = (
-            modal_model.gaps_by_mode[:, :n_pairs],
-            self.compliance[:, :n_pairs],
-        )
+        normal_gaps_of_modes = modal_model.gaps_by_mode[:, :n_pairs]
+        normal_compliance = self.compliance[:, :n_pairs]
         modal_displacement_by_force = mode_flexibilities[:, None] * normal_gaps_of_modes
         # With all pairs open:
         modal_displacement = mode_flexibilities * self.modal_load[0]
-        normal_gaps, normal_forces = (
-            modal_displacement @ normal_gaps_of_modes + self.load_gap[0, :n_pairs],
-            np.zeros(n_pairs),
-        )
+        normal_gaps = modal_displacement @ normal_gaps_of_modes + self.load_gap[0, :n_pairs]
+        normal_forces = np.zeros(n_pairs)
         if np.any(normal_gaps > 0.0):
             from scipy.optimize import nnls  # slow to import
 
@@ -430,11 +426,9 @@ class ContactFlow(Flow):
         """
         end_state = np.array(state, dtype=float).reshape(self.size)
         instants = np.zeros(0) if instants is None else as_doubles(instants)
-        n_instants, n_contact_rows, n_pairs = (
-            len(instants),
-            len(self.softness),
-            self.structure.n_pairs,
-        )
+        n_instants = len(instants)
+        n_contact_rows = len(self.softness)
+        n_pairs = self.structure.n_pairs
         states = np.empty((n_instants, 2 * self.n_modes))
         forces_and_openings = np.empty(
             (n_instants, 2 * n_contact_rows if self.friction_law else n_contact_rows)
@@ -450,10 +444,8 @@ class ContactFlow(Flow):
         )
         track = Track(self, omega, start, **copy_track(motion_struct.address.n_intervals))
         samples = Samples(self, omega, instants, states, forces_and_openings, pair_states)
-        n_events, n_taylor_pieces = (
-            int(motion_struct.address.n_events),
-            int(motion_struct.address.n_pieces),
-        )
+        n_events = int(motion_struct.address.n_events)
+        n_taylor_pieces = int(motion_struct.address.n_pieces)
         return IntegratedMotion(end_state, n_events, n_taylor_pieces, track, samples)
 
     def integrate_parts(

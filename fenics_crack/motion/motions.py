@@ -225,11 +225,9 @@ class Record:
         products. With contact pairs four maxima follow: opening, penetration [m], contact force of
         a pair and of a crack [N].
         """
-        n_pairs, evaluate, is_pair_in_crack = (
-            self.n_pairs,
-            self.evaluate_at_period_fractions,
-            self.is_pair_in_crack,
-        )
+        n_pairs = self.n_pairs
+        evaluate = self.evaluate_at_period_fractions
+        is_pair_in_crack = self.is_pair_in_crack
 
         def stack_columns(
             row_products: np.ndarray, gaps: np.ndarray, forces: np.ndarray
@@ -514,11 +512,9 @@ class ObservedMotion:
         """
         row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         all_rows = np.vstack([rows, *(place.rows for place in places)])
-        number_dicts_of_records, coefficients_of_records, place_number_dicts = (
-            [],
-            [],
-            list[dict[str, float]](),
-        )
+        number_dicts_of_records = []
+        coefficients_of_records = []
+        place_number_dicts = list[dict[str, float]]()
         for record_index, full_record in enumerate(self.records(all_rows)):
             dof_record = full_record.last_periods(N_RECORDED_PERIODS)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record

@@ -269,10 +269,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         gauss_nodes, gauss_weights, _ = gauss_legendre_rule()
         column_blocks = gauss_samples.row_products(rows), gauss_samples.gaps, gauss_samples.forces
         node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(gauss_nodes))
-        piece_ends, alternating_signs = (
-            np.cumsum(piece_lengths),
-            (-1.0) ** np.arange(len(gauss_nodes)),
-        )
+        piece_ends = np.cumsum(piece_lengths)
+        alternating_signs = (-1.0) ** np.arange(len(gauss_nodes))
         barycentric_weights = alternating_signs * np.sqrt((1.0 - gauss_nodes**2) * gauss_weights)
         column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
 

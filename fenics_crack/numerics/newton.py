@@ -332,11 +332,9 @@ class Tangent:
         """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
         if self.time_mean_weight == 1.0:
             return self.unknowns_weight * float(np.vdot(vector, other_vector))
-        flat_vector, other_flat_vector, n_means = (
-            vector.ravel(),
-            other_vector.ravel(),
-            count_time_means(system),
-        )
+        flat_vector = vector.ravel()
+        other_flat_vector = other_vector.ravel()
+        n_means = count_time_means(system)
         oscillation_product = float(flat_vector[n_means:] @ other_flat_vector[n_means:])
         return self.unknowns_weight * (
             oscillation_product
@@ -586,10 +584,8 @@ def predict_and_correct(
     steps.
     """
     tangent = start_point.tangent
-    unknown, parameter = (
-        start_point.unknown + step_length * tangent.x,
-        start_point.parameter + step_length * tangent.p,
-    )
+    unknown = start_point.unknown + step_length * tangent.x
+    parameter = start_point.parameter + step_length * tangent.p
     max_parameter_change = max_parameter_change or MAX_PARAMETER_CHANGE_IN_STEPS * step_length
     return solve_in_plane(
         system,

@@ -367,10 +367,8 @@ def find_zero_and_residual(
         return points_and_values_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
-    kept_function_value, last_function_value = (
-        function_value_at(kept_fraction),
-        function_value_at(last_fraction),
-    )
+    kept_function_value = function_value_at(kept_fraction)
+    last_function_value = function_value_at(last_fraction)
     with suppress(ConvergenceError):
         while (
             kept_function_value * last_function_value < 0.0
@@ -403,10 +401,8 @@ class Fold(ZeroCrossing):
         return np.asarray(segment.parameter_tangents[1:] * segment.parameter_tangents[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        point, ends_chord_length = (
-            _find_fold_or_target(system, ends, None, rtol),
-            chord_length(system, *ends),
-        )
+        point = _find_fold_or_target(system, ends, None, rtol)
+        ends_chord_length = chord_length(system, *ends)
         if point is None and ends_chord_length > 4.0 * MIN_RESOLVED_DISTANCE:  # try shorter steps
             short_step_options = PathOptions(
                 0.25 * ends_chord_length, 0.25 * ends_chord_length, max_steps=8
@@ -461,10 +457,8 @@ class ClosedLoop(Event):
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         start, origin = ends[0], self.origin
         distance_to_origin = chord_length(system, start, origin)
-        to_origin, parameter_change = (
-            origin.unknown - start.unknown,
-            origin.parameter - start.parameter,
-        )
+        to_origin = origin.unknown - start.unknown
+        parameter_change = origin.parameter - start.parameter
         to_origin_cosine = replace(start.tangent, x=to_origin, p=parameter_change).cosine_to(
             start.tangent, system
         )

@@ -130,11 +130,9 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     from fenics_crack.curves.resonance import follow_resonance
     from fenics_crack.curves.verdicts import judge_curve
 
-    structure, law, load_omega = (
-        study.structure,
-        required_contact_law(study),
-        scene.excitation.omega,
-    )
+    structure = study.structure
+    law = required_contact_law(study)
+    load_omega = scene.excitation.omega
     curve_table, balance_table = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = curve_table.continuation_range
     if parameter == "resonance":

@@ -111,10 +111,8 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
         f"has not settled after {format_count(rest_motion.periods, 'period')} of the load"
     )
     if rest_motion.orbit is not None:
-        outcome_text, rest_amplitude = (
-            rest_motion.description,
-            rest_motion.orbit.amplitude(watched_dof),
-        )
+        outcome_text = rest_motion.description
+        rest_amplitude = rest_motion.orbit.amplitude(watched_dof)
         amplitude = solution.amplitude(watched_dof)
         if is_decided and abs(rest_amplitude - amplitude) <= MAX_SETTLED_CHANGE * amplitude:
             return run  # the same motion

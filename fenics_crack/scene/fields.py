@@ -266,11 +266,9 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
     range_table = values_or_range if isinstance(values_or_range, Mapping) else {}
     spacing = range_table.get("spacing", "linear")
     try:
-        start, stop, n_values = (
-            _read_float(range_table["start"]),
-            _read_float(range_table["stop"]),
-            _read_int(range_table["count"]),
-        )
+        start = _read_float(range_table["start"])
+        stop = _read_float(range_table["stop"])
+        n_values = _read_int(range_table["count"])
         is_valid_range = (
             range_table.keys() <= {"start", "stop", "count", "spacing"}
             and 2 <= n_values <= MAX_CASES

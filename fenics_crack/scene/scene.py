@@ -403,10 +403,8 @@ class Scene:
         if self.mesh.layout == "file":
             axis_point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
         else:
-            axis_height, blade_center = (
-                -self.disk.given("outer_radius"),
-                0.5 * self.geometry.circumferential_width,
-            )
+            axis_height = -self.disk.given("outer_radius")
+            blade_center = 0.5 * self.geometry.circumferential_width
             axis_point = (
                 [blade_center, axis_height, 0.0] if is_plane else [0.0, axis_height, blade_center]
             )
@@ -886,10 +884,8 @@ def _check_cracks(scene: Scene) -> None:
 def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list[str]) -> None:
     """Raise InputError if a crack's keys are inconsistent, or outside the plate."""
     width, height, *_ = geometry.sides
-    geometry_kind, margin_text = (
-        geometry.kind,
-        f"at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that from both",
-    )
+    geometry_kind = geometry.kind
+    margin_text = f"at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that from both"
     is_inside_plate = crack.center is not None
     if is_inside_plate:
         crack.forbid_keys(("edge",), "crack.center")
@@ -939,10 +935,8 @@ def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) 
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
     for extent_key, (extent, n_cells) in extent_and_cells_by_key.items():
-        n_crack_cells, cell_size_text = (
-            getattr(crack, extent_key) / extent * n_cells,
-            f"{extent / n_cells:g} m",
-        )
+        n_crack_cells = getattr(crack, extent_key) / extent * n_cells
+        cell_size_text = f"{extent / n_cells:g} m"
         is_on_grid_line = (
             0 < round(n_crack_cells) < n_cells
             and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells

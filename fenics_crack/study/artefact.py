@@ -137,12 +137,10 @@ class PreparedStructure:
     def gather(cls, structure: Structure, vtk_type: int = 0, **datasets: Any) -> PreparedStructure:
         """Gather the datasets of a structure; ``datasets`` are further fields (collective)."""
         structure, comm = structure.original, structure.comm
-        nodes, pairs, clamp, watched_row = (
-            structure.nodes,
-            structure.pairs,
-            structure.clamp,
-            structure.watched,
-        )
+        nodes = structure.nodes
+        pairs = structure.pairs
+        clamp = structure.clamp
+        watched_row = structure.watched
         tangential_structures = (
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
@@ -422,10 +420,8 @@ def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Sc
     if file_scene is None:
         raise stored_file.refusal("one with its scene")
     stored_file.check_files(file_scene, is_required=False)
-    scene, file_dependencies = (
-        file_scene.replace(changes),
-        structure_dependencies(file_scene, MPI.COMM_SELF),
-    )
+    scene = file_scene.replace(changes)
+    file_dependencies = structure_dependencies(file_scene, MPI.COMM_SELF)
 
     def needs_mesh(changed_scene: Scene) -> bool:
         changed_dependencies = structure_dependencies(changed_scene, MPI.COMM_SELF)

@@ -206,10 +206,8 @@ class Campbell(SavedResult):
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
         crossings = []
         for speed_index, mode_index in np.argwhere(is_above[1:] != is_above[:-1]).tolist():
-            speed_interval, mode = (
-                self.speed[speed_index : speed_index + 2].tolist(),
-                mode_index + 1,
-            )
+            speed_interval = self.speed[speed_index : speed_index + 2].tolist()
+            mode = mode_index + 1
             speed = brentq(frequency_difference, *speed_interval, (mode,), rtol=SPEED_TOLERANCE)
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
@@ -642,10 +640,8 @@ def _find_frequencies_and_margins(
         Margins at resonance under the load; positive if the crack is held.
     """
     open_modes = solve_modes(structure, n_modes)
-    no_pairs, all_pairs = (
-        np.zeros(structure.n_pairs, dtype=bool),
-        np.ones(structure.n_pairs, dtype=bool),
-    )
+    no_pairs = np.zeros(structure.n_pairs, dtype=bool)
+    all_pairs = np.ones(structure.n_pairs, dtype=bool)
     if not structure.n_pairs:
         return np.tile(open_modes.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(n_modes))
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
@@ -691,10 +687,8 @@ def _find_held_frequencies_and_margins(
     """
     modes, structure = open_modes, open_modes.structure
     if is_bonded.any():
-        bonded_gap_rows, zero_clearance = (
-            structure.gap[:, is_bonded],
-            np.zeros(int(is_bonded.sum())),
-        )
+        bonded_gap_rows = structure.gap[:, is_bonded]
+        zero_clearance = np.zeros(int(is_bonded.sum()))
         bonded_structure = Structure(
             Body(
                 structure.mass,

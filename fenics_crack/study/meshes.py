@@ -107,10 +107,8 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
     Area and centroid of the faces may differ by an element of the coarser mesh.
     """
-    crack_pairs, coarser_crack_pairs = (
-        _crack_face_pairs(structure),
-        _crack_face_pairs(coarser_structure),
-    )
+    crack_pairs = _crack_face_pairs(structure)
+    coarser_crack_pairs = _crack_face_pairs(coarser_structure)
     if len(crack_pairs) != len(coarser_crack_pairs):
         counts_text = f"{len(coarser_crack_pairs)} instead of {len(crack_pairs)}"
         return f"mesh.coarser has another number of cracks, {counts_text}"

@@ -293,10 +293,8 @@ def estimate_front_errors(
         return {}, {}
     if not requested_names.intersection(quantities_on_request(coarser_study.scene)):
         return {}, dict.fromkeys(quantity_names, math.inf)
-    fronts, coarser_fronts = (
-        _collect_fronts(study, motion),
-        _collect_fronts(coarser_study, coarser_motion),
-    )
+    fronts = _collect_fronts(study, motion)
+    coarser_fronts = _collect_fronts(coarser_study, coarser_motion)
     if min(len(positions) for positions, *_ in coarser_fronts.values()) < MIN_FRONT_STATIONS:
         return {}, dict.fromkeys(quantity_names, math.inf)
     difference_by_name = {}
@@ -416,10 +414,8 @@ class _TipsAndRowsOfScene:
                 raise InputError("crack", "a crack without a tip", "one that ends in the structure")
             return tips_and_rows
         tips, displacement_rows, force_rows = structure.whole.compute_once(self)
-        unit_vectors, block_size = (
-            np.eye(structure.n_dofs),
-            max(1, MAX_EXPANDED_VALUES // structure.whole.n_dofs),
-        )
+        unit_vectors = np.eye(structure.n_dofs)
+        block_size = max(1, MAX_EXPANDED_VALUES // structure.whole.n_dofs)
         unit_blocks = [
             unit_vectors[start_index : start_index + block_size]
             for start_index in range(0, len(unit_vectors), block_size)
@@ -478,10 +474,8 @@ def _make_ellipse_rows(study: Study) -> ExtraRows:
     The numbers are taken at the deepest station and at the ends.
     """
     stations, displacement_rows, force_rows = make_tips_and_rows(study)
-    station_positions, crack = (
-        np.array([station.point for station in stations]),
-        study.scene.given("crack"),
-    )
+    station_positions = np.array([station.point for station in stations])
+    crack = study.scene.given("crack")
     station_heights = station_positions[:, 2]
     if crack.point is not None:
         station_heights = -np.abs((station_positions - crack.point) @ crack.frame[1])

@@ -294,10 +294,8 @@ def _amplitude_bounds(
             force = np.zeros(structure.n_pairs, dtype=complex)
             closed_compliance = compliance[np.ix_(is_closed, is_closed)]
             force[is_closed] = np.linalg.lstsq(closed_compliance, gap[is_closed], rcond=None)[0]
-            gap_amplitudes, force_amplitudes = (
-                gap_amplitudes + np.abs(gap),
-                force_amplitudes + np.abs(force),
-            )
+            gap_amplitudes = gap_amplitudes + np.abs(gap)
+            force_amplitudes = force_amplitudes + np.abs(force)
             open_gap_amplitudes = open_gap_amplitudes + np.abs(gap - compliance @ force)
     return watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes
 
@@ -514,10 +512,8 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     if parameter not in CURVE_UNIT_BY_PARAMETER:
         return None
     mode_index = int(np.argmin(np.abs(figures.omega_bilinear - excitation.omega)))
-    open_omega, bilinear_omega = (
-        float(figures.omega_open[mode_index]),
-        float(figures.omega_bilinear[mode_index]),
-    )
+    open_omega = float(figures.omega_open[mode_index])
+    bilinear_omega = float(figures.omega_bilinear[mode_index])
     # Three half-power bandwidths from the resonance the response is a sixth of the peak.
     bandwidth_factor = 1.0 + 3.0 * 2.0 * float(figures.damping_ratios[mode_index])
     if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):

@@ -294,10 +294,8 @@ def estimate_checked_memory(
     InputError
         The memory exceeds 80 % of this machine's.
     """
-    needed_bytes, machine_bytes = (
-        _estimate_needed_memory(scene, structure, is_run_up),
-        machine_memory(),
-    )
+    needed_bytes = _estimate_needed_memory(scene, structure, is_run_up)
+    machine_bytes = machine_memory()
     byte_limit = 0.8 * machine_bytes
     if needed_bytes > byte_limit:
         release_freed_memory()  # only now: later steps must allocate it again

@@ -120,11 +120,9 @@ def with_friction_lines(study: Study, omega: float) -> Study:
 
 def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution]:
     """Solve an unreduced study to its tolerance; return the reduced study and the solution."""
-    scene, balance_table, reduced_studies = (
-        unreduced_study.scene,
-        unreduced_study.scene.harmonic_balance,
-        list[Study](),
-    )
+    scene = unreduced_study.scene
+    balance_table = unreduced_study.scene.harmonic_balance
+    reduced_studies = list[Study]()
     law = unreduced_study.contact
     assert law is not None
 

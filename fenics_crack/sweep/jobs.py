@@ -189,10 +189,8 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
     """
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
-    receive_request, test_result = (
-        comm.irecv(message_buffer, message_status.source, message_status.tag),
-        list[Any](),
-    )
+    receive_request = comm.irecv(message_buffer, message_status.source, message_status.tag)
+    test_result = list[Any]()
 
     def has_arrived() -> bool:
         test_result[:] = receive_request.test()

@@ -436,10 +436,8 @@ class SweepResult(Tabular):
         for quantity_name in self.scene.quantities or observable_names(
             required_flags=IN_SWEEP_PICTURES
         ):
-            label, unit = (
-                OBSERVABLES_BY_NAME[quantity_name].words,
-                OBSERVABLES_BY_NAME[quantity_name].unit,
-            )
+            label = OBSERVABLES_BY_NAME[quantity_name].words
+            unit = OBSERVABLES_BY_NAME[quantity_name].unit
             if OBSERVABLES_BY_NAME[quantity_name].place is not Place.POINT:
                 label_and_unit_by_column[quantity_name] = label, unit
             elif label_by_point:
@@ -481,10 +479,8 @@ class SweepResult(Tabular):
         ImportError
             xarray is not installed: the package does without it.
         """
-        dataset_class, unit_by_column = (
-            import_optional("xarray", "to_xarray").Dataset,
-            self._units(),
-        )
+        dataset_class = import_optional("xarray", "to_xarray").Dataset
+        unit_by_column = self._units()
         values_by_key = {
             axis.key: [
                 axis_value if np.isscalar(axis_value) else str(axis_value)

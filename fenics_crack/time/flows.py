@@ -301,16 +301,12 @@ class ExponentialFlow(Flow):
         ConvergenceError
             The contact forces of a step were not found.
         """
-        n_modal_states, n_pairs, n_requested_steps = (
-            2 * self.n_modes,
-            self.structure.n_pairs,
-            periods * self.steps_per_period,
-        )
+        n_modal_states = 2 * self.n_modes
+        n_pairs = self.structure.n_pairs
+        n_requested_steps = periods * self.steps_per_period
         state, sticking_places = np.split(require_shape(state, self.size), [n_modal_states])
-        modal_states, contact_forces = (
-            np.empty((n_requested_steps + 1, n_modal_states)),
-            np.empty((n_requested_steps + 1, len(self.softness))),
-        )
+        modal_states = np.empty((n_requested_steps + 1, n_modal_states))
+        contact_forces = np.empty((n_requested_steps + 1, len(self.softness)))
         pair_states = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
         modal_states[0] = state
         initial_gap = self.gap_rows @ (state - self.steady_states[0]) + self.linear_gap[0]

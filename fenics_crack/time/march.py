@@ -106,10 +106,8 @@ class March:
         max_dofs_per_rank = max(self.structure.comm.allgather(len(self.recorded_dofs)))
         n_instants = self.n_kept_periods * self.steps_per_period
         if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > ALLOWED_RECORD_BYTES:
-            contents_text, limit_text = (
-                f"{n_instants} instants of {max_dofs_per_rank} dofs",
-                f"{ALLOWED_RECORD_BYTES // 2**30} GiB",
-            )
+            contents_text = f"{n_instants} instants of {max_dofs_per_rank} dofs"
+            limit_text = f"{ALLOWED_RECORD_BYTES // 2**30} GiB"
             allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
             raise InputError("record_periods", self.record_periods, allowed)
         _ = self.start

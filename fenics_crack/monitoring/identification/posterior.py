@@ -632,10 +632,8 @@ class Posterior:
         float
             The bound.
         """
-        border_log_likelihood, branches = (
-            self.find_region_level(probability),
-            [*self.branch_by_words.values()],
-        )
+        border_log_likelihood = self.find_region_level(probability)
+        branches = [*self.branch_by_words.values()]
         for unknown_index, end_index in product(range(len(branches[0].axes)), (0, -1)):
             if any(
                 np.any(

@@ -481,10 +481,8 @@ class Identification(Tabular):
         undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
             return undecided_verdict, "there is no plate without a crack to compare with"
-        min_p_value, min_log_bayes_factor = (
-            1.0 - prior_by_key["confidence"],
-            prior_by_key["log_bayes_factor"],
-        )
+        min_p_value = 1.0 - prior_by_key["confidence"]
+        min_log_bayes_factor = prior_by_key["log_bayes_factor"]
         crack_p_value = self.misfit[1]
         uncracked_p_value = self.plain.misfit[1]
         log_bayes_factor = self.log_bayes_factor
