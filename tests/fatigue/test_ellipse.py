@@ -325,8 +325,12 @@ def test_the_nearer_side_limits_the_length(form: str, tmp_path: Path) -> None:
             model.occ.synchronize()
             gmsh.write(changes["geometry.file"])
     near_side = scene(**changes)
-    with pytest.raises(fc.InputError, match=r"crack\.length = 0\.00725: .*below 0\.0072 "):
+    with pytest.raises(fc.InputError, match=r"crack\.length = 0\.00725: .*below 0\.0072:"):
         fc.grow(near_side, comm=MPI.COMM_SELF)
+    if form != "center":
+        edge_scene = near_side.replace({"crack.point": [0.0, 0.03, 0.006]})
+        with pytest.raises(fc.InputError, match=r"^crack\.point = .*inside a face"):
+            fc.grow(edge_scene, comm=MPI.COMM_SELF)
 
 
 @pytest.mark.nightly
