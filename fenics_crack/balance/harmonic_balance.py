@@ -324,6 +324,10 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
+SOUGHT_CHANGE_FACTOR = 3.0
+"""Maximum predicted change of the gaps by more modes, relative to the tolerance, for which the
+orbit with more modes is sought while a tolerance chooses the modes. Linear predictions above it
+are large enough to go on to more modes: measured, they are right to a factor of 2."""
 FIRST_MODE_COUNT = 10
 """Modes of the first attempt for a large structure, limited by what exact orbits may have."""
 MAX_HARMONICS = 500
@@ -388,6 +392,15 @@ def solve_to_tolerance(
             break
         initial = solution if structure.light_lips else None
     assert best_solution is not None
+    orbit, more_modes = best_solution.orbit, best_solution.assessment.more_modes
+    if orbit and more_modes and not more_modes.orbit and more_modes.allowed_prediction < math.inf:
+        problem = replace(
+            solver.problem, structure=best_solution.structure, harmonics=best_solution.harmonics
+        )
+        whole_report_solution = solution_of_orbit(problem, orbit, tolerance)
+        best_solution = replace(
+            whole_report_solution, status=best_solution.status, others=best_solution.others
+        )
     return _with_tolerance_status(solver, best_solution, tolerance, modes_key)
 
 
@@ -498,7 +511,9 @@ def _solve_structure(
         return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
-        orbit_solution = solution_of_orbit(problem, search.orbit, tolerance, initial)
+        orbit_solution = solution_of_orbit(
+            problem, search.orbit, tolerance, initial, SOUGHT_CHANGE_FACTOR * tolerance
+        )
         origin_text = (
             f"{search.outcome_text}, from H = {solutions[-1].harmonics}"
             if solutions
@@ -608,11 +623,13 @@ def solution_of_orbit(
     orbit: PeriodicOrbit,
     tolerance: float,
     initial: PeriodicSolution | None = None,
+    allowed_prediction: float = math.inf,
 ) -> PeriodicSolution:
     """Return an orbit's solution with the fewest harmonics that meet a tolerance.
 
     It has no fewer harmonics than the problem. Its errors are due to the coefficients left out, and
-    to the modes. A neighbouring solution ``initial`` makes it faster.
+    to the modes. A neighbouring solution ``initial`` makes it faster. The orbit with more modes is
+    sought if the predicted change of the gaps is at most ``allowed_prediction``.
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
     coefficients = orbit.coefficients(
@@ -631,6 +648,8 @@ def solution_of_orbit(
     more_modes = solution_with_harmonics(
         problem.response_harmonics(SearchOptions.guess_harmonic_counts[0])
     ).assessment.more_modes
+    if more_modes:
+        more_modes = replace(more_modes, allowed_prediction=allowed_prediction)
     if more_modes and initial and initial.structure is problem.structure:
         initial_more_modes = initial.assessment.more_modes
         more_modes = replace(
@@ -702,7 +721,9 @@ def _modal_truncation_errors(
     reduced_structure = problem.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
-    if more_modes is None or more_modes.orbit is None:
+    errors = more_modes and more_modes.gap_and_load_errors
+    is_change_large = errors and more_modes and errors[0] > more_modes.allowed_prediction
+    if more_modes is None or (more_modes.orbit is None and not is_change_large):
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
         balance_solver = Solver(problem.with_harmonics(n_harmonics))
         balanced_solution = balance_solver.search_and_solution(
@@ -710,7 +731,7 @@ def _modal_truncation_errors(
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement
-    return (more_modes and more_modes.gap_and_load_errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+    return errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ reference has a share of that, as additional modal damping.
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -111,6 +112,8 @@ class MoreModes:
     """Nearest exact orbit, with the modes of the solution's structure."""
     inverse_function: IMinusMSolver | None = None
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
+    allowed_prediction: float = math.inf
+    """Maximum predicted relative change of the gaps for which the orbit is sought."""
 
     @property
     def states_over_period(self) -> np.ndarray:
@@ -200,9 +203,10 @@ class MoreModes:
         if orbit is None and (
             prediction := predict_orbit(flow, load_omega, period_states, n_load_periods)
         ):
-            orbit = search_from_state(
-                prediction.states[0], solve_i_minus_m=prediction.solve_i_minus_m
-            )
+            if prediction.relative_gap_error <= self.allowed_prediction:
+                orbit = search_from_state(
+                    prediction.states[0], solve_i_minus_m=prediction.solve_i_minus_m
+                )
             return orbit or predict_motion(flow, load_omega, prediction, n_load_periods)
         return orbit
 

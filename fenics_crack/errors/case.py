@@ -24,8 +24,10 @@ from fenics_crack.balance.harmonic_balance import (
     find_line_angles_and_turning,
     law_along_lines,
     motion_without_friction,
+    search_initial_orbit,
     slide_along_lines,
     solve_linear,
+    truncated_orbit_solution,
 )
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -263,14 +265,24 @@ def solve_again(
     return _solver(study, omega, harmonics).solve(initial)
 
 
-def solve_in_steps(
-    study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
+def solve_orbit_or_in_steps(
+    study: Study,
+    omega: float,
+    harmonics: int,
+    initial: PeriodicSolution | None = None,
+    *,
+    by_orbit: bool,
 ) -> PeriodicSolution:
-    """Solve with half the harmonics, then start all harmonics from this solution.
+    """Solve a reduced study, by an exact orbit if ``by_orbit`` and if the search finds one.
 
-    Half the harmonics find a motion from rest in less time. If all harmonics do not converge, the
-    first solution is returned.
+    Otherwise solve with half the harmonics, and start all harmonics from this solution. Half the
+    harmonics find a motion from rest in less time. If all harmonics do not converge, the first
+    solution is returned.
     """
+    if by_orbit:
+        problem = _solver(study, omega, harmonics).problem
+        if (orbit := search_initial_orbit(problem, initial).orbit) is not None:
+            return truncated_orbit_solution(problem, orbit, orbit.coefficients(harmonics))
     n_first = max(harmonics // 2, least_harmonics(study.structure, 1))
     solution = solve_again(study, omega, n_first, initial)
     if study.contact is None:

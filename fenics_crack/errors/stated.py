@@ -78,7 +78,7 @@ from fenics_crack.errors.case import (
     Case,
     reason_of_failure,
     solve_again,
-    solve_in_steps,
+    solve_orbit_or_in_steps,
     vary,
 )
 from fenics_crack.errors.convergence import (
@@ -269,14 +269,14 @@ def stated_errors(
         return replace(errors, unknown=reasons)
     if answer.report.unknown:  # other runs may agree by chance
         return errors.with_unknown("harmonics", not_estimated(answer.report))
-    try:
-        wave = solve_again(study, answer.omega, answer.harmonics, answer)
-    except REFUSAL_EXCEPTIONS as error:
-        if answer.orbit is None:
+    wave, wave_numbers = answer, numbers
+    if answer.orbit is None:
+        try:
+            wave = solve_again(study, answer.omega, answer.harmonics, answer)
+        except REFUSAL_EXCEPTIONS as error:
             reason = reason_of_failure("harmonic balance from it", error)
             return errors.with_unknown("harmonics", reason)
-        wave = answer  # has the coefficients of an exact orbit
-    wave_numbers = numbers_of(study, wave, numbers.mode)
+        wave_numbers = numbers_of(study, wave, numbers.mode)
     case = StatedCase(study, answer, numbers.values, wave, wave_numbers, of_peak)
     return vary(errors, {cause: getattr(case, cause) for cause in causes})
 
@@ -435,7 +435,7 @@ class StatedCase(Case):
             replace(study, scene=scene, structure=structure.whole), with_reference=False
         )
         start = self.wave if structure.light_lips else None  # else it has other coordinates
-        wave = solve_again(study, self.wave.omega, self.wave.harmonics, start)
+        wave = self._solve_run(study, self.wave.omega, start)
         numbers = numbers_of(study, wave, self.numbers.mode)
         return replace(self, study=study, wave=wave, numbers=numbers)
 
@@ -454,7 +454,7 @@ class StatedCase(Case):
         coarse_study, mode = _with_known_numbers(coarse_study), self._mode_of_shift()
         frequency_ratio = bilinear_of(coarse_study.structure, mode)
         frequency_ratio /= bilinear_of(study.structure, mode)
-        coarse_wave = solve_in_steps(coarse_study, wave.omega * frequency_ratio, wave.harmonics)
+        coarse_wave = self._solve_run(coarse_study, wave.omega * frequency_ratio)
         coarse_mesh_numbers = self.compute_values(coarse_wave, coarse_study)
         levels = zip(counts, (self.numbers.values, coarse_mesh_numbers), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
@@ -482,6 +482,15 @@ class StatedCase(Case):
             parts[name] = replace(part, extrapolated=value + error)
         return counts, parts
 
+    def _solve_run(
+        self, study: Study, omega: float, initial: PeriodicSolution | None = None
+    ) -> PeriodicSolution:
+        """Solve another run as the answer was solved: by an exact orbit, or by harmonics."""
+        by_orbit = self.answer.orbit is not None
+        return solve_orbit_or_in_steps(
+            study, omega, self.wave.harmonics, initial, by_orbit=by_orbit
+        )
+
     def _values_at_shifts(self, shifts: np.ndarray) -> list[dict[str, float]]:
         """Return the numbers at relative shifts of the resonance (collective).
 
@@ -491,9 +500,7 @@ class StatedCase(Case):
         if self.of_peak:
             return [self.numbers.values] * len(shifts)
         frequencies = self.wave.omega / (1.0 + shifts)
-        solutions = (
-            solve_in_steps(self.study, float(omega), self.wave.harmonics) for omega in frequencies
-        )
+        solutions = (self._solve_run(self.study, float(omega)) for omega in frequencies)
         return [self.compute_values(solution) for solution in solutions]
 
     def _n_extrapolated(self, shift_range: float, mode: int) -> int:
@@ -552,7 +559,7 @@ class StatedCase(Case):
             n_along = is_of_crack.sum() ** (1.0 / (study.scene.dimension - 1))
             shifts[is_of_crack] = 0.5 * np.ptp(extreme_gaps) / n_along * np.ptp(closed_shares)
         shifted_study = replace(study, structure=study.structure.varied(clearance=shifts))
-        solution = solve_in_steps(shifted_study, wave.omega, wave.harmonics, wave)
+        solution = self._solve_run(shifted_study, wave.omega, wave)
         return self.compute_values(solution, shifted_study)
 
 
