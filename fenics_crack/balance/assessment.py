@@ -48,7 +48,7 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.equations import COARSE_TOLERANCE
 from fenics_crack.numerics.fourier import resize_harmonics
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
 MAX_ACCEPTED_ERROR = 0.1
 """Relative distance up to which the nearest orbit is accepted.
@@ -380,7 +380,7 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
     ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants; the reference is the
     motion's size at the load.
     """
-    return relative_to_motion(
+    return change_relative_to_motion(
         *(
             motion_along_load(wave.structure, displacement_samples)
             for displacement_samples in (change, motion)
@@ -397,6 +397,6 @@ def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     if are_crack_faces_still(orbit_samples):
         return 0.0
     gap_plus_clearance = orbit_samples.gaps + wave.structure_with_row_pairs.clearance
-    return relative_to_motion(
+    return change_relative_to_motion(
         orbit_samples.gaps - wave.over_period(len(gap_plus_clearance))[1], gap_plus_clearance
     )

@@ -295,13 +295,13 @@ class BlockSystem(Snes):
         n_iterations : int
         """
         self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
-        has_converged, n_iterations = self.solve_in_place(
+        has_converged, n_iterations = self.solve_into_unknown_vector(
             self.scaled_unknowns_of(displacement), tolerance, MAX_ITERATIONS
         )
         if (
             has_converged and stiffness_factor == 1.0
         ):  # the error of u may be far larger than that of F
-            self.solve_in_place(self._unknown_vector.array_r.copy(), 0.0, 1)
+            self.solve_into_unknown_vector(self._unknown_vector.array_r.copy(), 0.0, 1)
         return self.displacement(self._unknown_vector), has_converged, n_iterations
 
     def __exit__(self, *exception: object) -> None:

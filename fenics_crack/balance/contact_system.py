@@ -65,7 +65,7 @@ from fenics_crack.numerics.equations import (
     DenseLinearisation,
     Equations,
     Linearisation,
-    solve_factored,
+    solve_by_transpose_factors,
 )
 from fenics_crack.numerics.fourier import (
     evaluate_series,
@@ -136,7 +136,7 @@ class ContactSystem:
         n_step_unknowns = n_rows * (
             n_pairs if self.reachable_gap_basis is None else self.reachable_gap_basis.shape[1]
         )
-        self.matrix_free = (
+        self.is_matrix_free = (
             integrals.has_coupled_pairs and n_step_unknowns > MAX_UNKNOWNS_WITH_JACOBIAN
         )
         self.n_cost_unknowns = min(n_step_unknowns, MAX_UNKNOWNS_WITH_JACOBIAN)
@@ -192,7 +192,7 @@ class ContactSystem:
             linear_gap, compliance_or_modes,
             has_coupled_pairs=self.integrals.has_coupled_pairs,
             reachable_gap_basis=self.reachable_gap_basis,
-            forms_jacobian=not self.matrix_free, **path_rates,
+            forms_jacobian=not self.is_matrix_free, **path_rates,
         )  # fmt: skip
 
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
@@ -357,7 +357,7 @@ class ContactPoint(DenseLinearisation):
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
-        if system.matrix_free:
+        if system.is_matrix_free:
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
         if system.reachable_gap_basis is not None:
@@ -369,14 +369,15 @@ class ContactPoint(DenseLinearisation):
             )
             return (
                 right_side
-                - solve_factored(factors, response_in_basis) @ system.reachable_gap_basis.T
+                - solve_by_transpose_factors(factors, response_in_basis)
+                @ system.reachable_gap_basis.T
             )
-        return solve_factored(factors, right_side)
+        return solve_by_transpose_factors(factors, right_side)
 
     @property
     def sign(self) -> float:
         """Return the sign of det J; nan if J is not formed."""
-        return np.nan if self.system.matrix_free else super().sign
+        return np.nan if self.system.is_matrix_free else super().sign
 
     @cached_property
     def by_parameter(self) -> np.ndarray:

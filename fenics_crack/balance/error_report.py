@@ -46,7 +46,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING
 from fenics_crack.numerics.fourier import resize_harmonics, sample_period
-from fenics_crack.numerics.newton import motion_square, solve_by_full_or_damped_steps
+from fenics_crack.numerics.newton import motion_size_squared, solve_by_full_or_damped_steps
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
@@ -399,4 +399,4 @@ def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square in which means contribute no more than all else; never zero."""
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)
-    return motion_square(float(vibration_mean_square), float(squared_means_sum))
+    return motion_size_squared(float(vibration_mean_square), float(squared_means_sum))

@@ -71,7 +71,7 @@ from fenics_crack.motion.search import (
     search_orbit,
 )
 from fenics_crack.numerics.fourier import from_complex, to_complex
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
 
 def solve_linear(
@@ -661,7 +661,7 @@ def solution_of_orbit(
         residual=orbit.residual,
         truncation=gap_and_load_errors[0],
         reduction=reduction_error,
-        penetration=relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
+        penetration=change_relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
         displacement=min(gap_and_load_errors[1] + load_error, UNKNOWN_ERROR),
     )
     return replace(solution.reported(report), iterations=orbit.iterations)

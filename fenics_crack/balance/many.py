@@ -39,7 +39,7 @@ from fenics_crack.motion.orbit import (
     orbit_from,
 )
 from fenics_crack.numerics.fourier import fourier_coefficients
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
 """Nearest cases searched for neighbours, and neighbours that a fitted plane uses."""
@@ -349,7 +349,7 @@ def _table_entries_of_orbit(
     truncation_error = (
         0.0
         if are_crack_faces_still(orbit_samples)
-        else relative_to_motion(
+        else change_relative_to_motion(
             gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
         )
     )

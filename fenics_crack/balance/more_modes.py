@@ -39,7 +39,7 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.motion.search import SEGMENT_START_SLICE
 from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
 UNKNOWN_ERROR = 1.0
 """Relative error that stands for an unknown error."""
@@ -223,7 +223,7 @@ class MoreModes:
             return None
         orbit_samples = self.nearest_orbit.sampled
         motion_samples = self.orbit_or_corrected_motion.sampled
-        gap_error = relative_to_motion(
+        gap_error = change_relative_to_motion(
             motion_samples.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
         )
@@ -231,7 +231,7 @@ class MoreModes:
             motion_along_load(samples.flow.structure, samples.displacement)
             for samples in (orbit_samples, motion_samples)
         )
-        load_error = relative_to_motion(motion_with_more_modes - orbit_motion, orbit_motion)
+        load_error = change_relative_to_motion(motion_with_more_modes - orbit_motion, orbit_motion)
         return modal_truncation_errors(
             self.wave.structure,
             (0.0 if are_crack_faces_still(orbit_samples) else gap_error, load_error),

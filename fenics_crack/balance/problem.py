@@ -90,7 +90,7 @@ from fenics_crack.numerics.newton import (
     SystemSnes,
     can_solve_in_kernel,
     point_on_path,
-    solve_at,
+    solve_at_parameter,
     solve_by_full_or_damped_steps,
 )
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
@@ -539,7 +539,7 @@ class Search:
         """
         max_guess_iterations = self._iterations_per_guess
         raised_tolerance = max(self.tolerance, tolerance)
-        path_point = solve_at(
+        path_point = solve_at_parameter(
             system,
             guess,
             parameter,
@@ -651,7 +651,7 @@ class Search:
             coarse_point = self._first_coarse_solution(system, self._guesses_near(system, guess))
             # Iterations with fewer harmonics cost little: they do not count.
             self._max_iterations += self.iterations - iterations_before
-            if coarse_point is None and not system.matrix_free:
+            if coarse_point is None and not system.is_matrix_free:
                 coarse_point = self._first_coarse_solution(
                     system, self._guesses_by_continuation(system, 0.5)
                 )
@@ -815,4 +815,4 @@ def _iteration_budget(system: ContactSystem) -> float:
     if getattr(system, "compiled_equations", None) is not None:
         return kernel_budget
     python_budget = MAX_SEARCH_ITERATIONS / 5  # Python takes five times as long
-    return python_budget if system.matrix_free else min(python_budget, kernel_budget)
+    return python_budget if system.is_matrix_free else min(python_budget, kernel_budget)

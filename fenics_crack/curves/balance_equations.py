@@ -64,14 +64,14 @@ class BalanceEquations(CurveSystem):
         )
         self._last_value_and_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
-        self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
+        self.shape, self.is_matrix_free = start_system.shape, start_system.is_matrix_free
         self.angle_weights: np.ndarray | None = None
         """Weights of the unknowns in angles between tangents.
 
         If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
         the phase of harmonic k turns k times as far, and a tangent's high harmonics are not small.
         """
-        if self.matrix_free:
+        if self.is_matrix_free:
             harmonic_order = (np.arange(self.shape[0]) + 1) // 2
             self.angle_weights = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
 

@@ -227,7 +227,7 @@ class GrowingCurve:
         """Yield the last point so far, then all points that follow."""
         yield self.points[-1]
         for segment in self._segments():
-            for one_point_segment in segment.split_points():
+            for one_point_segment in segment.yield_one_point_segments():
                 yield self._record(one_point_segment)
 
     def run(self) -> None:
@@ -258,7 +258,7 @@ class GrowingCurve:
             min_step=max(MIN_RESOLVED_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
             points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
-            span=(-self._step_limits.turning_back, np.inf),
+            parameter_range=(-self._step_limits.turning_back, np.inf),
         )
         path = Path(
             system, last_point, path_options, events, system.make_step_control(longest_step)

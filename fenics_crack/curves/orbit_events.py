@@ -212,7 +212,7 @@ class PeriodDoubling(Event):
 
     kind = "period_doubling"
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         return np.asarray(count_changes(segment.step_control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
@@ -230,7 +230,7 @@ class NeimarkSacker(Event):
 
     kind = "neimark_sacker"
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         return np.asarray(count_changes(segment.step_control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:

@@ -54,7 +54,9 @@ from fenics_crack.numerics.path import (
     ZeroCrossing,
 )
 
-RESONANCE_PATH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
+RESONANCE_PATH_OPTIONS = PathOptions(
+    0.05, 0.3, max_steps=300, points_per_call=8, parameter_range=(-4.0, 1.8)
+)
 """Options for the response curve to the first resonance.
 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
@@ -167,7 +169,7 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
         start_path_point = replace(start_path_point, tangent=start_path_point.tangent.reverse())
     resonance_path_point = Path(
         equations, start_path_point, RESONANCE_PATH_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
-    ).run_to_terminal_event()
+    ).find_terminal_point_or_none()
     if resonance_path_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {from_omega:.6g} rad/s on")
     problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))

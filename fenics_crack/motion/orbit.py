@@ -57,11 +57,11 @@ from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
     MAX_LOCATION_RESIDUAL,
     ROOT_TOLERANCE,
-    factorise,
-    solve_factored,
+    factorise_transpose,
+    solve_by_transpose_factors,
 )
 from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
-from fenics_crack.numerics.newton import FORCING_TERM, gmres, relative_to_motion
+from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion, gmres
 
 MAX_SEARCH_PERIODS = 20
 """Maximum periods that a search integrates."""
@@ -661,7 +661,7 @@ def predict_orbit(
     part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     gap_changes = state_changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     return Prediction(
-        relative_to_motion(gap_changes, part_start_gaps),
+        change_relative_to_motion(gap_changes, part_start_gaps),
         states + state_changes,
         solution_track,
         solve_i_minus_m,
@@ -689,10 +689,12 @@ def _make_i_minus_m_solver(flow: ContactFlow, track: Track, weights: np.ndarray)
     ``weights``.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-        i_minus_m_factors = factorise(np.eye(flow.size) - track.tangent)
+        i_minus_m_factors = factorise_transpose(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
-        return lambda right_side, tolerance: solve_factored(i_minus_m_factors, right_side)
+        return lambda right_side, tolerance: solve_by_transpose_factors(
+            i_minus_m_factors, right_side
+        )
 
     def apply_i_minus_m(change: np.ndarray) -> np.ndarray:
         return change - weights * (track @ (change / weights))

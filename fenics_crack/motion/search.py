@@ -330,7 +330,9 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
             yield orbit_equations.orbit(solution_point)
             return
         start_point = point_on_path(homotopy, orbit_equations.start_unknown, 0.0)
-        end_point = Path(homotopy, start_point, path_options, [Target(1.0)]).run_to_terminal_event()
+        end_point = Path(
+            homotopy, start_point, path_options, [Target(1.0)]
+        ).find_terminal_point_or_none()
         if end_point is not None:
             yield from filter(None, [task.find_orbit(orbit_equations.state(end_point.unknown))])
 

@@ -102,10 +102,10 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
     """J v, J^-1 r, and what follows from these."""
     unknown, vector = random_gaps(6, 3), random_gaps(6, 3, 5)
     points, hard = [], system_of(short_chain, RIGID, 6)
-    for matrix_free in (False, True):
+    for is_matrix_free in (False, True):
         system = type(hard)(hard.compliance_model, hard.integrals, 0.5)
-        assert not system.matrix_free
-        system.matrix_free = matrix_free
+        assert not system.is_matrix_free
+        system.is_matrix_free = is_matrix_free
         points.append(system.linearise(unknown, 0.4))
     dense, iterative = points
     assert relative(dense.apply(vector), (dense.jacobian @ vector.ravel()).reshape(13, 3)) < 1e-12

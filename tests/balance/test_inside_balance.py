@@ -599,7 +599,7 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
     wave, second_wave = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
     results_by_count = []
     for limit in (10**6, 0):
-        monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_SIZE", limit)
+        monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_ENTRIES", limit)
         count = n_instants_for_products(harmonics)
         assert count > 4 * harmonics
         values = (
