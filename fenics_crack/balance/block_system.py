@@ -41,7 +41,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
+from fenics_crack.model.factor import estimate_factor_bytes, local_rows, make_matrix_from_local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import count_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
@@ -93,7 +93,7 @@ class BlockSystem(Snes):
             max_square = structure.sum_over_ranks(np.sum(given_modes.mass_shapes**2, axis=0)).max()
             self._scaled_shapes_and_their_rates = (
                 given_modes.mass_shapes / math.sqrt(max_square),
-                max_square * given_modes.modal_damping,
+                max_square * given_modes.damping_rates,
             )
         linear_coo = self._linear_part(problem.base_omega)
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
@@ -130,7 +130,7 @@ class BlockSystem(Snes):
             np.append(linear_coo.row, contact_pattern.row),
             np.append(linear_coo.col, contact_pattern.col),
         )
-        jacobian = distribute_rows(
+        jacobian = make_matrix_from_local_rows(
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
@@ -342,7 +342,8 @@ class BlockSolver(Solver):
         is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
         n_bytes = (
-            4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_damping_modes
+            4.0 * estimate_factor_bytes(n_unknowns, solid=is_solid)
+            + 200.0 * n_unknowns * n_damping_modes
         )
         if n_bytes > 0.8 * machine_memory():
             requirement = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"

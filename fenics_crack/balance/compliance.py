@@ -103,7 +103,7 @@ class DynamicStiffness:
             modal_stiffness = natural_omegas_squared - omega**2
             is_near = np.abs(modal_stiffness) < DEFLATION_BAND * natural_omegas_squared
             if np.any(
-                self._damped_modes.omega[is_near & (self._damped_modes.modal_damping == 0.0)]
+                self._damped_modes.omega[is_near & (self._damped_modes.damping_rates == 0.0)]
                 == omega
             ):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
@@ -111,7 +111,7 @@ class DynamicStiffness:
                 1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
             )
             self._receptance_correction = (
-                1.0 / (modal_stiffness + 1j * omega * self._damped_modes.modal_damping)
+                1.0 / (modal_stiffness + 1j * omega * self._damped_modes.damping_rates)
                 - factored_receptance
             )
             if is_near.any():
@@ -287,7 +287,7 @@ class ModalCompliance:
 
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
         """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
-        dynamic_pair_compliance = self._all_modes.seen_by_pairs(modal_receptance)
+        dynamic_pair_compliance = self._all_modes.compliance_of_pairs(modal_receptance)
         return (
             dynamic_pair_compliance
             if self._all_modes.residual_compliance is None
@@ -325,7 +325,7 @@ class ModalCompliance:
             omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
         modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.gaps_by_mode.T
-        modal_displacement = modes.respond(
+        modal_displacement = modes.modal_response(
             modal_receptance.reshape(
                 *omega_by_harmonic_and_base.shape, *modal_receptance.shape[1:]
             ),
@@ -478,12 +478,13 @@ class ModalCompliance:
             damping_force_per_omega
             - 2.0 * self._base_omega * harmonic_orders * negative_modal_displacement
         )
-        return -self._all_modes.respond(self._receptance, impedance_force_by_omega)
+        return -self._all_modes.modal_response(self._receptance, impedance_force_by_omega)
 
     def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
         """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
         return from_complex(
-            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.gaps_by_mode
+            self._all_modes.modal_response(self._receptance, modal_force)
+            @ self._all_modes.gaps_by_mode
         )
 
     def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
@@ -491,7 +492,7 @@ class ModalCompliance:
         modal_force_less_load = (
             to_complex(contact_force) @ self._all_modes.gaps_by_mode.T - self._modal_load
         )
-        return self._all_modes.respond(self._receptance, modal_force_less_load)
+        return self._all_modes.modal_response(self._receptance, modal_force_less_load)
 
     def destroy(self) -> None:
         """Do nothing: no factors are held."""

@@ -39,9 +39,9 @@ from fenics_crack.kernel import NULL, attach_destructor, kernel, pointer, requir
 from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
+    forces_and_slopes_of_smooth_law,
     is_piecewise_linear,
     is_unilateral,
-    smooth_forces_and_slopes,
 )
 from fenics_crack.numerics.fourier import (
     fourier_coefficients,
@@ -483,7 +483,9 @@ class CoupledIntegrals(ContactIntegrals):
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         if self.is_piecewise:
             return self.active_set_solver.solve(gap_samples)[0]
-        return smooth_forces_and_slopes(self.law, self.active_set_solver.compliance, gap_samples)[0]
+        return forces_and_slopes_of_smooth_law(
+            self.law, self.active_set_solver.compliance_matrix, gap_samples
+        )[0]
 
     def linearise(self, gap_coefficients: np.ndarray) -> CoupledForces:
         return (
@@ -547,7 +549,7 @@ class _ExactForces(CoupledForces):
 
     def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
-        n_pairs = len(integrals.active_set_solver.compliance)
+        n_pairs = len(integrals.active_set_solver.compliance_matrix)
         self._gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
         self.force = np.empty_like(self._gap_coefficients)
         self._evaluated_kernel_handle()
@@ -562,7 +564,7 @@ class _ExactForces(CoupledForces):
         if kernel_evaluator.evaluated_forces is not self:
             kernel_evaluator.evaluated_forces = None
             array_pointers = map(
-                pointer, (active_set_solver.compliance, self._gap_coefficients, self.force)
+                pointer, (active_set_solver.compliance_matrix, self._gap_coefficients, self.force)
             )
             outcome = kernel.find_forces(kernel_evaluator.handle, *array_pointers)
             if outcome == kernel.NO_MEMORY:
@@ -633,10 +635,10 @@ class _SampledForces(CoupledForces):
         )
         if integrals.is_piecewise:
             self._force_samples, is_closed = active_set_solver.solve(gap_samples)
-            self._stiffness_matrix_samples = active_set_solver.invert_sets(is_closed)
+            self._stiffness_matrix_samples = active_set_solver.invert_compliance_on_sets(is_closed)
         else:
-            self._force_samples, self._stiffness_matrix_samples = smooth_forces_and_slopes(
-                integrals.law, active_set_solver.compliance, gap_samples
+            self._force_samples, self._stiffness_matrix_samples = forces_and_slopes_of_smooth_law(
+                integrals.law, active_set_solver.compliance_matrix, gap_samples
             )
         self._stiffness_matrix_coefficients = fourier_coefficients(
             self._stiffness_matrix_samples, 2 * self.harmonics
@@ -685,5 +687,5 @@ class _SampledForces(CoupledForces):
             )
         # d lambda = (I + h' D)^-1 lambda = lambda - S D lambda.
         return self.force - self._force_coefficient_change(
-            self._force_samples @ self._integrals.active_set_solver.compliance
+            self._force_samples @ self._integrals.active_set_solver.compliance_matrix
         )

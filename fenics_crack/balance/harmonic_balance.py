@@ -50,10 +50,10 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.suggestions import fit_argument
 from fenics_crack.basics.tables import format_percent, format_quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIP_STATES
-from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
+from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error, exact_flow_or_none
@@ -171,7 +171,7 @@ def linear_response(
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    load_omegas = numbers(omega)
+    load_omegas = floats_or_nan(omega)
     if load_omegas.ndim != 1 or not np.all(np.isfinite(load_omegas) & (load_omegas >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
     load_rows = load_coefficients(structure, 1, 1)
@@ -202,7 +202,7 @@ def _complex_linear_displacement(
             return dynamic_stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))[0]
-    modal_displacement = modes.respond(receptance, load @ modes.shapes)
+    modal_displacement = modes.modal_response(receptance, load @ modes.shapes)
     return modal_displacement @ modes.shapes.T + load @ modes.massless_flexibility
 
 
@@ -452,7 +452,7 @@ def _with_tolerance_status(
     report, structure = solution.report, solution.structure
     if not solution.converged:
         return solution
-    massless_structure = as_massless_structure(structure)
+    massless_structure = as_massless_structure_or_none(structure)
     kept_modes_text = ""
     modes_remedy_text = modes_key or "modes"
     n_sectors = 1

@@ -27,7 +27,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.motions import rows_of
@@ -182,7 +182,7 @@ def solve_many(
     >>> many = fc.solve_many(structure, 2000.0, contact, damping=np.linspace(0.5, 2.0, 20))
     >>> lost = np.flatnonzero(many.status == "lost")
     """
-    argument_arrays = [numbers(argument) for argument in (omega, load, damping, clearance)]
+    argument_arrays = [floats_or_nan(argument) for argument in (omega, load, damping, clearance)]
     shapes = {argument.shape for argument in argument_arrays} - {()}
     if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
         shapes_in_words = ", ".join(str(argument.shape) for argument in argument_arrays)

@@ -23,7 +23,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.model.modes import NEGLIGIBLE, multiply
-from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
+from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
@@ -69,7 +69,7 @@ def _neglected_dissipation_ratio(wave: Wave) -> float:
 
     It is 0 with another damping, and for a structure with mass in all coordinates.
     """
-    massless_structure = as_massless_structure(wave.structure)
+    massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(
         massless_structure.original.damping, RayleighDamping
     ):
@@ -84,7 +84,7 @@ def _neglected_dissipation_ratio(wave: Wave) -> float:
     return float(
         neglected_energy
         / max(
-            np.sum(modal_rate_coefficients**2 @ massless_structure.rate),
+            np.sum(modal_rate_coefficients**2 @ massless_structure.modal_damping),
             NEGLIGIBLE * neglected_energy,
             1e-300,
         )
@@ -124,7 +124,7 @@ class MoreModes:
         modal_coordinates, modal_velocities, sticking_places = np.split(
             orbit_samples.whole_states, [n_orbit_modes, 2 * n_orbit_modes], axis=1
         )
-        if as_massless_structure(self.wave.structure) is None:
+        if as_massless_structure_or_none(self.wave.structure) is None:
             return self._projected_states(modal_coordinates, modal_velocities, sticking_places)[
                 SEGMENT_START_SLICE
             ]

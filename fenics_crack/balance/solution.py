@@ -24,7 +24,7 @@ from fenics_crack.basics.tables import (
     format_count,
     format_quantity,
 )
-from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
+from fenics_crack.model.contact import check_slope, friction_coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import ObservedMotion, Record
@@ -198,7 +198,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         ``rows`` (m, n_local) are factors of the displacement. Default: the times of
         :meth:`instants`. If a number ``instants`` is given, all numbers follow from those samples.
         """
-        friction_coefficient, static_motion_per_force = coefficient_of(self.contact), None
+        friction_coefficient, static_motion_per_force = friction_coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
             static_motion_per_force = rows @ all_modes(
                 self.structure_with_row_pairs

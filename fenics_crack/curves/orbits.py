@@ -159,7 +159,7 @@ class OrbitEquations(CurveSystem):
         n_unknowns).
         """
         modal_basis_change = (
-            self.flow(value).modal_model.inverse @ self._start_flow.modal_model.shapes
+            self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
         )
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)

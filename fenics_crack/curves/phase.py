@@ -59,7 +59,7 @@ class Drive:
     def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
         """Return a harmonic in a structure's load."""
         row_slice = slice(2 * harmonic - 1, 2 * harmonic + 1)
-        return cls(harmonic, structure.whole.watched_sector_load(structure, row_slice))
+        return cls(harmonic, structure.whole.watched_sector_load_rows(structure, row_slice))
 
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""

@@ -47,8 +47,8 @@ from fenics_crack.model.contact import (
     ContactLaw,
     check_law,
     check_slope,
+    forces_and_slopes_of_smooth_law,
     is_unilateral,
-    smooth_forces_and_slopes,
 )
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -101,7 +101,9 @@ def monodromy_of_linear_flow(
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
     if modes.residual_compliance is not None:
-        force_samples = smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[0]
+        force_samples = forces_and_slopes_of_smooth_law(
+            contact, modes.residual_compliance, gap_samples
+        )[0]
         gap_samples = gap_samples - force_samples @ modes.residual_compliance
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
@@ -148,7 +150,8 @@ def _multiply_steps(
         kicks = step_size * contact.tangent(gap_samples)[:, :, None]
     else:
         kicks = (
-            step_size * smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[1]
+            step_size
+            * forces_and_slopes_of_smooth_law(contact, modes.residual_compliance, gap_samples)[1]
         )
     n_stretches = 1
     while (
@@ -156,7 +159,7 @@ def _multiply_steps(
     ):
         n_stretches *= 2
     kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
-    transition = modes.transition(step_size)[0]
+    transition = modes.transition_and_force_response(step_size)[0]
     stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in kicks_of_stretches.swapaxes(0, 1):
@@ -190,8 +193,8 @@ def _step_without_contact_forces(
 ) -> np.ndarray:
     """Return the states after a step without contact forces.
 
-    ``transition`` is the first result of :meth:`AllModes.transition`. States are the columns
-    (m, 2 n_modes, k) of modal displacements, then velocities.
+    ``transition`` is the first result of :meth:`AllModes.transition_and_force_response`. States
+    are the columns (m, 2 n_modes, k) of modal displacements, then velocities.
     """
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)

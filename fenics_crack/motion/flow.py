@@ -179,7 +179,7 @@ class Flow:
         ``sticking_places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the
         tangential gaps without contact forces.
         """
-        dof_to_mode_matrix, n_pairs = self.modal_model.inverse.T, self.structure.n_pairs
+        dof_to_mode_matrix, n_pairs = self.modal_model.shapes_inverse.T, self.structure.n_pairs
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
         if self.friction_law:
             if sticking_places is None:

@@ -381,7 +381,7 @@ def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
         return np.zeros((0, structure.n_local))
     if structure.whole is not structure:
         return structure.values_at(np.eye(structure.n_dofs), dofs).T
-    rank_local_dofs = structure.check_dofs(dofs) - structure.first_dof
+    rank_local_dofs = structure.as_dof_numbers(dofs) - structure.first_dof
     return np.asarray(rank_local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
 
 

@@ -50,17 +50,17 @@ from fenics_crack.model.contact import (
     FrictionContactSolver,
     add_friction_pairs,
     check_law,
-    coefficient_of,
+    contact_energy,
+    friction_coefficient_of,
     friction_of,
     is_piecewise_linear,
-    potential,
     solve_complementarity,
     spring_compliances,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
 from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
-from fenics_crack.model.reduced import MASS_REMEDY, check_mass
+from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
@@ -92,7 +92,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     --------
     >>> steps = fc.stable_steps_per_period(structure, 2000.0, contact)
     """
-    check_mass(structure, MASS_REMEDY)
+    check_faces_have_mass(structure, MASS_REMEDY)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     springs = _contact_stiffnesses(structure, contact)
@@ -218,7 +218,7 @@ class _EnergyAccount:
         self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         if not self._request.rigid:
             first_spring_energies, last_spring_energies = (
-                potential(self._request.contact, end_gaps) for end_gaps in (gap[:2], gap[-2:])
+                contact_energy(self._request.contact, end_gaps) for end_gaps in (gap[:2], gap[-2:])
             )
             self._created_energy += 0.5 * float(
                 last_spring_energies.sum() - first_spring_energies.sum()
@@ -269,7 +269,7 @@ class _ModalDifferences(Scheme):
         springs, friction_members = None, dict[str, Any]()
         if not request.rigid:
             springs = _contact_stiffnesses(request.structure, request.contact)
-        if (mu := coefficient_of(request.contact)) is not None:
+        if (mu := friction_coefficient_of(request.contact)) is not None:
             assert springs is not None
             self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
             self._sticking_places = np.zeros(n_rows // 2)
@@ -280,7 +280,7 @@ class _ModalDifferences(Scheme):
                 "pair_states": pair_states,
             }
         self._modal_displacement, modal_velocity = (
-            modes.inverse @ physical_part for physical_part in request.start[:2]
+            modes.shapes_inverse @ physical_part for physical_part in request.start[:2]
         )
         initial_gap = self._gap()
         if friction_members:
@@ -416,7 +416,7 @@ class _CentralDifferences(Scheme):
         self._contact_dofs = np.flatnonzero(np.diff(structure_with_friction_rows.gap.indptr))
         self._gap_block = structure_with_friction_rows.gap[self._contact_dofs].toarray()
         self._clearance = structure_with_friction_rows.clearance
-        if (mu := coefficient_of(request.contact)) is not None:
+        if (mu := friction_coefficient_of(request.contact)) is not None:
             self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
@@ -439,10 +439,10 @@ class _CentralDifferences(Scheme):
             *owned_matrices,
         )
         if self._modes is not None:
-            modal_damped_mass = 1.0 + 0.5 * dt * self._modes.modal_damping
+            modal_damped_mass = 1.0 + 0.5 * dt * self._modes.damping_rates
             self._modal_inverse_correction, self._modal_decay = (
                 1.0 / modal_damped_mass - 1.0,
-                self._modes.modal_damping / modal_damped_mass,
+                self._modes.damping_rates / modal_damped_mass,
             )
         if self.rigid:
             self._displacement_per_force, zero_velocity = (
@@ -559,7 +559,7 @@ class _CentralDifferences(Scheme):
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.modal_damping * modal_velocity)
+        return self._modes.mass_shapes @ (self._modes.damping_rates * modal_velocity)
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""

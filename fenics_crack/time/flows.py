@@ -46,7 +46,7 @@ from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
     FrictionContactSolver,
-    coefficient_of,
+    friction_coefficient_of,
 )
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
@@ -238,13 +238,13 @@ class ExponentialFlow(Flow):
             2.0 * np.pi / omega / steps_per_period,
         )
         modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
-        transition, force_response = modes.transition(self.step_size)
+        transition, force_response = modes.transition_and_force_response(self.step_size)
         halved_force_response = 0.5 * force_response  # Gamma
         gap_response = modes.gaps_by_mode.T @ halved_force_response[:n_modes]
         self.gap_rows = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
         enumerated_loads = enumerate(to_complex(self.modal_load))
         response_harmonics = [
-            modes.steady_response(harmonic_order * omega, load_harmonic)
+            modes.steady_modal_amplitudes(harmonic_order * omega, load_harmonic)
             for harmonic_order, load_harmonic in enumerated_loads
         ]
         displacement_coefficients = from_complex(np.array(response_harmonics))
@@ -259,7 +259,7 @@ class ExponentialFlow(Flow):
         )
         step_compliance = self.compliance + gap_response
         contact_struct_members: dict[str, Any]
-        if (friction_coefficient := coefficient_of(contact)) is None:
+        if (friction_coefficient := friction_coefficient_of(contact)) is None:
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
             contact_struct_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:

@@ -27,8 +27,14 @@ from fenics_crack.basics.progress import add_progress_text, begin_stage
 from fenics_crack.basics.ranks import StopRequest, raise_first_error
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.basics.tables import Tabular, format_count
-from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, friction_of, is_rigid
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.contact import (
+    ContactLaw,
+    check_law,
+    friction_coefficient_of,
+    friction_of,
+    is_rigid,
+)
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import ObservedMotion, Record
@@ -152,7 +158,7 @@ class March:
         own_dofs, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
         if self.dofs is None:
             return own_dofs
-        requested_dofs = whole_structure.check_dofs(self.dofs)
+        requested_dofs = whole_structure.as_dof_numbers(self.dofs)
         if whole_structure is not self.structure:
             return own_dofs
         return requested_dofs[(requested_dofs >= first_dof) & (requested_dofs < end_dof)]
@@ -349,7 +355,7 @@ class TimeHistory(ObservedMotion, Tabular):
         """
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
-        dof_numbers = self.structure.check_dofs(dofs)
+        dof_numbers = self.structure.as_dof_numbers(dofs)
         selection_matrix = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
         recording_rank_counts = self.structure.sum_over_ranks(
             selection_matrix.sum(axis=0)
@@ -501,7 +507,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     final_state = scheme.state()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
-    n_pairs, friction_coefficient = structure.n_pairs, coefficient_of(request.contact)
+    n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)
     has_friction = friction_coefficient is not None
     return TimeHistory(
         time=np.arange(n_periods * steps - n_kept_rows, n_periods * steps) * request.step_size,
@@ -574,7 +580,7 @@ def initial_state(
             state_parts = *state_parts, initial.sticking_places(np.zeros(1))[0]
     else:
         try:
-            state_parts = tuple(numbers(state_part) for state_part in initial)
+            state_parts = tuple(floats_or_nan(state_part) for state_part in initial)
         except TypeError:
             state_parts = ()
     expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)

@@ -669,7 +669,7 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
         product_rows += 1j * omega * product(structure.damping_matrix)
     if (modes := damped_modes(structure)) is not None:
         modal_velocity = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
-        product_rows += 1j * omega * (modal_velocity * modes.modal_damping) @ modes.mass_shapes.T
+        product_rows += 1j * omega * (modal_velocity * modes.damping_rates) @ modes.mass_shapes.T
     return product_rows
 
 

@@ -131,12 +131,13 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
 
     Raises ConvergenceError where an instant has no forces.
     """
-    columns, pairs = len(gap), len(contact.compliance)
+    columns, pairs = len(gap), len(contact.compliance_matrix)
     gap = require_shape(gap, 2 * (columns // 2) + 1, pairs)
     count = kernel.interval_cells(columns // 2, pairs)
     closed_at_start, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
-        "pivot_table", pairs=pairs, compliance=contact.compliance, table=np.empty((pairs, pairs)),
+        "pivot_table", pairs=pairs, compliance=contact.compliance_matrix,
+        table=np.empty((pairs, pairs)),
         closed=np.empty(pairs, dtype=bool), work=np.empty(4 * pairs),
     )  # fmt: skip
     waves, places = _waves(columns // 2, count, pairs), count + 8 * pairs
@@ -204,7 +205,7 @@ WRONG = {
     "sets, a compliance not square": lambda: ActiveSetSolver(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
-    "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
+    "inverses, other pairs": lambda: TWO.invert_compliance_on_sets(np.ones((4, 3), bool)),
     "responses, other pairs": lambda: multiply_compliance_and_force(
         np.ones((2, 3, 3)), np.ones((3, 2))
     ),
@@ -292,7 +293,7 @@ def test_sets_are_those_of_every_instant(pairs: int, harmonics: int, seed: int) 
     # The forces on both sides of an event are the same: they vanish, or begin, there.
     values = evaluate_series(gap, 1.0, intervals.theta[1:])
     forces_before, forces_after = (
-        np.einsum("npq,nq->np", contact.invert_sets(sets), values)
+        np.einsum("npq,nq->np", contact.invert_compliance_on_sets(sets), values)
         for sets in (intervals.closed[:-1], intervals.closed[1:])
     )
     max_force = np.abs(contact.solve(evaluate_series(gap, 1.0, theta))[0]).max()

@@ -101,7 +101,7 @@ def test_factor_of_the_damping() -> None:
         fc.run_up_structure(full_structure.varied(damping=factor), 560.0, 640.0, 3)
         for factor in (1.0, 2.0)
     )
-    assert doubled_rotor.rate == pytest.approx(2.0 * rotor.rate, rel=1e-9)
+    assert doubled_rotor.modal_damping == pytest.approx(2.0 * rotor.modal_damping, rel=1e-9)
     assert str(doubled_rotor.at_speed(600.0).damping) == "modal damping 1 %"
     assert str(doubled_rotor.varied(damping=3.0).at_speed(600.0).damping) == "modal damping 3 %"
 
