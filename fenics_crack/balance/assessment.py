@@ -41,8 +41,8 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     Prediction,
     find_orbit,
-    is_affordable,
-    is_too_slow,
+    is_load_too_slow,
+    is_orbit_search_affordable,
     predict_orbit,
 )
 from fenics_crack.motion.search import wave_states
@@ -130,13 +130,13 @@ class Assessment:
     def can_search_orbit(self) -> bool:
         """True if there is a flow, and a search for orbits does not take long."""
         flow, wave = self.flow, self.wave
-        return flow is not None and is_affordable(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_orbit_search_affordable(flow, wave.omega, wave.subharmonic)
 
     @property
     def is_load_too_slow(self) -> bool:
         """True if the load is too slow for time integration of exact motions with few modes."""
         flow, wave = self.flow, self.wave
-        return flow is not None and is_too_slow(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_load_too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def states_over_period(self) -> np.ndarray:
@@ -273,7 +273,7 @@ class Assessment:
         wave = self.wave
         if self.exact_orbit is not None or (search and self.nearest_orbit is not None):
             assert self.nearest_orbit is not None
-            orbit_samples = self.nearest_orbit.sampled
+            orbit_samples = self.nearest_orbit.period_samples
             displacement_change = orbit_samples.displacement - wave.coordinates(orbit_samples.time)
             gap_and_load_errors = (
                 self.distance,
@@ -314,7 +314,7 @@ class Assessment:
             return None
         assert wave.contact is not None
         flow = exact_flow_or_none(more_modes_structure, wave.contact)
-        is_searchable = flow is not None and is_affordable(
+        is_searchable = flow is not None and is_orbit_search_affordable(
             flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
         )
         if flow is None or not is_searchable or self.nearest_orbit is None:
@@ -393,7 +393,7 @@ def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
 
     It is relative to the moving part of B^T u; 0 if that is rounding.
     """
-    orbit_samples = orbit.sampled
+    orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):
         return 0.0
     gap_plus_clearance = orbit_samples.gaps + wave.structure_with_row_pairs.clearance

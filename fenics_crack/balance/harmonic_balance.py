@@ -62,7 +62,7 @@ from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     PeriodicOrbit,
     RealFourierCoefficients,
-    is_affordable,
+    is_orbit_search_affordable,
 )
 from fenics_crack.motion.search import (
     SEGMENT_START_SLICE,
@@ -494,7 +494,7 @@ def _solve_structure(
     """Return the solution with a structure's present modes, if possible an exact orbit."""
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
-    if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
+    if flow is None or not is_orbit_search_affordable(flow, problem.omega, problem.subharmonic):
         return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
@@ -556,7 +556,7 @@ def _search_orbit_from_solutions(
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
-                yield orbit.sampled.whole_states[SEGMENT_START_SLICE]
+                yield orbit.period_samples.whole_states[SEGMENT_START_SLICE]
             elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
         for load_harmonics in SearchOptions.guess_harmonic_counts:
@@ -583,7 +583,7 @@ def _states_with_more_modes(
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
-        return more_modes.orbit.sampled.whole_states[SEGMENT_START_SLICE]
+        return more_modes.orbit.period_samples.whole_states[SEGMENT_START_SLICE]
     return MoreModes(flow, assessment.wave, orbit).states_over_period
 
 

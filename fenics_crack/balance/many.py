@@ -30,12 +30,12 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
-from fenics_crack.motion.motions import rows_of
+from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
     PeriodicOrbit,
     find_orbit,
-    is_affordable,
+    is_orbit_search_affordable,
     orbit_from,
 )
 from fenics_crack.numerics.fourier import fourier_coefficients
@@ -199,7 +199,7 @@ def solve_many(
     columns_by_name |= {column_name: np.full(n_cases, np.nan) for column_name in NUMBER_COLUMNS}
     columns_by_name["states"] = np.full((n_cases, flow.size), np.nan)
     orbit_table = ManyOrbits(structure, contact, harmonics, **columns_by_name)
-    watched_dof_row = rows_of(structure, [structure.watched_dof])
+    watched_dof_row = dof_selection_rows(structure, [structure.watched_dof])
     for case, neighbour_indices, offsets in _yield_cases_with_neighbours(orbit_table, flow):
         try:
             problem = orbit_table.problem(case)
@@ -284,7 +284,7 @@ def _find_orbit_of_case(
     found.
     """
     flow = ContactFlow(problem.structure, problem.contact)
-    if not is_affordable(flow, problem.omega):
+    if not is_orbit_search_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
     is_usable = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0

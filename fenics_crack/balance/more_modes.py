@@ -30,7 +30,7 @@ from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
     IMinusMSolver,
-    MotionInArcs,
+    MotionInEqualParts,
     PeriodicOrbit,
     find_orbit,
     predict_motion,
@@ -119,7 +119,7 @@ class MoreModes:
         They belong to equal parts of the period. New modes respond statically to the load and the
         contact forces.
         """
-        orbit_samples, flow = self.nearest_orbit.sampled, self.flow
+        orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes
         modal_coordinates, modal_velocities, sticking_places = np.split(
             orbit_samples.whole_states, [n_orbit_modes, 2 * n_orbit_modes], axis=1
@@ -177,7 +177,7 @@ class MoreModes:
         """Return the orbit to the accuracy of an error estimate, or None."""
         return (
             None
-            if isinstance(self.orbit_or_corrected_motion, MotionInArcs)
+            if isinstance(self.orbit_or_corrected_motion, MotionInEqualParts)
             else self.orbit_or_corrected_motion
         )
 
@@ -210,7 +210,7 @@ class MoreModes:
     def orbit_inverse_function(self) -> IMinusMSolver | None:
         """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
-            return self.orbit.inverse if self.orbit else None
+            return self.orbit.i_minus_m_solver if self.orbit else None
         return None
 
     @property
@@ -221,8 +221,8 @@ class MoreModes:
         """
         if self.orbit_or_corrected_motion is None:
             return None
-        orbit_samples = self.nearest_orbit.sampled
-        motion_samples = self.orbit_or_corrected_motion.sampled
+        orbit_samples = self.nearest_orbit.period_samples
+        motion_samples = self.orbit_or_corrected_motion.period_samples
         gap_error = change_relative_to_motion(
             motion_samples.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,

@@ -74,7 +74,11 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow_or_none
-from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
+from fenics_crack.motion.orbit import (
+    MAX_MODES_FOR_MONODROMY,
+    PeriodicOrbit,
+    is_orbit_search_affordable,
+)
 from fenics_crack.motion.search import SearchOptions, StartStrategy, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
@@ -712,7 +716,7 @@ class Search:
         state_guesses = list[np.ndarray]()
         flow = exact_flow_or_none(problem.structure, problem.contact)
         load_omega, n_load_periods = problem.omega, problem.subharmonic
-        if flow is None or not is_affordable(flow, load_omega, n_load_periods):
+        if flow is None or not is_orbit_search_affordable(flow, load_omega, n_load_periods):
             return
         if simpler_point is not None:
             simpler_displacement = self.system.compliance_model.displacement(

@@ -227,7 +227,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
             evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,
-            exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
+            exact_numbers=(
+                {} if instants or self.orbit is None else self.orbit.friction_number_by_name
+            ),
         )  # fmt: skip
 
     @property

@@ -53,7 +53,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow_or_error, exact_flow_or_none
-from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_too_slow
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_load_too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
     MIN_RESOLVED_DISTANCE,
@@ -486,7 +486,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     end_frequencies = [
         EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, value).omega for value in (start, end)
     ]
-    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
+    return not any(is_load_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

@@ -550,7 +550,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         return self.observe([dof])[0][0].real_fourier_coefficients
 
-    def _gather(self, values: list[Any]) -> np.ndarray:
+    def _value_or_array_over_points(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> LargestResponse:

@@ -391,7 +391,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     leading_index = int(np.abs(multipliers).argmax())
     leading_multiplier = multipliers[leading_index]
     start_change = eigenvectors[:, leading_index].real
-    orbit_states = nearest_orbit.sampled.whole_states
+    orbit_states = nearest_orbit.period_samples.whole_states
     rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
     distinct_attractors: list[Attractor] = []

@@ -344,7 +344,7 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
     orbit_equations = task.orbit_equations
     remaining_pieces = SearchOptions.piece_budget(task.flow) // 4
-    state_iterator = follow_periods(
+    state_iterator = yield_states_after_periods(
         orbit_equations, orbit_equations.start_unknown, SearchOptions.max_periods(task.flow)
     )
     states_at_periods = np.array([orbit_equations.start_unknown, *state_iterator])
@@ -378,7 +378,7 @@ ORBIT_STARTS_BY_NAME = {
 """Starts for an orbit search, by name, in order."""
 
 
-def follow_periods(
+def yield_states_after_periods(
     orbit_equations: FlowOrbitEquations, state: np.ndarray, max_periods: int
 ) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.

@@ -30,7 +30,7 @@ from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import rows_of
+from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.observer import make_requested_rows
@@ -219,7 +219,7 @@ def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[Sw
 def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
     """Return rows for displacements at the load and named points, by name (collective)."""
     named_watches = [watch for watch in study.watched if watch.name]
-    displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
+    displacement_rows = dof_selection_rows(study.structure, [watch.dof for watch in named_watches])
     row_by_name = {
         watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
     }
@@ -241,7 +241,7 @@ def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.
     else:
         return {}
     dofs = np.flatnonzero(dof_weights)
-    return {"": dof_weights[dofs] @ rows_of(structure, dofs.tolist())}
+    return {"": dof_weights[dofs] @ dof_selection_rows(structure, dofs.tolist())}
 
 
 # --- a case ---------------------------------------------------------------------------------------

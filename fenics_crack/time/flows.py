@@ -50,7 +50,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow_or_error
+from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
@@ -230,7 +230,7 @@ class ExponentialFlow(Flow):
     def __init__(
         self, structure: Structure, omega: float, contact: ContactLaw, steps_per_period: int
     ) -> None:
-        check_exact(structure, contact)
+        check_has_exact_flow(structure, contact)
         super().__init__(structure, contact)
         self.omega, self.steps_per_period, self.step_size = (
             omega,

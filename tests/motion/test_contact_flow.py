@@ -451,8 +451,8 @@ def test_motion_in_arcs(light: bool) -> None:
     step, orbit = next_to(fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10))
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
     motion = predict_motion(flow, 0.5, step, 1)
-    assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
-    prediction = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
+    assert relative(motion.period_samples.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
+    prediction = predict_orbit(flow, 0.5, orbit.period_samples.whole_states[::16])
     assert prediction is not None and prediction.relative_gap_error < 1e-8
     one_period_motion = predict_motion(flow, 0.5, prediction, 1)
     assert (

@@ -116,7 +116,7 @@ def test_claims_of_a_blade() -> None:
     state = flow.state(*(shapes @ part for part in np.split(orbit.state, 2)))
     passage = flow.advance(state, solution.omega, 0.0, solution.period, len(orbit.gap))
     assert relative(passage.state, state) < 1e-8
-    gap, time = passage.gap, orbit.sampled.time
+    gap, time = passage.gap, orbit.period_samples.time
     gap_error = np.linalg.norm(solution.gap(time) - gap) / np.linalg.norm(gap)
     assert gap_error == pytest.approx(solution.report.truncation, rel=1e-3)
 
