@@ -70,17 +70,22 @@ class BlockSystem(Snes):
         Problem of a structure with PETSc matrices.
     linear_displacement : (2H+1, n_local) [m]
         Solution without contact.
-    history : list, optional
+    residual_norms : list, optional
         As ``residual_norms`` of :class:`Snes`.
     """
 
     def __init__(
-        self, problem: Problem, linear_displacement: np.ndarray, history: list[float] | None = None
+        self,
+        problem: Problem,
+        linear_displacement: np.ndarray,
+        residual_norms: list[float] | None = None,
     ) -> None:
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear_displacement.shape, problem.load
-        square_sums = np.array([np.sum(rows**2) for rows in (linear_displacement, self._load)])
+        square_sums = np.array(
+            [np.sum(coefficients**2) for coefficients in (linear_displacement, self._load)]
+        )
         displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(square_sums))
         self.length_unit = float(displacement_norm) or 1.0
         """Unit of the unknowns [m]."""
@@ -95,20 +100,20 @@ class BlockSystem(Snes):
                 given_modes.mass_shapes / math.sqrt(max_square),
                 max_square * given_modes.damping_rates,
             )
-        linear_coo = self._linear_part(problem.base_omega)
+        linear_coo = self._linear_jacobian_rows(problem.base_omega)
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
-        self._force_map = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
-        self._slow_gap_map = self._group_columns_by_rank(
+        self._pair_force_matrix = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
+        self._slow_gap_matrix = self._group_columns_by_rank(
             sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
         if problem.residual_compliance is not None:
-            static_response = all_modes(structure).static_pair_responses(problem.cutoff)
+            static_response = all_modes(structure).static_pair_responses(problem.quasi_static_above)
             linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
-            self._slow_gap_map -= (
+            self._slow_gap_matrix -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
             )
             self._gap_at_zero_unknown += self._load @ static_response
@@ -124,7 +129,9 @@ class BlockSystem(Snes):
             (n_rows * n_pairs,) * 2,
         )
         # Absolute values do not cancel: no entry is missed.
-        contact_pattern = (abs(self._force_map) @ tangent_pattern @ abs(self._slow_gap_map)).tocoo()
+        contact_pattern = (
+            abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._slow_gap_matrix)
+        ).tocoo()
         entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
         entry_indices = (
             np.append(linear_coo.row, contact_pattern.row),
@@ -134,17 +141,17 @@ class BlockSystem(Snes):
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
-        self._local_slow_gap_map = self._slow_gap_map[:, slice(*jacobian.getOwnershipRange())]
+        self._local_slow_gap_matrix = self._slow_gap_matrix[:, slice(*jacobian.getOwnershipRange())]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
-        super().__init__(jacobian, history)
+        super().__init__(jacobian, residual_norms)
         preconditioner = self._snes.getKSP().getPC()
         if preconditioner.getType() == "lu" and preconditioner.getFactorSolverType() == "mumps":
             preconditioner.setOperators(jacobian)
             preconditioner.setFactorSetUpSolverType()
             preconditioner.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
-    def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
+    def _linear_jacobian_rows(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the Jacobian's linear part A.
 
         Units are scaled. Rows of damped modes are on the last rank.
@@ -215,17 +222,17 @@ class BlockSystem(Snes):
             (coo_matrix.data, (coo_matrix.row, new_columns)), (coo_matrix.shape[0], n_new_columns)
         )
 
-    def _contact_part(self, tangent: np.ndarray) -> sparse.csr_matrix:
+    def _contact_jacobian_rows(self, tangent: np.ndarray) -> sparse.csr_matrix:
         """Return this rank's rows of the Jacobian's contact part, B T ds/du.
 
         B takes contact forces to the dofs, s is the slow gap, and T = ``tangent`` is the forces'
         derivative by s.
         """
-        n_gap_coefficients = self._force_map.shape[1]
+        n_gap_coefficients = self._pair_force_matrix.shape[1]
         sparse_tangent = sparse.csr_matrix(
             (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
-        return sparse.csr_matrix(self._force_map @ sparse_tangent @ self._slow_gap_map)
+        return sparse.csr_matrix(self._pair_force_matrix @ sparse_tangent @ self._slow_gap_matrix)
 
     def _set_linear_solver_type(self, solver: Any) -> None:
         solver.getPC().setType("lu")
@@ -239,7 +246,7 @@ class BlockSystem(Snes):
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
-        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
+        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_matrix @ unknown)
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
         )
@@ -252,16 +259,16 @@ class BlockSystem(Snes):
         )
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
-    def evaluate(self, unknown: Any, target: Any) -> None:
-        force = self.integrals.force(self.slow_gap(unknown.array_r))
-        self._linear_matrix.mult(unknown, target)
+    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+        force = self.integrals.force(self.slow_gap(unknown_vector.array_r))
+        self._linear_matrix.mult(unknown_vector, residual_vector)
         contact_less_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
-        target.array_w[: len(contact_less_load)] += contact_less_load
+        residual_vector.array_w[: len(contact_less_load)] += contact_less_load
 
-    def linearise(self, unknown: Any) -> None:
-        forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
+    def linearise(self, unknown_vector: Any) -> None:
+        forces = self.integrals.linearise(self.slow_gap(unknown_vector.array_r))
         tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
-        contact_part = self._contact_part(self.length_unit / self.force_unit * tangent)
+        contact_part = self._contact_jacobian_rows(self.length_unit / self.force_unit * tangent)
         contact_part.resize(self.matrix.local_size[0], contact_part.shape[1])
         self._linear_matrix.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.matrix.setValuesCSR(
@@ -382,7 +389,7 @@ class BlockSolver(Solver):
             search.tolerance = max(search.tolerance, block.rounding)
             while displacements_and_factors and not search.has_converged:
                 iterations_before = search.iterations
-                displacement, reached_factor = _raise_stiffness(
+                displacement, reached_factor = _solve_with_growing_stiffness(
                     block, search, *displacements_and_factors.pop(0)
                 )
                 search.has_converged = reached_factor == 1.0
@@ -397,7 +404,7 @@ class BlockSolver(Solver):
         return search, point, problem.wave_of(displacement, point.gap, point.force)
 
 
-def _raise_stiffness(
+def _solve_with_growing_stiffness(
     block: BlockSystem, search: Search, displacement: np.ndarray, first_stiffness_factor: float
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to that of the law.

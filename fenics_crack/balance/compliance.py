@@ -149,7 +149,7 @@ class DynamicStiffness:
             + (modal_force * self._receptance_correction) @ self._damped_modes.shapes.T
         )
 
-    def compliance(self) -> np.ndarray:
+    def pair_compliance_matrix(self) -> np.ndarray:
         """Return the gaps' compliance R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N].
 
         B takes contact forces to the dofs, B^T displacements to the gaps.
@@ -274,7 +274,7 @@ class ModalCompliance:
         compliance._set_parameters(base_omega, load, damping, clearance)
         return compliance
 
-    def compliance_above(self, max_harmonic: int) -> np.ndarray:
+    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
         harmonic_orders = np.arange(len(self.matrices), max_harmonic + 1)
         is_mode_loaded: np.ndarray = np.zeros(
@@ -305,7 +305,9 @@ class ModalCompliance:
             else displacement_of_modes + self._massless_displacement(contact_force)
         )
 
-    def displacements(self, base_omegas: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
+    def displacements_at_base_omegas(
+        self, base_omegas: np.ndarray, contact_force: np.ndarray
+    ) -> np.ndarray:
         """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
@@ -448,10 +450,11 @@ class ModalCompliance:
             )
             return -self._gap_response(self._base_omega * harmonic_orders * damping_force_per_omega)
         return from_complex(
-            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.gaps_by_mode
+            self._negative_modal_displacement_omega_derivative(contact_force)
+            @ self._all_modes.gaps_by_mode
         )
 
-    def selected_displacement_by_omega(
+    def selected_displacement_omega_derivative(
         self, selection_rows: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
         """Return the derivative of :meth:`selected_displacement` by the base frequency.
@@ -459,11 +462,13 @@ class ModalCompliance:
         The contact forces are fixed: (2H+1, m).
         """
         return from_complex(
-            -self._negative_modal_displacement_by_omega(contact_force)
+            -self._negative_modal_displacement_omega_derivative(contact_force)
             @ (selection_rows @ self._all_modes.shapes).T
         )
 
-    def _negative_modal_displacement_by_omega(self, contact_force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement_omega_derivative(
+        self, contact_force: np.ndarray
+    ) -> np.ndarray:
         """Return minus the derivative of modal displacements by the base frequency.
 
         ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
@@ -519,7 +524,10 @@ class FactoredCompliance:
             DynamicStiffness(structure, k * base_omega) for k in harmonic_orders
         ]
         compliance_matrices = np.array(
-            [dynamic_stiffness.compliance() for dynamic_stiffness in self._stiffness_by_harmonic],
+            [
+                dynamic_stiffness.pair_compliance_matrix()
+                for dynamic_stiffness in self._stiffness_by_harmonic
+            ],
             dtype=complex,
         )
         linear_gap = structure.gap_of(self.solve_all_harmonics(load))
@@ -530,7 +538,7 @@ class FactoredCompliance:
             self.destroy()
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
-    def compliance_above(self, max_harmonic: int) -> np.ndarray:
+    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N].
 
         The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
@@ -589,7 +597,7 @@ def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) 
     resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance_model.compliance_above(harmonics)]
+            [resized_matrices, compliance_model.higher_harmonics_compliance(harmonics)]
         )
     new_model.matrices = resized_matrices
     new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)

@@ -35,7 +35,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT, ErrorReport, report_by_more_modes
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, more_modes_structure_of
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN, MoreModes, more_modes_structure_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -399,7 +399,7 @@ def lacks_modes(solution: PeriodicSolution, tolerance: float) -> bool:
     return solution.report.total > tolerance and solution.report.reduction > tolerance / 2.0
 
 
-def solve_beside(
+def solve_from_neighbour(
     problem: Problem,
     neighbour: PeriodicSolution | None,
     tolerance: float | None = None,
@@ -432,7 +432,7 @@ def solve_beside(
     return solution
 
 
-def _error_goal(tolerance: float, reduction_error: float) -> float:
+def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for harmonics and samples.
 
     It is the tolerance less the modal truncation error, at most half of the tolerance.
@@ -495,7 +495,9 @@ def _solve_structure(
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or not is_orbit_search_affordable(flow, problem.omega, problem.subharmonic):
-        return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
+        return _solve_with_growing_harmonics(
+            solver, tolerance, _solver_for(solver, problem).solve(initial)
+        )
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
         orbit_solution = solution_of_orbit(problem, search.orbit, tolerance, initial)
@@ -512,7 +514,9 @@ def _solve_structure(
     if solutions:
         initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
-    solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
+    solution = _solve_with_growing_harmonics(
+        solver, tolerance, _solver_for(solver, problem).solve(initial)
+    )
     harmonics_text = ", ".join(
         str(load_harmonics * problem.subharmonic)
         for load_harmonics in SearchOptions.guess_harmonic_counts
@@ -566,7 +570,7 @@ def _search_orbit_from_solutions(
             )[1]
             if solution.converged:
                 solutions.append(solution)
-                yield solution.assessment.states_over_period
+                yield solution.assessment.states_at_period_parts
 
     search = search_orbit(
         flow, problem.omega, state_guesses(), problem.subharmonic, prefer_stable=initial is None
@@ -584,7 +588,7 @@ def _states_with_more_modes(
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
         return more_modes.orbit.period_samples.whole_states[SEGMENT_START_SLICE]
-    return MoreModes(flow, assessment.wave, orbit).states_over_period
+    return MoreModes(flow, assessment.wave, orbit).states_at_period_parts
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
@@ -635,16 +639,19 @@ def solution_of_orbit(
         initial_more_modes = initial.assessment.more_modes
         more_modes = replace(
             more_modes,
-            inverse_function=initial_more_modes.orbit_inverse_function
+            i_minus_m_solver=initial_more_modes.orbit_i_minus_m_solver
             if initial_more_modes
             else None,
         )
-    reduction_error, load_error = _modal_truncation_errors(
+    reduction_error, displacement_at_load_error = _modal_truncation_errors(
         problem, solution_with_harmonics, more_modes
     )
-    error_goal = _error_goal(tolerance, reduction_error)
+    allowed_harmonics_error = _allowed_harmonics_error(tolerance, reduction_error)
     n_insufficient_harmonics, solution = 0, solution_with_harmonics(problem.harmonics)
-    while not solution.assessment.distance <= error_goal and solution.harmonics < max_harmonics:
+    while (
+        not solution.assessment.relative_orbit_distance <= allowed_harmonics_error
+        and solution.harmonics < max_harmonics
+    ):
         n_insufficient_harmonics = solution.harmonics
         solution = solution_with_harmonics(min(2 * solution.harmonics, max_harmonics))
     if n_insufficient_harmonics:
@@ -652,17 +659,23 @@ def solution_of_orbit(
             range(solution.harmonics),
             True,
             n_insufficient_harmonics + 1,
-            key=lambda count: solution_with_harmonics(count).assessment.distance <= error_goal,
+            key=lambda count: (
+                solution_with_harmonics(count).assessment.relative_orbit_distance
+                <= allowed_harmonics_error
+            ),
         )
         solution = solution_with_harmonics(harmonics)
-    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.gap_and_load_errors()
+    gap_samples = orbit.gap
+    gap_and_displacement_errors = solution.assessment.gap_and_displacement_errors()
     gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
-        truncation=gap_and_load_errors[0],
+        truncation=gap_and_displacement_errors[0],
         reduction=reduction_error,
         penetration=change_relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
-        displacement=min(gap_and_load_errors[1] + load_error, UNKNOWN_ERROR),
+        displacement=min(
+            gap_and_displacement_errors[1] + displacement_at_load_error, ERROR_IF_UNKNOWN
+        ),
     )
     return replace(solution.reported(report), iterations=orbit.iterations)
 
@@ -710,13 +723,16 @@ def _modal_truncation_errors(
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement
-    return (more_modes and more_modes.gap_and_load_errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+    return (more_modes and more_modes.gap_and_displacement_errors) or (
+        ERROR_IF_UNKNOWN,
+        ERROR_IF_UNKNOWN,
+    )
 
 
 # --- by harmonics ---------------------------------------------------------------------------------
 
 
-def _raise_harmonics(
+def _solve_with_growing_harmonics(
     solver: Solver, tolerance: float, solution: PeriodicSolution
 ) -> PeriodicSolution:
     """Return the best solution while harmonics are doubled until the error is small."""
@@ -737,10 +753,12 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
     is_error_unknown = (
-        truncation_and_sampling >= UNKNOWN_ERROR
+        truncation_and_sampling >= ERROR_IF_UNKNOWN
         and solution.harmonics >= SearchOptions.guess_harmonic_counts[-1] * solution.subharmonic
     )
-    meets_goal = truncation_and_sampling <= _error_goal(tolerance, solution.report.reduction)
+    meets_goal = truncation_and_sampling <= _allowed_harmonics_error(
+        tolerance, solution.report.reduction
+    )
     return meets_goal or is_error_unknown or solution.harmonics >= MAX_HARMONICS
 
 

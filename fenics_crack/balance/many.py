@@ -204,10 +204,10 @@ def solve_many(
         try:
             problem = orbit_table.problem(case)
             orbit = _find_orbit_of_case(orbit_table, case, problem, neighbour_indices, offsets)
-            for column_name, table_entry in _table_entries_of_orbit(
+            for column_name, column_entry in _table_entries_of_orbit(
                 problem, orbit, watched_dof_row
             ).items():
-                columns_by_name[column_name][case] = table_entry
+                columns_by_name[column_name][case] = column_entry
         except (ConvergenceError, InputError, np.linalg.LinAlgError) as error:
             orbit_table.status[case] = "refused" if isinstance(error, InputError) else "lost"
             orbit_table.reason[case] = str(error)
@@ -286,11 +286,11 @@ def _find_orbit_of_case(
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
-    is_usable = (orbit_table.verdict[neighbour_indices] != "") & (
+    is_usable_neighbour = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0
     )
-    neighbour_indices = neighbour_indices[is_usable][:N_NEIGHBOURS]
-    offsets = offsets[is_usable][:N_NEIGHBOURS]
+    neighbour_indices = neighbour_indices[is_usable_neighbour][:N_NEIGHBOURS]
+    offsets = offsets[is_usable_neighbour][:N_NEIGHBOURS]
     neighbour_states = (
         orbit_table.states[neighbour_indices]
         * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
@@ -344,7 +344,7 @@ def _table_entries_of_orbit(
             for quantity_samples in displacement_gaps_forces
         )
     )
-    gap_error = displacement_gaps_forces[1] - wave.over_period(n_instants)[1]
+    gap_error = displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
     truncation_error = (
         0.0
@@ -358,10 +358,10 @@ def _table_entries_of_orbit(
     return {
         "amplitude": 0.5
         * (
-            _interpolated_largest_sample(watched_displacement)
-            + _interpolated_largest_sample(-watched_displacement)
+            _interpolated_overall_maximum(watched_displacement)
+            + _interpolated_overall_maximum(-watched_displacement)
         ),
-        "opening": max(0.0, _interpolated_largest_sample(-orbit_samples.gap)),
+        "opening": max(0.0, _interpolated_overall_maximum(-orbit_samples.gap)),
         "closed_share": contact_track.mean_time_share(contact_track.sets > 0),
         "multiplier": multiplier,
         "truncation": truncation_error,
@@ -370,7 +370,7 @@ def _table_entries_of_orbit(
     }
 
 
-def _interpolated_largest_sample(period_samples: np.ndarray) -> float:
+def _interpolated_overall_maximum(period_samples: np.ndarray) -> float:
     """Return the largest of all values over a period, by interpolation.
 
     Rows of ``period_samples`` (n, m) are equally spaced instants. A parabola goes through the

@@ -41,11 +41,11 @@ from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import change_relative_to_motion
 
-UNKNOWN_ERROR = 1.0
+ERROR_IF_UNKNOWN = 1.0
 """Relative error that stands for an unknown error."""
 
-Errors = tuple[float, float]
-"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN_ERROR`."""
+GapAndDisplacementErrors = tuple[float, float]
+"""Errors of the gap, and of the displacement at the load; at most :data:`ERROR_IF_UNKNOWN`."""
 
 
 def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
@@ -91,11 +91,13 @@ def _neglected_dissipation_ratio(wave: Wave) -> float:
     )
 
 
-def modal_truncation_errors(structure: Structure, gap_and_load_changes: Errors) -> Errors:
+def modal_truncation_errors(
+    structure: Structure, gap_and_displacement_changes: GapAndDisplacementErrors
+) -> GapAndDisplacementErrors:
     """Return the modal truncation errors from changes between a structure and its reference."""
     reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
-    return min(gap_and_load_changes[0] / reference_share, UNKNOWN_ERROR), min(
-        gap_and_load_changes[1] / reference_share, UNKNOWN_ERROR
+    return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(
+        gap_and_displacement_changes[1] / reference_share, ERROR_IF_UNKNOWN
     )
 
 
@@ -109,11 +111,11 @@ class MoreModes:
     """Harmonic-balance solution."""
     nearest_orbit: PeriodicOrbit
     """Nearest exact orbit, with the modes of the solution's structure."""
-    inverse_function: IMinusMSolver | None = None
+    i_minus_m_solver: IMinusMSolver | None = None
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
-    def states_over_period(self) -> np.ndarray:
+    def states_at_period_parts(self) -> np.ndarray:
         """Return the nearest orbit's states on the flow with more modes: (32, flow.size).
 
         They belong to equal parts of the period. New modes respond statically to the load and the
@@ -188,14 +190,14 @@ class MoreModes:
         The step corrects all parts of the nearest orbit's period together.
         """
         flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
-        period_states, start_inverse_function = self.states_over_period, self.inverse_function
+        period_states, start_i_minus_m_solver = self.states_at_period_parts, self.i_minus_m_solver
         search_from_state = partial(
             find_orbit, flow, load_omega, subharmonic=n_load_periods, step_tolerance=ROOT_TOLERANCE
         )
         orbit = None
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = search_from_state(period_states[0], solve_i_minus_m=start_inverse_function) or (
-                search_from_state(period_states[0]) if start_inverse_function else None
+            orbit = search_from_state(period_states[0], solve_i_minus_m=start_i_minus_m_solver) or (
+                search_from_state(period_states[0]) if start_i_minus_m_solver else None
             )
         if orbit is None and (
             prediction := predict_orbit(flow, load_omega, period_states, n_load_periods)
@@ -207,14 +209,14 @@ class MoreModes:
         return orbit
 
     @property
-    def orbit_inverse_function(self) -> IMinusMSolver | None:
+    def orbit_i_minus_m_solver(self) -> IMinusMSolver | None:
         """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
             return self.orbit.i_minus_m_solver if self.orbit else None
         return None
 
     @property
-    def gap_and_load_errors(self) -> Errors | None:
+    def gap_and_displacement_errors(self) -> GapAndDisplacementErrors | None:
         """Return the modal truncation errors; None if they are unknown.
 
         The gap's error is 0 if gaps move only by rounding.
@@ -222,19 +224,24 @@ class MoreModes:
         if self.orbit_or_corrected_motion is None:
             return None
         orbit_samples = self.nearest_orbit.period_samples
-        motion_samples = self.orbit_or_corrected_motion.period_samples
+        samples_with_more_modes = self.orbit_or_corrected_motion.period_samples
         gap_error = change_relative_to_motion(
-            motion_samples.gaps - orbit_samples.gaps,
+            samples_with_more_modes.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
         )
         orbit_motion, motion_with_more_modes = (
             motion_along_load(samples.flow.structure, samples.displacement)
-            for samples in (orbit_samples, motion_samples)
+            for samples in (orbit_samples, samples_with_more_modes)
         )
-        load_error = change_relative_to_motion(motion_with_more_modes - orbit_motion, orbit_motion)
+        displacement_at_load_error = change_relative_to_motion(
+            motion_with_more_modes - orbit_motion, orbit_motion
+        )
         return modal_truncation_errors(
             self.wave.structure,
-            (0.0 if are_crack_faces_still(orbit_samples) else gap_error, load_error),
+            (
+                0.0 if are_crack_faces_still(orbit_samples) else gap_error,
+                displacement_at_load_error,
+            ),
         )
 
     def describe_contradiction(self, verdict: str) -> str:

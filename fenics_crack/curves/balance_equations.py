@@ -25,7 +25,7 @@ from fenics_crack.balance.contact_system import (
     CompiledEquations,
     ContactPoint,
     ContactSystem,
-    residual_by_friction_scale,
+    residual_friction_scale_derivative,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
@@ -85,7 +85,7 @@ class BalanceEquations(CurveSystem):
 
         Modes above it are quasi-static on the whole range.
         """
-        return max(self.vary(problem, value).cutoff for value in (start, end))
+        return max(self.vary(problem, value).quasi_static_above for value in (start, end))
 
     @cached_property
     def _contact_integrals(self) -> ContactIntegrals:
@@ -158,7 +158,7 @@ class BalanceEquations(CurveSystem):
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
         value_rate = self.value_rate(value)
-        return self.system(value).with_derivative(
+        return self.system(value).linearise_with_derivative(
             unknown, lambda point: value_rate * self._residual_by_value(value, point)
         )
 
@@ -323,7 +323,7 @@ class BalanceAlongContactStiffness(BalanceEquations):
         return (
             multiply_compliance_and_force(
                 point.system.dynamic_less_static_compliance,
-                point.linearised_forces.by_log_stiffness(),
+                point.linearised_forces.log_stiffness_derivative(),
             )
             / value
         )
@@ -352,7 +352,7 @@ class BalanceAlongFriction(BalanceEquations):
         )
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return residual_by_friction_scale(point) / value
+        return residual_friction_scale_derivative(point) / value
 
 
 class BalanceAlongSpeed(BalanceEquations):

@@ -23,7 +23,11 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import check_initial, search_initial_orbit, solve_beside
+from fenics_crack.balance.harmonic_balance import (
+    check_initial,
+    search_initial_orbit,
+    solve_from_neighbour,
+)
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -410,7 +414,7 @@ class Continuation(GrowingCurve):
             if initial is not None:
                 check_initial(start_problem, initial)  # type: ignore[arg-type]
             if tolerance is not None:
-                initial = solve_beside(start_problem, initial, tolerance)  # type: ignore[arg-type]
+                initial = solve_from_neighbour(start_problem, initial, tolerance)  # type: ignore[arg-type]
                 problem = problem.with_harmonics(initial.harmonics)
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)

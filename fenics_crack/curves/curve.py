@@ -15,7 +15,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, truncated_orbit_solution
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
@@ -331,7 +331,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return a point's problem and linearised harmonic-balance equations."""
         problem, equations = self.problem_of(index), self.system
         if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
-            contact_system = problem.system(problem.compliance())
+            contact_system = problem.system(problem.compliance_model())
         else:
             contact_system = equations.system(float(self.values[index]))
         return problem, contact_system.linearise(self.points[index])
@@ -378,7 +378,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             force_coefficients = np.stack(
                 [contact_system.integrals.force(unknown) for unknown in unknowns], axis=1
             )
-            displacement_coefficients = compliance_model.displacements(
+            displacement_coefficients = compliance_model.displacements_at_base_omegas(
                 omega / self.subharmonic, force_coefficients
             )
             for index, unknown in enumerate(unknowns):
@@ -630,9 +630,9 @@ class ResponseCurve(ObservedMotion, Tabular):
             more_modes_motion = orbit_solution.assessment.more_modes
             if more_modes_motion is not None:
                 return (
-                    UNKNOWN_ERROR
-                    if more_modes_motion.gap_and_load_errors is None
-                    else more_modes_motion.gap_and_load_errors[1]
+                    ERROR_IF_UNKNOWN
+                    if more_modes_motion.gap_and_displacement_errors is None
+                    else more_modes_motion.gap_and_displacement_errors[1]
                 )
         return self.solution(index, search=False).report.displacement
 

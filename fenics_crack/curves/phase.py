@@ -71,7 +71,7 @@ class Drive:
     def complex_work_by_omega(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
         return self._complex_work_of(
-            modal_compliance_of(point).selected_displacement_by_omega(
+            modal_compliance_of(point).selected_displacement_omega_derivative(
                 self.cosine_and_sine_load, point.force
             )
         )

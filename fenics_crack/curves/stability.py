@@ -39,7 +39,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment, wave_with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
 from fenics_crack.basics.tables import format_percent
@@ -264,7 +264,7 @@ def shoot(
     orbit = None if settle else assessment.nearest_orbit
     if orbit is None:
         orbit_equations = FlowOrbitEquations(
-            flow, solution.omega, assessment.states_over_period[0], subharmonic
+            flow, solution.omega, assessment.states_at_period_parts[0], subharmonic
         )
         settled_unknown = orbit_equations.start_unknown
         for _ in range(settle):
@@ -423,7 +423,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbit_equations = FlowOrbitEquations(
-        flow, solution.omega, solution.assessment.states_over_period[0]
+        flow, solution.omega, solution.assessment.states_at_period_parts[0]
     )
     return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.max_periods(flow))
 
@@ -454,7 +454,12 @@ def stability_of(assessment: Assessment) -> Stability:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
     return Stability(
-        orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, assessment.distance, reason
+        orbit.multipliers,
+        verdict,
+        MULTIPLIER_TOLERANCE,
+        True,
+        assessment.relative_orbit_distance,
+        reason,
     )
 
 
@@ -488,7 +493,7 @@ def _stability_by_linear_flow(
         unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
     largest_modulus, solution_error, reason = abs(multipliers[0]), solution.report.truncation, ""
-    if solution_error >= UNKNOWN_ERROR or not np.isfinite(uncertainty):
+    if solution_error >= ERROR_IF_UNKNOWN or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
     elif solution_error > LARGE_ERROR:
         reason = f"the truncated harmonics change it by {format_percent(solution_error)}; use more"

@@ -26,7 +26,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenics_crack.balance.assessment import MAX_ACCEPTED_ERROR
+from fenics_crack.balance.assessment import MAX_ORBIT_DISTANCE
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.curves.balance_equations import BalanceEquations
@@ -85,7 +85,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     for indices in map(sorted, (sampled_indices, {*range(len(curve))} - sampled_indices)):
         for index, assessment in zip(indices, curve.assessments(indices), strict=True):
             # With a larger error, the nearest orbit is seldom accepted.
-            if assessment.predicted_error <= MAX_ACCEPTED_ERROR and assessment.is_accepted:
+            if assessment.predicted_error <= MAX_ORBIT_DISTANCE and assessment.is_accepted:
                 multipliers[index] = _leading_multiplier_if_decided(stability_of(assessment))
         if np.isnan(multipliers).all():
             break

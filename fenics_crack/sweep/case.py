@@ -14,7 +14,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import (
     lacks_modes,
     slide_along_lines,
-    solve_beside,
+    solve_from_neighbour,
     solve_linear,
 )
 from fenics_crack.balance.problem import Problem, check_memory
@@ -320,7 +320,10 @@ def solve_chunk(
             if request.with_verdicts and case.harmonic_balance.error:
                 value_by_column |= solver.assess_stability(solution)
                 value_by_column["status"] += value_by_column.pop("remark", "")
-            value_by_column |= {"gap": solution.gap_rows, "force": solution.force_rows}
+            value_by_column |= {
+                "gap": solution.row_gap_coefficients,
+                "force": solution.row_force_coefficients,
+            }
         except REFUSAL_EXCEPTIONS as error:
             solver = CaseSolver(geometry)
             value_by_column["status"] = str(error)
@@ -355,7 +358,7 @@ class CaseSolver:
         check_memory(structure, balance_table.harmonics)
         problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
         neighbour, self._last_solution = self._last_solution, None
-        self._last_solution = solve_beside(
+        self._last_solution = solve_from_neighbour(
             problem, neighbour, balance_table.tolerance, with_errors=balance_table.error
         )
         return self._last_solution

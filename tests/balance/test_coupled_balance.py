@@ -48,7 +48,7 @@ def coarse_breathing_plate() -> fc.Structure:
 def system_of(structure: fc.Structure, law: Any, harmonics: int) -> Any:
     """The equations at 0.8 rad/s."""
     problem = fc.Problem(structure, 0.8, law, harmonics)
-    system = problem.system(problem.compliance())
+    system = problem.system(problem.compliance_model())
     assert system.integrals.has_coupled_pairs
     return system
 
@@ -87,7 +87,7 @@ def test_jacobian_against_finite_differences(
 def test_fewer_modes_than_pairs(coarse_breathing_plate: fc.Structure) -> None:
     """Steps and determinants found in the modes' coordinates are those of the whole Jacobian."""
     problem = fc.Problem(massless(coarse_breathing_plate, 3), 2000.0, RIGID, 4)
-    system = problem.system(problem.compliance())
+    system = problem.system(problem.compliance_model())
     assert system.reachable_gap_basis is not None
     unknown = 1e-6 * random_gaps(4, system.shape[1])
     point = system.linearise(unknown)

@@ -96,6 +96,6 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
                 verdicts.append(solution.stability.verdict)
                 continue
             orbit = solution.assessment.nearest_orbit
-            assert orbit is not None and solution.assessment.distance < 0.01
+            assert orbit is not None and solution.assessment.relative_orbit_distance < 0.01
             assert np.abs(orbit.multipliers).max() > 2.0
     assert set(verdicts) <= {"unstable", "irregular"}

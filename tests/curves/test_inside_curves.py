@@ -456,7 +456,7 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
     curve = continue_frequency(structure, *map(float, span), law, harmonics=6, throw=False)
     for place, assessment in enumerate(curve.assessments(range(len(curve)))):
         problem = curve.problem_of(place)
-        linearisation = problem.system(problem.compliance()).linearise(curve.points[place])
+        linearisation = problem.system(problem.compliance_model()).linearise(curve.points[place])
         point_wave = problem.wave(linearisation)
         assert (
             assessment.wave.omega == point_wave.omega

@@ -519,7 +519,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
     )):  # fmt: skip
         del eigensolutions[:]
         compliance = FactoredCompliance(copy, 0.2, load_coefficients(copy, 3, 1))
-        compliances.append(compliance.compliance_above(6))
+        compliances.append(compliance.higher_harmonics_compliance(6))
         compliance.destroy()
         assert (eigensolutions == []) == (copy is half_damped)
     np.testing.assert_allclose(compliances[1], compliances[2], rtol=1e-7, atol=1e-12)

@@ -22,7 +22,7 @@ def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
 
 def compliance_of(structure: fc.Structure, base: float, harmonics: int) -> Any:
     """R_k, k = 0 to H, and what follows from contact forces."""
-    return fc.Problem(structure, base, fc.UnilateralConstraint(), harmonics).compliance()
+    return fc.Problem(structure, base, fc.UnilateralConstraint(), harmonics).compliance_model()
 
 
 def seen(structure: fc.Structure, base: float, harmonics: int) -> tuple[np.ndarray, np.ndarray]:

@@ -481,8 +481,10 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
-    prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period)
-    second_orbit = find_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period[0])
+    prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_at_period_parts)
+    second_orbit = find_orbit(
+        orbit.flow, orbit.omega, solution.assessment.states_at_period_parts[0]
+    )
     assert prediction is not None and prediction.relative_gap_error == pytest.approx(
         factor_prediction.relative_gap_error, rel=0.05
     )

@@ -325,11 +325,11 @@ def equations(kind: str) -> Any:
     if kind == "coupled":
         structure = fc.reduce_structure(structure, modes=6, method="massless")
         rigid = fc.Problem(structure, 0.6, fc.UnilateralConstraint(), 8)
-        system: Any = rigid.system(rigid.compliance())
+        system: Any = rigid.system(rigid.compliance_model())
         return system.system_along_softness()
     law = fc.SmoothedPenalty(5.0, 20.0) if kind == "smooth" else PENALTY
     problem = fc.Problem(structure, 0.6, law, 6, samples=128 if kind == "sampled" else None)
-    return problem.system(problem.compliance()).system_along_softness()
+    return problem.system(problem.compliance_model()).system_along_softness()
 
 
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smooth", "coupled"])

@@ -165,7 +165,7 @@ def test_the_fewest_harmonics() -> None:
     scene = fc.Scene.load(BLADE).replace(tolerance_settings | {"curve": None})
     for count in (5, 12):
         run = fc.solve(scene.replace({"harmonic_balance.harmonics": count}), MPI.COMM_SELF)
-        assert run.result.harmonics == count and run.result.assessment.distance < 0.1
+        assert run.result.harmonics == count and run.result.assessment.relative_orbit_distance < 0.1
         assert run.result.indicators().ratio_3_1 > 0.0
         assert run.errors is not None and run.errors.stated("ratio_3_1")[0] < 1.0
     solution = fc.solve_harmonic_balance(
