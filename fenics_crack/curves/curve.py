@@ -78,7 +78,7 @@ graze, or if several multipliers collide in one step.
 """
 
 
-def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
+def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
     if parameter in ("omega", "speed"):
         return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
@@ -490,7 +490,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def part(self, places: Sequence[int] | slice) -> Self:
         """Return a curve with some points alone, without bifurcations."""
         selected_array_by_name = {
-            name: point_array[places] for name, point_array in _array_fields(self).items()
+            name: point_array[places] for name, point_array in _array_by_field_name(self).items()
         }
         return replace(self, **selected_array_by_name, bifurcations=())
 
@@ -528,7 +528,9 @@ class ResponseCurve(ObservedMotion, Tabular):
             *bifurcation_curves,
             source_curve.part([-1]),
         ]
-        array_dicts = [_array_fields(one_point_curve) for one_point_curve in one_point_curves]
+        array_dicts = [
+            _array_by_field_name(one_point_curve) for one_point_curve in one_point_curves
+        ]
         joined_columns = {
             name: np.concatenate([array_by_name[name] for array_by_name in array_dicts])
             for name in array_dicts[0]
@@ -662,7 +664,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return ", ".join([*title_parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
-def _array_fields(curve: ResponseCurve) -> dict[str, np.ndarray]:
+def _array_by_field_name(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """Return the array fields of a curve by name."""
     value_by_field = {
         curve_field.name: getattr(curve, curve_field.name) for curve_field in fields(curve)

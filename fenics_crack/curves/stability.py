@@ -108,13 +108,13 @@ def monodromy_of_linear_flow(
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
-    coarser_product = extrapolated_matrix = _multiply_steps(
+    coarser_product = extrapolated_matrix = _monodromy_by_steps(
         modes, contact, gap_coefficients, base_omega, n_steps
     )
     change_norm = matrix_norm = np.inf
     while n_steps < 2**13 and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf:
         n_steps *= 2
-        finer_product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
+        finer_product = _monodromy_by_steps(modes, contact, gap_coefficients, base_omega, n_steps)
         coarser_matrix = extrapolated_matrix
         extrapolated_matrix = finer_product + (finer_product - coarser_product) / 3.0
         coarser_product = finer_product
@@ -130,7 +130,7 @@ def monodromy_of_linear_flow(
     return extrapolated_matrix
 
 
-def _multiply_steps(
+def _monodromy_by_steps(
     modes: AllModes, contact: ContactLaw, gap_coefficients: np.ndarray, base_omega: float,
     n_steps: int,
 ) -> np.ndarray:  # fmt: skip
@@ -147,9 +147,9 @@ def _multiply_steps(
     n_modes = len(modes.squares)
     gap_samples = sample_period(gap_coefficients, n_steps)
     if modes.residual_compliance is None:
-        kicks = step_size * contact.tangent(gap_samples)[:, :, None]
+        steps_times_stiffness = step_size * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = (
+        steps_times_stiffness = (
             step_size
             * forces_and_slopes_of_smooth_law(contact, modes.residual_compliance, gap_samples)[1]
         )
@@ -158,33 +158,43 @@ def _multiply_steps(
         n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
     ):
         n_stretches *= 2
-    kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
+    steps_times_stiffness_of_stretches = steps_times_stiffness.reshape(
+        n_stretches, n_steps // n_stretches, *steps_times_stiffness.shape[1:]
+    )
     transition = modes.transition_and_force_response(step_size)[0]
     stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
-        for kick in kicks_of_stretches.swapaxes(0, 1):
+        for step_times_stiffness in steps_times_stiffness_of_stretches.swapaxes(0, 1):
             stretch_matrices[:, n_modes:] -= _velocity_change(
-                modes, kick, stretch_matrices[:, :n_modes]
+                modes, step_times_stiffness, stretch_matrices[:, :n_modes]
             )
             stretch_matrices = _step_without_contact_forces(modes, transition, stretch_matrices)
         monodromy_matrix = stretch_matrices[0]
         for stretch_matrix in stretch_matrices[1:]:
             monodromy_matrix = stretch_matrix @ monodromy_matrix
-        half_kick = np.zeros_like(monodromy_matrix)
-        half_kick[n_modes:, :n_modes] = 0.5 * _velocity_change(modes, kicks[0], np.eye(n_modes))
-        monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick
-        return monodromy_matrix - half_kick @ monodromy_matrix
+        half_kick_matrix = np.zeros_like(monodromy_matrix)
+        half_kick_matrix[n_modes:, :n_modes] = 0.5 * _velocity_change(
+            modes, steps_times_stiffness[0], np.eye(n_modes)
+        )
+        monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick_matrix
+        return monodromy_matrix - half_kick_matrix @ monodromy_matrix
 
 
-def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _velocity_change(
+    modes: AllModes, step_times_stiffness: np.ndarray, displacement: np.ndarray
+) -> np.ndarray:
     """Return the modal velocity change h P kappa P^T q by contact.
 
-    ``kick`` is the step length h times the contact stiffness kappa of each pair, or the matrix of
-    coupled pairs. P are the modes at the pairs, and q the modal displacements.
+    ``step_times_stiffness`` is the step length h times the contact stiffness kappa of each pair, or
+    the matrix of coupled pairs. P are the modes at the pairs, and q the modal displacements.
     """
     pair_displacement = modes.gaps_by_mode.T @ displacement
     has_uncoupled_pairs = modes.residual_compliance is None
-    pair_impulse = kick * pair_displacement if has_uncoupled_pairs else kick @ pair_displacement
+    pair_impulse = (
+        step_times_stiffness * pair_displacement
+        if has_uncoupled_pairs
+        else step_times_stiffness @ pair_displacement
+    )
     return np.asarray(modes.gaps_by_mode @ pair_impulse)
 
 
@@ -386,13 +396,17 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
     )
     multipliers, eigenvectors = np.linalg.eig(
-        orbit_equations.scale[:, None] * nearest_orbit.monodromy / orbit_equations.scale
+        orbit_equations.state_factors[:, None]
+        * nearest_orbit.monodromy
+        / orbit_equations.state_factors
     )
     leading_index = int(np.abs(multipliers).argmax())
     leading_multiplier = multipliers[leading_index]
     start_change = eigenvectors[:, leading_index].real
     orbit_states = nearest_orbit.period_samples.whole_states
-    rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
+    rms_motion = motion_size(orbit_equations.state_factors * orbit_states) / np.sqrt(
+        len(orbit_states)
+    )
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
     distinct_attractors: list[Attractor] = []
     start_unknowns = (
@@ -413,7 +427,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     return tuple(distinct_attractors)
 
 
-def from_rest(solution: PeriodicSolution) -> Attractor | None:
+def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
     """Follow the exact motion from rest, to compare with a solution (collective).
 
     The motion is followed for as long as a search for an orbit follows one. The result is None

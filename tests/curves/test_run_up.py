@@ -114,7 +114,7 @@ def test_derivative_by_the_speed() -> None:
     solution = fc.solve_harmonic_balance(rotor, problem.omega, problem.contact, harmonics=3)
     assert solution.indicators(0).closed_share > 0.05
     family, unknown = BalanceAlongSpeed(problem, 560.0, 640.0), solution.slow_gap_coefficients
-    rate = family._residual_by_value(600.0, family.system(600.0).linearise(unknown))
+    rate = family._residual_derivative_by_value(600.0, family.system(600.0).linearise(unknown))
     lower_residual, upper_residual = (
         family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01)
     )

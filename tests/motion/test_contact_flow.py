@@ -499,7 +499,7 @@ def test_by_omega() -> None:
     middle_orbit, upper_orbit, lower_orbit = (orbit for orbit in orbits if orbit is not None)
     system = FlowOrbitEquations(flow, omega, middle_orbit.state)
     point = system.linearise(system.start_unknown, 1.0)
-    slope = -point.solve(point.by_parameter) / (system.scale * omega)
+    slope = -point.solve(point.by_parameter) / (system.state_factors * omega)
     assert relative(slope, (upper_orbit.state - lower_orbit.state) / (2.0 * step)) < 1e-5
 
 

@@ -251,8 +251,8 @@ def test_equations_of_a_path(light: bool) -> None:
     system, step = FlowOrbitEquations(flow, 0.6, settled_state), 1e-6
     x = 1.05 * system.start_unknown
     linearisation = system.linearise(x, 1.02)
-    end_state = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
-    assert relative(linearisation.residual, system.scale * end_state - x) < 1e-12
+    end_state = flow.advance(x / system.state_factors, 0.612, 2.0 * np.pi / 0.612).state
+    assert relative(linearisation.residual, system.state_factors * end_state - x) < 1e-12
     ends = [system.linearise(x, 1.02 + h).residual for h in (step, -step)]
     assert relative(linearisation.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     change = np.random.default_rng(0).normal(size=flow.size)
@@ -263,8 +263,8 @@ def test_equations_of_a_path(light: bool) -> None:
     points = list(Path(system, point_on_path(system, solution.unknown, 1.0), options).points())
     assert len(points) > 4
     for point in points:
-        orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
-        assert relative(point.unknown, system.scale * orbit.state) < 1e-6
+        orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.state_factors)
+        assert relative(point.unknown, system.state_factors * orbit.state) < 1e-6
 
 
 class Narrow:
