@@ -70,22 +70,17 @@ class BlockSystem(Snes):
         Problem of a structure with PETSc matrices.
     linear_displacement : (2H+1, n_local) [m]
         Solution without contact.
-    residual_norms : list, optional
+    history : list, optional
         As ``residual_norms`` of :class:`Snes`.
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        linear_displacement: np.ndarray,
-        residual_norms: list[float] | None = None,
+        self, problem: Problem, linear_displacement: np.ndarray, history: list[float] | None = None
     ) -> None:
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear_displacement.shape, problem.load
-        square_sums = np.array(
-            [np.sum(coefficients**2) for coefficients in (linear_displacement, self._load)]
-        )
+        square_sums = np.array([np.sum(waves**2) for waves in (linear_displacement, self._load)])
         displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(square_sums))
         self.length_unit = float(displacement_norm) or 1.0
         """Unit of the unknowns [m]."""
@@ -133,10 +128,8 @@ class BlockSystem(Snes):
             abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._slow_gap_matrix)
         ).tocoo()
         entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
-        entry_indices = (
-            np.append(linear_coo.row, contact_pattern.row),
-            np.append(linear_coo.col, contact_pattern.col),
-        )
+        entry_indices = (np.append(linear_coo.row, contact_pattern.row),
+                         np.append(linear_coo.col, contact_pattern.col))  # fmt: skip
         jacobian = make_matrix_from_local_rows(
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
@@ -144,7 +137,7 @@ class BlockSystem(Snes):
         self._local_slow_gap_matrix = self._slow_gap_matrix[:, slice(*jacobian.getOwnershipRange())]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
-        super().__init__(jacobian, residual_norms)
+        super().__init__(jacobian, history)
         preconditioner = self._snes.getKSP().getPC()
         if preconditioner.getType() == "lu" and preconditioner.getFactorSolverType() == "mumps":
             preconditioner.setOperators(jacobian)

@@ -175,13 +175,9 @@ def estimate_errors(
     relative_rms_penetration = relative_gap_size(_rms_penetration_of_each_pair(point, problem))
     if not has_converged:
         return ErrorReport(
-            relative_residual,
+            relative_residual, ERROR_IF_UNKNOWN, 0.0, 0.0, relative_rms_penetration,
             ERROR_IF_UNKNOWN,
-            0.0,
-            0.0,
-            relative_rms_penetration,
-            ERROR_IF_UNKNOWN,
-        )
+        )  # fmt: skip
     finer_integrals, sampling_error = point.system.integrals.exact_or_finer_integrals(), 0.0
     if finer_integrals is not None:
         sampling_error = relative_gap_size(
@@ -206,10 +202,8 @@ def estimate_errors(
         and truncation_error >= ERROR_IF_UNKNOWN
         and isinstance(structure, ReducedStructure)
     ):
-        modal_errors = (
-            ERROR_IF_UNKNOWN,
-            ERROR_IF_UNKNOWN,
-        )  # without an orbit the effect of more modes is unknown, too
+        # Without an orbit the effect of more modes is unknown, too.
+        modal_errors = ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
     elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics_for_modes):
         modal_errors = more_modes.gap_and_displacement_errors or (
             ERROR_IF_UNKNOWN,
