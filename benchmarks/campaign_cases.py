@@ -323,7 +323,7 @@ def _static(structure: fc.Structure) -> np.ndarray:
     """The static compliance that each pair sees [m/N]."""
     assert isinstance(structure, fc.MasslessStructure)
     modal_gap = structure.gap[: structure.n_modes].toarray()
-    compliance: np.ndarray = np.diag(structure.residual) + np.sum(
+    compliance: np.ndarray = np.diag(structure.residual_compliance) + np.sum(
         modal_gap**2 / structure.omega[:, None] ** 2, axis=0
     )
     return compliance

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.curves.resonance import at_small_load, resonance_at
+from fenics_crack.curves.resonance import problem_at_small_load, resonance_at
 
 STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 TITANIUM = {"young": 1.14e11, "poisson": 0.33, "density": 4430.0}
@@ -166,7 +166,7 @@ def compared(scene: fc.Scene) -> str:
 def top_of_curve(problem: fc.Problem, found: fc.Resonance) -> tuple[float, float]:
     """Frequency [rad/s] and amplitude of the largest response around a resonance, on the curve from
     below the natural frequency at rest, or from above it, whichever is farther from it."""
-    ends = sorted((found.omega, resonance_at(at_small_load(problem), found.omega).omega))
+    ends = sorted((found.omega, resonance_at(problem_at_small_load(problem), found.omega).omega))
     lower_end, upper_end = ends[0] - 3.0 * found.width, ends[1] + 3.0 * found.width
     way = (lower_end, upper_end) if found.omega == ends[1] else (upper_end, lower_end)
     curve = fc.continue_frequency(

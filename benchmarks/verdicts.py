@@ -44,7 +44,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.balance.assessment import (
-    MAX_ACCEPTED_DISTANCE,
+    MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES,
     Assessment,
     relative_gap_distance,
     stated_error,
@@ -298,10 +298,10 @@ def unconfirmed(arguments: common.Arguments) -> None:
                 continue
             assert assessment.flow is not None
             motion = find_irregular_motion(
-                assessment.flow, case.omega, assessment.states_over_period[0]
+                assessment.flow, case.omega, assessment.states_at_period_parts[0]
             )
             predicted_error = assessment.predicted_error
-            (rows if true_error <= MAX_ACCEPTED_DISTANCE else distant_rows).append((
+            (rows if true_error <= MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES else distant_rows).append((
                 f"{case.family} {case.number}", harmonics, predicted_error,
                 stated_error(predicted_error), true_error,
                 true_error / stated_error(predicted_error), float(abs(orbit.multipliers[0])),
@@ -315,7 +315,7 @@ def unconfirmed(arguments: common.Arguments) -> None:
         f"\n{len(rows)} solutions: true over stated median {np.median(ratios):.2f}, largest "
         f"{ratios.max():.2f}, {np.sum(ratios > 1.1)} above 1.1. Of {len(systems)} systems with "
         f"stable orbits {len(irregular)} are called irregular. Of {len(distant_rows)} more "
-        f"solutions no orbit is nearer than {MAX_ACCEPTED_DISTANCE:g}."
+        f"solutions no orbit is nearer than {MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES:g}."
     )
     common.print_table("No orbit near", columns, distant_rows)
 
@@ -325,11 +325,11 @@ def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> Peri
     flow, wave, orbits, finer_solution = assessment.flow, assessment.wave, [], solution
     if flow is None or assessment.orbit_prediction is None:
         return None
-    for place in range(0, len(assessment.states_over_period), 4):
-        part = place / len(assessment.states_over_period) * wave.period
+    for place in range(0, len(assessment.states_at_period_parts), 4):
+        part = place / len(assessment.states_at_period_parts) * wave.period
         try:
             start = flow.advance(
-                assessment.states_over_period[place], wave.omega, wave.period - part, start=part
+                assessment.states_at_period_parts[place], wave.omega, wave.period - part, start=part
             )
         except fc.ConvergenceError:
             continue

@@ -167,7 +167,7 @@ def free_bar(elements: int) -> fc.Structure:
 def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
     """The block system of a problem with samples on one rank; its residual, and its Jacobian
     without the coordinates of damped modes, of all displacements (2H+1, n) [N], [N/m]."""
-    compliance = problem.compliance()
+    compliance = problem.compliance_model()
     linear = compliance.displacement(np.zeros(compliance.gap_shape))
     compliance.destroy()
     with BlockSystem(problem, linear) as block:
@@ -400,7 +400,7 @@ def newton_roots(system: Any, starts: int = 400) -> list[np.ndarray]:
 def duffing_system(harmonics: int, samples: int) -> Any:
     """The package's equations of the Duffing oscillator."""
     problem = fc.Problem(duffing(), 2.0, Cubic(1.0), harmonics, samples)
-    return problem.system(problem.compliance())
+    return problem.system(problem.compliance_model())
 
 
 def classical_amplitudes() -> np.ndarray:

@@ -25,7 +25,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.balance.more_modes import (
-    UNKNOWN_ERROR,
+    ERROR_IF_UNKNOWN,
     MoreModes,
     are_crack_faces_still,
     more_modes_structure_of,
@@ -41,23 +41,23 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     Prediction,
     find_orbit,
-    is_affordable,
-    is_too_slow,
+    is_load_too_slow,
+    is_orbit_search_affordable,
     predict_orbit,
 )
 from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.equations import COARSE_TOLERANCE
 from fenics_crack.numerics.fourier import resize_harmonics
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
-MAX_ACCEPTED_ERROR = 0.1
+MAX_ORBIT_DISTANCE = 0.1
 """Relative distance up to which the nearest orbit is accepted.
 
 Up to this predicted error, the search begins at the predicted state first. Measured on 680
 solutions of 170 systems: 99 % of chains, 83 % of plates and 79 % of stiff chains have a prediction
 within half to twice the distance.
 """
-MAX_ACCEPTED_DISTANCE = 0.5
+MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES = 0.5
 """Relative distance up to which an orbit is accepted for crack faces without mass.
 
 Of ten such orbits between 0.1 and 0.5 away, and within three predictions, nine belonged to the
@@ -105,7 +105,7 @@ class Assessment:
         )
         self._failure_reasons: list[str] = []
 
-    def is_of(self, wave: Wave) -> bool:
+    def holds_for(self, wave: Wave) -> bool:
         """Return True if this assessment holds for a solution."""
         attribute_pairs = [
             (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
@@ -130,16 +130,16 @@ class Assessment:
     def can_search_orbit(self) -> bool:
         """True if there is a flow, and a search for orbits does not take long."""
         flow, wave = self.flow, self.wave
-        return flow is not None and is_affordable(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_orbit_search_affordable(flow, wave.omega, wave.subharmonic)
 
     @property
     def is_load_too_slow(self) -> bool:
         """True if the load is too slow for time integration of exact motions with few modes."""
         flow, wave = self.flow, self.wave
-        return flow is not None and is_too_slow(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_load_too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
-    def states_over_period(self) -> np.ndarray:
+    def states_at_period_parts(self) -> np.ndarray:
         """Return states of the solution at equal parts of its period: (32, flow.size)."""
         assert self.flow is not None
         wave, flow = self.wave, self.flow
@@ -159,7 +159,7 @@ class Assessment:
         return (
             None
             if flow is None
-            else predict_orbit(flow, wave.omega, self.states_over_period, wave.subharmonic)
+            else predict_orbit(flow, wave.omega, self.states_at_period_parts, wave.subharmonic)
         )
 
     @property
@@ -187,7 +187,9 @@ class Assessment:
             return self.exact_orbit, True
         orbit = self._source_orbit or self._search_nearest_orbit()
         max_distance = (
-            MAX_ACCEPTED_DISTANCE if self.wave.structure.light_lips else MAX_ACCEPTED_ERROR
+            MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES
+            if self.wave.structure.light_lips
+            else MAX_ORBIT_DISTANCE
         )
         if (
             orbit is None
@@ -204,16 +206,16 @@ class Assessment:
         if self.orbit_prediction is None or self.is_load_too_slow:
             return None
         assert self.flow is not None
-        start_states = [self.states_over_period[0]]
-        if self.predicted_error <= MAX_ACCEPTED_ERROR:
+        start_states = [self.states_at_period_parts[0]]
+        if self.predicted_error <= MAX_ORBIT_DISTANCE:
             start_states.insert(0, self.orbit_prediction.states[0])
         n_load_periods = self.wave.subharmonic
-        inverse_function = self.orbit_prediction.solve_i_minus_m
+        i_minus_m_solver = self.orbit_prediction.solve_i_minus_m
         search_from_state = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
         orbits_or_none = (
-            search_from_state(state, subharmonic=n_load_periods, solve_i_minus_m=inverse_function)
+            search_from_state(state, subharmonic=n_load_periods, solve_i_minus_m=i_minus_m_solver)
             for state in start_states
         )
         return next(filter(None, orbits_or_none), None)
@@ -248,11 +250,11 @@ class Assessment:
             return None
         assert self.flow is not None
         return find_irregular_motion(
-            self.flow, self.wave.omega, self.states_over_period[0], self.wave.subharmonic
+            self.flow, self.wave.omega, self.states_at_period_parts[0], self.wave.subharmonic
         )
 
     @cached_property
-    def distance(self) -> float:
+    def relative_orbit_distance(self) -> float:
         """Return the distance between the solution's gaps and the orbit's over the period.
 
         It is relative to the moving part of B^T u; nan without an orbit.
@@ -263,41 +265,48 @@ class Assessment:
             else relative_gap_distance(self.wave, self.nearest_orbit)
         )
 
-    def gap_and_load_errors(self, *, search: bool = True) -> tuple[float, float]:
+    def gap_and_displacement_errors(self, *, search: bool = True) -> tuple[float, float]:
         """Return relative errors of the gap, and of the displacement at the load.
 
         With ``search`` they are the distances to the nearest orbit. Without an orbit they are
         :func:`stated_error` of the predictions. Without ``search`` they are the predictions. At
-        most :data:`UNKNOWN_ERROR`.
+        most :data:`ERROR_IF_UNKNOWN`.
         """
         wave = self.wave
         if self.exact_orbit is not None or (search and self.nearest_orbit is not None):
             assert self.nearest_orbit is not None
-            orbit_samples = self.nearest_orbit.sampled
-            displacement_change = orbit_samples.displacement - wave.coordinates(orbit_samples.time)
-            gap_and_load_errors = (
-                self.distance,
+            orbit_samples = self.nearest_orbit.period_samples
+            displacement_change = orbit_samples.displacement - wave.displacement_of_local_dofs(
+                orbit_samples.time
+            )
+            gap_and_displacement_errors = (
+                self.relative_orbit_distance,
                 _relative_change_at_load(wave, displacement_change, orbit_samples.displacement),
             )
         elif (prediction := self.orbit_prediction) is None:
-            gap_and_load_errors = UNKNOWN_ERROR, UNKNOWN_ERROR
+            gap_and_displacement_errors = ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
         else:
             assert self.flow is not None
-            displacement_change = (prediction.states - self.states_over_period)[
+            displacement_change = (prediction.states - self.states_at_period_parts)[
                 :, : self.flow.n_modes
             ] @ self.flow.modal_model.shapes.T
             time = np.arange(len(displacement_change)) * wave.period / len(displacement_change)
-            gap_and_load_errors = (
+            gap_and_displacement_errors = (
                 prediction.relative_gap_error,
-                _relative_change_at_load(wave, displacement_change, wave.coordinates(time)),
+                _relative_change_at_load(
+                    wave, displacement_change, wave.displacement_of_local_dofs(time)
+                ),
             )
-            gap_and_load_errors = (
-                (stated_error(gap_and_load_errors[0]), stated_error(gap_and_load_errors[1]))
+            gap_and_displacement_errors = (
+                (
+                    stated_error(gap_and_displacement_errors[0]),
+                    stated_error(gap_and_displacement_errors[1]),
+                )
                 if search
-                else gap_and_load_errors
+                else gap_and_displacement_errors
             )
-        return min(gap_and_load_errors[0], UNKNOWN_ERROR), min(
-            gap_and_load_errors[1], UNKNOWN_ERROR
+        return min(gap_and_displacement_errors[0], ERROR_IF_UNKNOWN), min(
+            gap_and_displacement_errors[1], ERROR_IF_UNKNOWN
         )
 
     @cached_property
@@ -314,7 +323,7 @@ class Assessment:
             return None
         assert wave.contact is not None
         flow = exact_flow_or_none(more_modes_structure, wave.contact)
-        is_searchable = flow is not None and is_affordable(
+        is_searchable = flow is not None and is_orbit_search_affordable(
             flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
         )
         if flow is None or not is_searchable or self.nearest_orbit is None:
@@ -339,7 +348,7 @@ class Assessment:
         predicted_gap_error = self.predicted_error
         error_text = (
             format_percent(predicted_gap_error)
-            if predicted_gap_error < UNKNOWN_ERROR
+            if predicted_gap_error < ERROR_IF_UNKNOWN
             else "100 % or more"
         )
         if self.nearest_orbit is None:
@@ -351,7 +360,7 @@ class Assessment:
         stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
         orbit_text = (
             f"the nearest exact orbit, which is {stability_text}, "
-            f"is {format_percent(self.distance)} away"
+            f"is {format_percent(self.relative_orbit_distance)} away"
         )
         return f"{orbit_text} where {error_text} was predicted: it may be another motion"
 
@@ -368,7 +377,7 @@ def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
         wave.structure, wave.omega, wave.contact, 2 * wave.harmonics,
         subharmonic=wave.subharmonic, static_above=wave.static_above,
     )  # fmt: skip
-    system = problem.system(problem.compliance())
+    system = problem.system(problem.compliance_model())
     search = Search(system, problem, COARSE_TOLERANCE, 1.0)
     point = search.solve(resize_harmonics(wave.slow_gap_coefficients, problem.harmonics))
     return problem.wave(system.linearise(point.unknown)) if search.has_converged else None
@@ -380,7 +389,7 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
     ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants; the reference is the
     motion's size at the load.
     """
-    return relative_to_motion(
+    return change_relative_to_motion(
         *(
             motion_along_load(wave.structure, displacement_samples)
             for displacement_samples in (change, motion)
@@ -393,10 +402,11 @@ def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
 
     It is relative to the moving part of B^T u; 0 if that is rounding.
     """
-    orbit_samples = orbit.sampled
+    orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):
         return 0.0
     gap_plus_clearance = orbit_samples.gaps + wave.structure_with_row_pairs.clearance
-    return relative_to_motion(
-        orbit_samples.gaps - wave.over_period(len(gap_plus_clearance))[1], gap_plus_clearance
+    return change_relative_to_motion(
+        orbit_samples.gaps - wave.basis_gaps_and_forces_over_period(len(gap_plus_clearance))[1],
+        gap_plus_clearance,
     )

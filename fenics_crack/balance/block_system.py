@@ -41,7 +41,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
+from fenics_crack.model.factor import estimate_factor_bytes, local_rows, make_matrix_from_local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import count_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
@@ -80,7 +80,7 @@ class BlockSystem(Snes):
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear_displacement.shape, problem.load
-        square_sums = np.array([np.sum(rows**2) for rows in (linear_displacement, self._load)])
+        square_sums = np.array([np.sum(waves**2) for waves in (linear_displacement, self._load)])
         displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(square_sums))
         self.length_unit = float(displacement_norm) or 1.0
         """Unit of the unknowns [m]."""
@@ -93,22 +93,22 @@ class BlockSystem(Snes):
             max_square = structure.sum_over_ranks(np.sum(given_modes.mass_shapes**2, axis=0)).max()
             self._scaled_shapes_and_their_rates = (
                 given_modes.mass_shapes / math.sqrt(max_square),
-                max_square * given_modes.modal_damping,
+                max_square * given_modes.damping_rates,
             )
-        linear_coo = self._linear_part(problem.base_omega)
+        linear_coo = self._linear_jacobian_rows(problem.base_omega)
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
-        self._force_map = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
-        self._slow_gap_map = self._group_columns_by_rank(
+        self._pair_force_matrix = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
+        self._slow_gap_matrix = self._group_columns_by_rank(
             sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
         if problem.residual_compliance is not None:
-            static_response = all_modes(structure).static_pair_responses(problem.cutoff)
+            static_response = all_modes(structure).static_pair_responses(problem.quasi_static_above)
             linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
-            self._slow_gap_map -= (
+            self._slow_gap_matrix -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
             )
             self._gap_at_zero_unknown += self._load @ static_response
@@ -124,17 +124,17 @@ class BlockSystem(Snes):
             (n_rows * n_pairs,) * 2,
         )
         # Absolute values do not cancel: no entry is missed.
-        contact_pattern = (abs(self._force_map) @ tangent_pattern @ abs(self._slow_gap_map)).tocoo()
+        contact_pattern = (
+            abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._slow_gap_matrix)
+        ).tocoo()
         entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
-        entry_indices = (
-            np.append(linear_coo.row, contact_pattern.row),
-            np.append(linear_coo.col, contact_pattern.col),
-        )
-        jacobian = distribute_rows(
+        entry_indices = (np.append(linear_coo.row, contact_pattern.row),
+                         np.append(linear_coo.col, contact_pattern.col))  # fmt: skip
+        jacobian = make_matrix_from_local_rows(
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
-        self._local_slow_gap_map = self._slow_gap_map[:, slice(*jacobian.getOwnershipRange())]
+        self._local_slow_gap_matrix = self._slow_gap_matrix[:, slice(*jacobian.getOwnershipRange())]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
         super().__init__(jacobian, history)
@@ -144,7 +144,7 @@ class BlockSystem(Snes):
             preconditioner.setFactorSetUpSolverType()
             preconditioner.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
-    def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
+    def _linear_jacobian_rows(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the Jacobian's linear part A.
 
         Units are scaled. Rows of damped modes are on the last rank.
@@ -215,17 +215,17 @@ class BlockSystem(Snes):
             (coo_matrix.data, (coo_matrix.row, new_columns)), (coo_matrix.shape[0], n_new_columns)
         )
 
-    def _contact_part(self, tangent: np.ndarray) -> sparse.csr_matrix:
+    def _contact_jacobian_rows(self, tangent: np.ndarray) -> sparse.csr_matrix:
         """Return this rank's rows of the Jacobian's contact part, B T ds/du.
 
         B takes contact forces to the dofs, s is the slow gap, and T = ``tangent`` is the forces'
         derivative by s.
         """
-        n_gap_coefficients = self._force_map.shape[1]
+        n_gap_coefficients = self._pair_force_matrix.shape[1]
         sparse_tangent = sparse.csr_matrix(
             (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
-        return sparse.csr_matrix(self._force_map @ sparse_tangent @ self._slow_gap_map)
+        return sparse.csr_matrix(self._pair_force_matrix @ sparse_tangent @ self._slow_gap_matrix)
 
     def _set_linear_solver_type(self, solver: Any) -> None:
         solver.getPC().setType("lu")
@@ -239,7 +239,7 @@ class BlockSystem(Snes):
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
-        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
+        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_matrix @ unknown)
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
         )
@@ -252,16 +252,16 @@ class BlockSystem(Snes):
         )
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
-    def evaluate(self, unknown: Any, target: Any) -> None:
-        force = self.integrals.force(self.slow_gap(unknown.array_r))
-        self._linear_matrix.mult(unknown, target)
+    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+        force = self.integrals.force(self.slow_gap(unknown_vector.array_r))
+        self._linear_matrix.mult(unknown_vector, residual_vector)
         contact_less_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
-        target.array_w[: len(contact_less_load)] += contact_less_load
+        residual_vector.array_w[: len(contact_less_load)] += contact_less_load
 
-    def linearise(self, unknown: Any) -> None:
-        forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
+    def linearise(self, unknown_vector: Any) -> None:
+        forces = self.integrals.linearise(self.slow_gap(unknown_vector.array_r))
         tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
-        contact_part = self._contact_part(self.length_unit / self.force_unit * tangent)
+        contact_part = self._contact_jacobian_rows(self.length_unit / self.force_unit * tangent)
         contact_part.resize(self.matrix.local_size[0], contact_part.shape[1])
         self._linear_matrix.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.matrix.setValuesCSR(
@@ -295,13 +295,13 @@ class BlockSystem(Snes):
         n_iterations : int
         """
         self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
-        has_converged, n_iterations = self.solve_in_place(
+        has_converged, n_iterations = self.solve_into_unknown_vector(
             self.scaled_unknowns_of(displacement), tolerance, MAX_ITERATIONS
         )
         if (
             has_converged and stiffness_factor == 1.0
         ):  # the error of u may be far larger than that of F
-            self.solve_in_place(self._unknown_vector.array_r.copy(), 0.0, 1)
+            self.solve_into_unknown_vector(self._unknown_vector.array_r.copy(), 0.0, 1)
         return self.displacement(self._unknown_vector), has_converged, n_iterations
 
     def __exit__(self, *exception: object) -> None:
@@ -342,7 +342,8 @@ class BlockSolver(Solver):
         is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
         n_bytes = (
-            4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_damping_modes
+            4.0 * estimate_factor_bytes(n_unknowns, solid=is_solid)
+            + 200.0 * n_unknowns * n_damping_modes
         )
         if n_bytes > 0.8 * machine_memory():
             requirement = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
@@ -381,7 +382,7 @@ class BlockSolver(Solver):
             search.tolerance = max(search.tolerance, block.rounding)
             while displacements_and_factors and not search.has_converged:
                 iterations_before = search.iterations
-                displacement, reached_factor = _raise_stiffness(
+                displacement, reached_factor = _solve_with_growing_stiffness(
                     block, search, *displacements_and_factors.pop(0)
                 )
                 search.has_converged = reached_factor == 1.0
@@ -396,7 +397,7 @@ class BlockSolver(Solver):
         return search, point, problem.wave_of(displacement, point.gap, point.force)
 
 
-def _raise_stiffness(
+def _solve_with_growing_stiffness(
     block: BlockSystem, search: Search, displacement: np.ndarray, first_stiffness_factor: float
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to that of the law.

@@ -103,7 +103,7 @@ class DynamicStiffness:
             modal_stiffness = natural_omegas_squared - omega**2
             is_near = np.abs(modal_stiffness) < DEFLATION_BAND * natural_omegas_squared
             if np.any(
-                self._damped_modes.omega[is_near & (self._damped_modes.modal_damping == 0.0)]
+                self._damped_modes.omega[is_near & (self._damped_modes.damping_rates == 0.0)]
                 == omega
             ):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
@@ -111,7 +111,7 @@ class DynamicStiffness:
                 1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
             )
             self._receptance_correction = (
-                1.0 / (modal_stiffness + 1j * omega * self._damped_modes.modal_damping)
+                1.0 / (modal_stiffness + 1j * omega * self._damped_modes.damping_rates)
                 - factored_receptance
             )
             if is_near.any():
@@ -149,7 +149,7 @@ class DynamicStiffness:
             + (modal_force * self._receptance_correction) @ self._damped_modes.shapes.T
         )
 
-    def compliance(self) -> np.ndarray:
+    def pair_compliance_matrix(self) -> np.ndarray:
         """Return the gaps' compliance R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N].
 
         B takes contact forces to the dofs, B^T displacements to the gaps.
@@ -274,7 +274,7 @@ class ModalCompliance:
         compliance._set_parameters(base_omega, load, damping, clearance)
         return compliance
 
-    def compliance_above(self, max_harmonic: int) -> np.ndarray:
+    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
         harmonic_orders = np.arange(len(self.matrices), max_harmonic + 1)
         is_mode_loaded: np.ndarray = np.zeros(
@@ -287,7 +287,7 @@ class ModalCompliance:
 
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
         """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
-        dynamic_pair_compliance = self._all_modes.seen_by_pairs(modal_receptance)
+        dynamic_pair_compliance = self._all_modes.compliance_of_pairs(modal_receptance)
         return (
             dynamic_pair_compliance
             if self._all_modes.residual_compliance is None
@@ -305,7 +305,9 @@ class ModalCompliance:
             else displacement_of_modes + self._massless_displacement(contact_force)
         )
 
-    def displacements(self, base_omegas: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
+    def displacements_at_base_omegas(
+        self, base_omegas: np.ndarray, contact_force: np.ndarray
+    ) -> np.ndarray:
         """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
@@ -325,7 +327,7 @@ class ModalCompliance:
             omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
         modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.gaps_by_mode.T
-        modal_displacement = modes.respond(
+        modal_displacement = modes.modal_response(
             modal_receptance.reshape(
                 *omega_by_harmonic_and_base.shape, *modal_receptance.shape[1:]
             ),
@@ -448,10 +450,11 @@ class ModalCompliance:
             )
             return -self._gap_response(self._base_omega * harmonic_orders * damping_force_per_omega)
         return from_complex(
-            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.gaps_by_mode
+            self._negative_modal_displacement_omega_derivative(contact_force)
+            @ self._all_modes.gaps_by_mode
         )
 
-    def selected_displacement_by_omega(
+    def selected_displacement_omega_derivative(
         self, selection_rows: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
         """Return the derivative of :meth:`selected_displacement` by the base frequency.
@@ -459,11 +462,13 @@ class ModalCompliance:
         The contact forces are fixed: (2H+1, m).
         """
         return from_complex(
-            -self._negative_modal_displacement_by_omega(contact_force)
+            -self._negative_modal_displacement_omega_derivative(contact_force)
             @ (selection_rows @ self._all_modes.shapes).T
         )
 
-    def _negative_modal_displacement_by_omega(self, contact_force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement_omega_derivative(
+        self, contact_force: np.ndarray
+    ) -> np.ndarray:
         """Return minus the derivative of modal displacements by the base frequency.
 
         ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
@@ -478,12 +483,13 @@ class ModalCompliance:
             damping_force_per_omega
             - 2.0 * self._base_omega * harmonic_orders * negative_modal_displacement
         )
-        return -self._all_modes.respond(self._receptance, impedance_force_by_omega)
+        return -self._all_modes.modal_response(self._receptance, impedance_force_by_omega)
 
     def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
         """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
         return from_complex(
-            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.gaps_by_mode
+            self._all_modes.modal_response(self._receptance, modal_force)
+            @ self._all_modes.gaps_by_mode
         )
 
     def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
@@ -491,7 +497,7 @@ class ModalCompliance:
         modal_force_less_load = (
             to_complex(contact_force) @ self._all_modes.gaps_by_mode.T - self._modal_load
         )
-        return self._all_modes.respond(self._receptance, modal_force_less_load)
+        return self._all_modes.modal_response(self._receptance, modal_force_less_load)
 
     def destroy(self) -> None:
         """Do nothing: no factors are held."""
@@ -518,7 +524,10 @@ class FactoredCompliance:
             DynamicStiffness(structure, k * base_omega) for k in harmonic_orders
         ]
         compliance_matrices = np.array(
-            [dynamic_stiffness.compliance() for dynamic_stiffness in self._stiffness_by_harmonic],
+            [
+                dynamic_stiffness.pair_compliance_matrix()
+                for dynamic_stiffness in self._stiffness_by_harmonic
+            ],
             dtype=complex,
         )
         linear_gap = structure.gap_of(self.solve_all_harmonics(load))
@@ -529,7 +538,7 @@ class FactoredCompliance:
             self.destroy()
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
-    def compliance_above(self, max_harmonic: int) -> np.ndarray:
+    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N].
 
         The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
@@ -588,7 +597,7 @@ def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) 
     resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance_model.compliance_above(harmonics)]
+            [resized_matrices, compliance_model.higher_harmonics_compliance(harmonics)]
         )
     new_model.matrices = resized_matrices
     new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)

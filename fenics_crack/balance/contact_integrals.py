@@ -39,9 +39,9 @@ from fenics_crack.kernel import NULL, attach_destructor, kernel, pointer, requir
 from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
+    forces_and_slopes_of_smooth_law,
     is_piecewise_linear,
     is_unilateral,
-    smooth_forces_and_slopes,
 )
 from fenics_crack.numerics.fourier import (
     fourier_coefficients,
@@ -70,7 +70,7 @@ class ContactForces(ABC):
         """Return the forces' change T ds by a gap's change ds, both (2H+1, n_pairs)."""
 
     @abstractmethod
-    def identity_plus(
+    def identity_plus_compliance_tangent(
         self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
     ) -> np.ndarray:
         """Return the dense Jacobian I + R T of s + R b(s), with T = db/ds.
@@ -89,14 +89,14 @@ class ContactForces(ABC):
         """
 
     @abstractmethod
-    def by_softness(self) -> np.ndarray:
+    def softness_derivative(self) -> np.ndarray:
         """Return the derivative of the forces b by the softness: (2H+1, n_pairs) [N].
 
         The softness is a compliance in series with all pairs, relative to the mean compliance.
         """
 
     @abstractmethod
-    def by_log_stiffness(self) -> np.ndarray:
+    def log_stiffness_derivative(self) -> np.ndarray:
         """Return the derivative of b by ln k, k the contact stiffness: (2H+1, n_pairs) [N]."""
 
 
@@ -183,21 +183,23 @@ class ContactIntegrals(ABC):
         )
 
 
-def contact_integrals(
+def integrals_with_uncoupled_pairs(
     law: ContactLaw, harmonics: int, samples: int | None = None, n_load_periods: int = 1
 ) -> PairIntegrals:
     """Return integrals for uncoupled pairs.
 
     The integrals are exact if the law is piecewise linear and no samples are requested. Otherwise
-    ``samples`` is the number of instants in the period; default: :func:`default_samples` for each
+    ``samples`` is the number of instants in the period; default: :func:`default_n_samples` for each
     of the load's ``n_load_periods`` in it.
     """
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
-    return SampledIntegrals(law, harmonics, samples or n_load_periods * default_samples(harmonics))
+    return SampledIntegrals(
+        law, harmonics, samples or n_load_periods * default_n_samples(harmonics)
+    )
 
 
-def default_samples(harmonics: int) -> int:
+def default_n_samples(harmonics: int) -> int:
     """Return the default number of instants.
 
     It is 1024, or the next power of two from 32 H on if that is larger.
@@ -242,7 +244,7 @@ class SampledIntegrals(ContactIntegrals):
     def exact_or_finer_integrals(self) -> ContactIntegrals:
         if is_piecewise_linear(self.law):
             return ExactIntegrals(self.law, self.harmonics)
-        return replace(self, samples=max(4 * self.samples, default_samples(self.harmonics)))
+        return replace(self, samples=max(4 * self.samples, default_n_samples(self.harmonics)))
 
     def with_harmonics(self, harmonics: int) -> Self:
         n_samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
@@ -315,7 +317,7 @@ class PairForces(ContactForces):
     def apply(self, gap_change: np.ndarray) -> np.ndarray:
         return np.matmul(self.tangent, gap_change.T[:, :, None])[:, :, 0].T
 
-    def identity_plus(
+    def identity_plus_compliance_tangent(
         self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
     ) -> np.ndarray:
         assert gap_basis is None
@@ -323,14 +325,14 @@ class PairForces(ContactForces):
         jacobian_matrix.flat[:: len(jacobian_matrix) + 1] += 1.0
         return jacobian_matrix
 
-    def by_log_stiffness(self) -> np.ndarray:
+    def log_stiffness_derivative(self) -> np.ndarray:
         """Return the forces' derivative by ln k.
 
         Forces of uncoupled pairs are proportional to k: the derivative is the forces.
         """
         return self.force
 
-    def by_softness(self) -> np.ndarray:
+    def softness_derivative(self) -> np.ndarray:
         return self._softness_derivative
 
 
@@ -466,7 +468,7 @@ class CoupledIntegrals(ContactIntegrals):
         return self.is_piecewise and self.samples is None
 
     def with_harmonics(self, harmonics: int) -> Self:
-        n_samples = self.samples and max(self.samples, default_samples(harmonics))
+        n_samples = self.samples and max(self.samples, default_n_samples(harmonics))
         return replace(
             self,
             harmonics=harmonics,
@@ -477,13 +479,15 @@ class CoupledIntegrals(ContactIntegrals):
     def exact_or_finer_integrals(self) -> Self | None:
         if self.is_exact:
             return None
-        n_samples = 4 * (self.samples or default_samples(self.harmonics))
+        n_samples = 4 * (self.samples or default_n_samples(self.harmonics))
         return replace(self, samples=None if self.is_piecewise else n_samples)
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         if self.is_piecewise:
             return self.active_set_solver.solve(gap_samples)[0]
-        return smooth_forces_and_slopes(self.law, self.active_set_solver.compliance, gap_samples)[0]
+        return forces_and_slopes_of_smooth_law(
+            self.law, self.active_set_solver.compliance_matrix, gap_samples
+        )[0]
 
     def linearise(self, gap_coefficients: np.ndarray) -> CoupledForces:
         return (
@@ -508,19 +512,20 @@ class CoupledForces(ContactForces):
             For each coefficient of a pair's force: by the gaps', ordered (coefficient, pair).
         """
 
-    def identity_plus(
+    def identity_plus_compliance_tangent(
         self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
     ) -> np.ndarray:
         tangent = self.tangent(gap_basis)
         cosine_tangent_rows, sine_tangent_rows = tangent[1::2], tangent[2::2]
-        real_part, imaginary_part = compliance_matrices[1:].real, compliance_matrices[1:].imag
+        compliance_real = compliance_matrices[1:].real
+        compliance_imaginary = compliance_matrices[1:].imag
         compliance_times_tangent = np.empty_like(tangent)
         compliance_times_tangent[0] = compliance_matrices[0].real @ tangent[0]
-        compliance_times_tangent[1::2] = np.matmul(real_part, cosine_tangent_rows) + np.matmul(
-            imaginary_part, sine_tangent_rows
-        )
-        compliance_times_tangent[2::2] = np.matmul(real_part, sine_tangent_rows) - np.matmul(
-            imaginary_part, cosine_tangent_rows
+        compliance_times_tangent[1::2] = np.matmul(
+            compliance_real, cosine_tangent_rows
+        ) + np.matmul(compliance_imaginary, sine_tangent_rows)
+        compliance_times_tangent[2::2] = np.matmul(compliance_real, sine_tangent_rows) - np.matmul(
+            compliance_imaginary, cosine_tangent_rows
         )
         jacobian_matrix = compliance_times_tangent.reshape(tangent.shape[2], -1)
         jacobian_matrix.flat[:: len(jacobian_matrix) + 1] += 1.0
@@ -547,7 +552,7 @@ class _ExactForces(CoupledForces):
 
     def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
-        n_pairs = len(integrals.active_set_solver.compliance)
+        n_pairs = len(integrals.active_set_solver.compliance_matrix)
         self._gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
         self.force = np.empty_like(self._gap_coefficients)
         self._evaluated_kernel_handle()
@@ -562,7 +567,7 @@ class _ExactForces(CoupledForces):
         if kernel_evaluator.evaluated_forces is not self:
             kernel_evaluator.evaluated_forces = None
             array_pointers = map(
-                pointer, (active_set_solver.compliance, self._gap_coefficients, self.force)
+                pointer, (active_set_solver.compliance_matrix, self._gap_coefficients, self.force)
             )
             outcome = kernel.find_forces(kernel_evaluator.handle, *array_pointers)
             if outcome == kernel.NO_MEMORY:
@@ -593,7 +598,7 @@ class _ExactForces(CoupledForces):
             raise MemoryError("contact forces")
         return tangent_from_means(stiffness_means)
 
-    def _by_diagonal_compliance(self, diagonal_rate: np.ndarray) -> np.ndarray:
+    def _diagonal_compliance_derivative(self, diagonal_rate: np.ndarray) -> np.ndarray:
         """Return the forces' derivative (2H+1, n_pairs) by the series compliance.
 
         The diagonal of D = R_inf + I/k plus the softness grows at ``diagonal_rate`` (n_pairs,).
@@ -605,13 +610,13 @@ class _ExactForces(CoupledForces):
         )
         return derivative
 
-    def by_softness(self) -> np.ndarray:
-        return self._by_diagonal_compliance(
+    def softness_derivative(self) -> np.ndarray:
+        return self._diagonal_compliance_derivative(
             np.full(self._gap_coefficients.shape[1], self._integrals.mean_pair_compliance)
         )
 
-    def by_log_stiffness(self) -> np.ndarray:
-        return self._by_diagonal_compliance(
+    def log_stiffness_derivative(self) -> np.ndarray:
+        return self._diagonal_compliance_derivative(
             np.broadcast_to(-self._integrals.spring_compliance, self._gap_coefficients.shape[1])
         )
 
@@ -629,14 +634,14 @@ class _SampledForces(CoupledForces):
         self._integrals, self.harmonics = integrals, integrals.harmonics
         active_set_solver = integrals.active_set_solver
         gap_samples = sample_period(
-            gap_coefficients, integrals.samples or default_samples(integrals.harmonics)
+            gap_coefficients, integrals.samples or default_n_samples(integrals.harmonics)
         )
         if integrals.is_piecewise:
             self._force_samples, is_closed = active_set_solver.solve(gap_samples)
-            self._stiffness_matrix_samples = active_set_solver.invert_sets(is_closed)
+            self._stiffness_matrix_samples = active_set_solver.invert_compliance_on_sets(is_closed)
         else:
-            self._force_samples, self._stiffness_matrix_samples = smooth_forces_and_slopes(
-                integrals.law, active_set_solver.compliance, gap_samples
+            self._force_samples, self._stiffness_matrix_samples = forces_and_slopes_of_smooth_law(
+                integrals.law, active_set_solver.compliance_matrix, gap_samples
             )
         self._stiffness_matrix_coefficients = fourier_coefficients(
             self._stiffness_matrix_samples, 2 * self.harmonics
@@ -673,17 +678,17 @@ class _SampledForces(CoupledForces):
             self.harmonics,
         )
 
-    def by_softness(self) -> np.ndarray:
+    def softness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
             -self._integrals.mean_pair_compliance * self._force_samples
         )
 
-    def by_log_stiffness(self) -> np.ndarray:
+    def log_stiffness_derivative(self) -> np.ndarray:
         if self._integrals.is_piecewise:
             return self._force_coefficient_change(
                 self._force_samples * self._integrals.spring_compliance
             )
         # d lambda = (I + h' D)^-1 lambda = lambda - S D lambda.
         return self.force - self._force_coefficient_change(
-            self._force_samples @ self._integrals.active_set_solver.compliance
+            self._force_samples @ self._integrals.active_set_solver.compliance_matrix
         )

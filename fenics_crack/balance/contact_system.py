@@ -47,7 +47,7 @@ from fenics_crack.balance.contact_integrals import ContactIntegrals, multiply_co
 from fenics_crack.balance.friction_integrals import (
     FrictionForces,
     FrictionIntegrals,
-    coupled_integrals,
+    integrals_with_coupled_pairs,
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import hertz_property
@@ -65,7 +65,7 @@ from fenics_crack.numerics.equations import (
     DenseLinearisation,
     Equations,
     Linearisation,
-    solve_factored,
+    solve_by_transpose_factors,
 )
 from fenics_crack.numerics.fourier import (
     evaluate_series,
@@ -136,7 +136,7 @@ class ContactSystem:
         n_step_unknowns = n_rows * (
             n_pairs if self.reachable_gap_basis is None else self.reachable_gap_basis.shape[1]
         )
-        self.matrix_free = (
+        self.is_matrix_free = (
             integrals.has_coupled_pairs and n_step_unknowns > MAX_UNKNOWNS_WITH_JACOBIAN
         )
         self.n_cost_unknowns = min(n_step_unknowns, MAX_UNKNOWNS_WITH_JACOBIAN)
@@ -192,7 +192,7 @@ class ContactSystem:
             linear_gap, compliance_or_modes,
             has_coupled_pairs=self.integrals.has_coupled_pairs,
             reachable_gap_basis=self.reachable_gap_basis,
-            forms_jacobian=not self.matrix_free, **path_rates,
+            forms_jacobian=not self.is_matrix_free, **path_rates,
         )  # fmt: skip
 
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
@@ -253,11 +253,11 @@ class ContactSystem:
             self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
             lambda point: multiply_compliance_and_force(
                 self.dynamic_less_static_compliance,
-                softness_rate * point.linearised_forces.by_softness(),
+                softness_rate * point.linearised_forces.softness_derivative(),
             ),
         )
 
-    def with_derivative(
+    def linearise_with_derivative(
         self, unknown: np.ndarray, parameter_derivative: ParameterDerivative
     ) -> ContactPoint:
         """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
@@ -307,7 +307,7 @@ class SystemAlongFriction(ContactSystem):
         """Return residual and Jacobian with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
         integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
-        return ContactPoint(self, unknown, integrals, residual_by_friction_scale)
+        return ContactPoint(self, unknown, integrals, residual_friction_scale_derivative)
 
 
 class ContactPoint(DenseLinearisation):
@@ -340,12 +340,14 @@ class ContactPoint(DenseLinearisation):
     @cached_property
     def jacobian(self) -> np.ndarray:
         """Return J = I + (R - R_inf) T, where T is db/ds."""
-        return self.linearised_forces.identity_plus(self.system.dynamic_less_static_compliance)
+        return self.linearised_forces.identity_plus_compliance_tangent(
+            self.system.dynamic_less_static_compliance
+        )
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
         if system.reachable_gap_basis is not None:
-            return self.linearised_forces.identity_plus(
+            return self.linearised_forces.identity_plus_compliance_tangent(
                 system.dynamic_less_static_compliance_in_basis, system.reachable_gap_basis
             )
         return self.jacobian
@@ -357,7 +359,7 @@ class ContactPoint(DenseLinearisation):
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
-        if system.matrix_free:
+        if system.is_matrix_free:
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
         if system.reachable_gap_basis is not None:
@@ -369,14 +371,15 @@ class ContactPoint(DenseLinearisation):
             )
             return (
                 right_side
-                - solve_factored(factors, response_in_basis) @ system.reachable_gap_basis.T
+                - solve_by_transpose_factors(factors, response_in_basis)
+                @ system.reachable_gap_basis.T
             )
-        return solve_factored(factors, right_side)
+        return solve_by_transpose_factors(factors, right_side)
 
     @property
     def sign(self) -> float:
         """Return the sign of det J; nan if J is not formed."""
-        return np.nan if self.system.matrix_free else super().sign
+        return np.nan if self.system.is_matrix_free else super().sign
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
@@ -448,12 +451,12 @@ class Wave:
         return add_friction_pairs(self.contact, self.structure)
 
     @property
-    def gap_rows(self) -> np.ndarray:
+    def row_gap_coefficients(self) -> np.ndarray:
         """Coefficients of normal gaps, then of tangential ones: (2H+1, n_rows) [m]."""
         return _join_columns(self.gap_coefficients, self.tangential_gap_coefficients)
 
     @property
-    def force_rows(self) -> np.ndarray:
+    def row_force_coefficients(self) -> np.ndarray:
         """Coefficients of normal forces, then of friction forces: (2H+1, n_rows) [N]."""
         return _join_columns(self.force_coefficients, self.tangential_force_coefficients)
 
@@ -468,7 +471,7 @@ class Wave:
             if residual_compliance_or_none is None
             else residual_compliance_or_none
         )
-        return coupled_integrals(self.contact, self.harmonics, residual_compliance)
+        return integrals_with_coupled_pairs(self.contact, self.harmonics, residual_compliance)
 
     @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
@@ -477,10 +480,12 @@ class Wave:
         s, the slow gap, is the gap g without its quasi-static response to forces lambda.
         """
         if self.residual_compliance is None:
-            return self.gap_rows
-        return self.gap_rows + self.force_rows @ self.residual_compliance
+            return self.row_gap_coefficients
+        return self.row_gap_coefficients + self.row_force_coefficients @ self.residual_compliance
 
-    def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def basis_gaps_and_forces_at_phases(
+        self, phase: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at phases (n,) of the response.
 
         Returns
@@ -489,21 +494,23 @@ class Wave:
             1, cos, sin, ..., the factors of coefficients.
         gap, force : (n, n_rows) [m], [N]
         """
-        return self._basis_gaps_and_forces_at(
+        return self._gaps_and_forces_with_basis_at(
             fourier_basis_for(self.gap_coefficients, phase), phase
         )
 
-    def over_period(self, n_instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def basis_gaps_and_forces_over_period(
+        self, n_instants: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at n equally spaced instants.
 
-        Shapes are those of :meth:`at_phase`.
+        Shapes are those of :meth:`basis_gaps_and_forces_at_phases`.
         """
         phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        return self._basis_gaps_and_forces_at(
+        return self._gaps_and_forces_with_basis_at(
             fourier_basis_over_period(self.harmonics, n_instants), phase
         )
 
-    def _basis_gaps_and_forces_at(
+    def _gaps_and_forces_with_basis_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the given Fourier basis with gaps [m] and contact forces [N] at the phases.
@@ -539,7 +546,7 @@ class Wave:
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each."""
-        _, gap, force = self.at_phase(self.base_omega * np.atleast_1d(time))
+        _, gap, force = self.basis_gaps_and_forces_at_phases(self.base_omega * np.atleast_1d(time))
         return gap, force
 
     def gap(self, time: np.ndarray) -> np.ndarray:
@@ -585,9 +592,11 @@ class Wave:
         if friction_of(self.contact) is None:
             raise InputError("contact", self.contact, "CoulombFriction")
 
-    def coordinates(self, time: np.ndarray) -> np.ndarray:
+    def displacement_of_local_dofs(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m]."""
-        basis, _, force_at_times = self.at_phase(self.base_omega * np.atleast_1d(time))
+        basis, _, force_at_times = self.basis_gaps_and_forces_at_phases(
+            self.base_omega * np.atleast_1d(time)
+        )
         displacement_at_times = basis @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
@@ -595,7 +604,7 @@ class Wave:
                 self.structure_with_row_pairs
             ).static_pair_responses(self.static_above)
             displacement_at_times -= (
-                force_at_times - basis @ self.force_rows
+                force_at_times - basis @ self.row_force_coefficients
             ) @ static_displacement_per_force.T
         return displacement_at_times
 
@@ -765,9 +774,10 @@ class CompiledPoint(Linearisation):
         return float(function_table.sign(function_table))
 
 
-def residual_by_friction_scale(point: ContactPoint) -> np.ndarray:
+def residual_friction_scale_derivative(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
     assert isinstance(point.linearised_forces, FrictionForces)
     return multiply_compliance_and_force(
-        point.system.dynamic_less_static_compliance, point.linearised_forces.by_friction_scale()
+        point.system.dynamic_less_static_compliance,
+        point.linearised_forces.friction_scale_derivative(),
     )

@@ -30,8 +30,8 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
 from fenics_crack.balance.more_modes import (
-    UNKNOWN_ERROR,
-    Errors,
+    ERROR_IF_UNKNOWN,
+    GapAndDisplacementErrors,
     modal_truncation_errors,
     more_modes_structure_of,
     motion_along_load,
@@ -46,7 +46,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING
 from fenics_crack.numerics.fourier import resize_harmonics, sample_period
-from fenics_crack.numerics.newton import motion_square, solve_by_full_or_damped_steps
+from fenics_crack.numerics.newton import motion_size_squared, solve_by_full_or_damped_steps
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
@@ -105,7 +105,7 @@ class ErrorReport(Described):
     @property
     def unknown(self) -> bool:
         """True if the total could not be estimated."""
-        return self.total >= UNKNOWN_ERROR
+        return self.total >= ERROR_IF_UNKNOWN
 
     @property
     def estimated(self) -> bool:
@@ -134,7 +134,11 @@ class ErrorReport(Described):
     def _title(self) -> str:
         return ", ".join(
             f"{part_name} {part_error:.2g}"
-            + (" (unknown)" if part_error >= UNKNOWN_ERROR and part_name != "penetration" else "")
+            + (
+                " (unknown)"
+                if part_error >= ERROR_IF_UNKNOWN and part_name != "penetration"
+                else ""
+            )
             for part_name, part_error in self.to_dict().items()
         ) + ("" if self.confirmed else f" ({NOT_CONFIRMED_TEXT})")
 
@@ -162,29 +166,32 @@ def estimate_errors(
     search, has_converged : bool
     """
     structure, wave = problem.structure, assessment.wave
-    gap_of_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
+    gap_from_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
 
     def relative_gap_size(change: np.ndarray) -> float:
-        return relative_size(change, point, problem.structure_with_row_pairs.clearance)
+        return relative_rms_of_gap_change(change, point, problem.structure_with_row_pairs.clearance)
 
     relative_residual = relative_gap_size(point.residual)
-    relative_rms_penetration = relative_gap_size(_rms_penetration(point, problem))
+    relative_rms_penetration = relative_gap_size(_rms_penetration_of_each_pair(point, problem))
     if not has_converged:
         return ErrorReport(
-            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_rms_penetration, UNKNOWN_ERROR
-        )
+            relative_residual, ERROR_IF_UNKNOWN, 0.0, 0.0, relative_rms_penetration,
+            ERROR_IF_UNKNOWN,
+        )  # fmt: skip
     finer_integrals, sampling_error = point.system.integrals.exact_or_finer_integrals(), 0.0
     if finer_integrals is not None:
         sampling_error = relative_gap_size(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
     if assessment.can_search_orbit:  # includes the sampling error
-        harmonics_error, load_error = assessment.gap_and_load_errors(search=search)
+        harmonics_error, displacement_at_load_error = assessment.gap_and_displacement_errors(
+            search=search
+        )
     else:
-        harmonics_error, load_error = _truncation_errors(point, wave)
+        harmonics_error, displacement_at_load_error = _truncation_errors(point, wave)
     truncation_error = (
-        UNKNOWN_ERROR
-        if harmonics_error >= UNKNOWN_ERROR
+        ERROR_IF_UNKNOWN
+        if harmonics_error >= ERROR_IF_UNKNOWN
         else max(harmonics_error - sampling_error, 0.0)
     )
     can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
@@ -192,26 +199,30 @@ def estimate_errors(
     min_harmonics_for_modes = problem.response_harmonics(MIN_HARMONICS_FOR_MODAL_CHANGE)
     if (
         can_use_orbits
-        and truncation_error >= UNKNOWN_ERROR
+        and truncation_error >= ERROR_IF_UNKNOWN
         and isinstance(structure, ReducedStructure)
     ):
-        modal_errors = (
-            UNKNOWN_ERROR,
-            UNKNOWN_ERROR,
-        )  # without an orbit the effect of more modes is unknown, too
+        # Without an orbit the effect of more modes is unknown, too.
+        modal_errors = ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
     elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics_for_modes):
-        modal_errors = more_modes.gap_and_load_errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+        modal_errors = more_modes.gap_and_displacement_errors or (
+            ERROR_IF_UNKNOWN,
+            ERROR_IF_UNKNOWN,
+        )
     else:
         modal_errors = _reduction_errors(point, wave, problem)
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
-            modal_errors = max(modal_errors[0], truncation_error), max(modal_errors[1], load_error)
+            modal_errors = (
+                max(modal_errors[0], truncation_error),
+                max(modal_errors[1], displacement_at_load_error),
+            )
     return ErrorReport(
-        residual=max(relative_residual, relative_gap_size(gap_of_displacement - point.gap)),
+        residual=max(relative_residual, relative_gap_size(gap_from_displacement - point.gap)),
         truncation=truncation_error,
         sampling=sampling_error,
         reduction=modal_errors[0],
         penetration=relative_rms_penetration,
-        displacement=min(load_error + modal_errors[1], UNKNOWN_ERROR),
+        displacement=min(displacement_at_load_error + modal_errors[1], ERROR_IF_UNKNOWN),
         confirmed=not (assessment.can_search_orbit and search)
         or assessment.nearest_orbit is not None,
     )
@@ -233,11 +244,11 @@ def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorRepo
         more_modes_solution.gap_coefficients - solution.gap_coefficients
     )
     gap_error = math.sqrt(change_mean_square / mean_square_with_limited_mean(gap_plus_clearance))
-    load_error = _relative_change_at_load(
+    displacement_at_load_error = _relative_change_at_load(
         solution, more_modes_solution.structure, more_modes_solution.displacement_coefficients
     )
     reduction_error, displacement_error = modal_truncation_errors(
-        solution.structure, (gap_error, load_error)
+        solution.structure, (gap_error, displacement_at_load_error)
     )
     return ErrorReport(reduction=reduction_error, displacement=displacement_error)
 
@@ -260,7 +271,9 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
     )
 
 
-def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
+def relative_rms_of_gap_change(
+    gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray
+) -> float:
     """Return the root mean square of a gap's change, relative to that of B^T u = g + g0.
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
@@ -280,7 +293,7 @@ def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.nda
     )
 
 
-def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
+def _truncation_errors(point: ContactPoint, wave: Wave) -> GapAndDisplacementErrors:
     """Return the relative changes by K > H harmonics.
 
     Changes of the gaps and of the displacement at the load estimate the truncation errors if no
@@ -295,23 +308,23 @@ def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
         min(4 * kept_harmonics, (MAX_DENSE_SIZE // n_pairs - 1) // 2),
     )
     larger_system = point.system.with_harmonics(more_harmonics)
-    return _change_by_better_system(
+    return _relative_changes_by_better_system(
         point, wave, larger_system, resize_harmonics(point.unknown, more_harmonics), wave.structure
     )
 
 
-def _change_by_better_system(
+def _relative_changes_by_better_system(
     base_point: ContactPoint,
     wave: Wave,
     better_system: ContactSystem,
     start_slow_gap: np.ndarray,
     structure: Structure,
-) -> Errors:
+) -> GapAndDisplacementErrors:
     """Return the relative changes from a solution to that of better equations.
 
     Newton's method begins at coefficients ``start_slow_gap``. ``structure`` is that of the
     better equations. The changes, of gaps and of the displacement at the load, are
-    :data:`UNKNOWN_ERROR` if Newton's method fails.
+    :data:`ERROR_IF_UNKNOWN` if Newton's method fails.
     """
     start_point = better_system.linearise(start_slow_gap)
     start_norm = max(float(np.linalg.norm(start_slow_gap)), 1e-300)
@@ -322,10 +335,10 @@ def _change_by_better_system(
         better_system, start_slow_gap, 1.0, tolerance=tolerance
     )
     if end_path_point is None:
-        return UNKNOWN_ERROR, UNKNOWN_ERROR
+        return ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
     converged_better_point = better_system.linearise(end_path_point.unknown)
     n_base_rows = len(base_point.force)
-    gap_error = relative_size(
+    gap_error = relative_rms_of_gap_change(
         converged_better_point.gap - start_point.gap,
         base_point,
         wave.structure_with_row_pairs.clearance,
@@ -333,13 +346,15 @@ def _change_by_better_system(
     better_force = (
         base_point.force + (converged_better_point.force - start_point.force)[:n_base_rows]
     )
-    load_error = _relative_change_at_load(
+    displacement_at_load_error = _relative_change_at_load(
         wave, structure, better_system.compliance_model.displacement(better_force)
     )
-    return min(gap_error, UNKNOWN_ERROR), min(load_error, UNKNOWN_ERROR)
+    return min(gap_error, ERROR_IF_UNKNOWN), min(displacement_at_load_error, ERROR_IF_UNKNOWN)
 
 
-def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Errors:
+def _reduction_errors(
+    point: ContactPoint, wave: Wave, problem: Problem
+) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
     They follow from the reduced structure's reference, which has more modes.
@@ -348,7 +363,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
     residual_compliance = point.system.residual_compliance
     if more_modes_structure is None:
         return 0.0, 0.0
-    cutoff = np.inf if residual_compliance is None else problem.cutoff
+    cutoff = np.inf if residual_compliance is None else problem.quasi_static_above
     more_modes_problem = replace(problem, structure=more_modes_structure, static_above=cutoff)
     start_slow_gap = point.gap
     if point.system.integrals.has_coupled_pairs:
@@ -364,18 +379,18 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
                 more_modes_problem,
                 contact=with_penalty(problem.contact, float(rigid_penalty_stiffness)),
             )
-    more_modes_system = more_modes_problem.system(more_modes_problem.compliance())
+    more_modes_system = more_modes_problem.system(more_modes_problem.compliance_model())
     if more_modes_system.residual_compliance is not None:
         start_slow_gap = start_slow_gap + point.force @ more_modes_system.residual_compliance
     return modal_truncation_errors(
         problem.structure,
-        _change_by_better_system(
+        _relative_changes_by_better_system(
             point, wave, more_modes_system, start_slow_gap, more_modes_structure
         ),
     )
 
 
-def _rms_penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
+def _rms_penetration_of_each_pair(point: ContactPoint, problem: Problem) -> np.ndarray:
     """Return the root mean square penetration max(g, 0) of each pair: (1, n_pairs) [m]."""
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
@@ -399,4 +414,4 @@ def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square in which means contribute no more than all else; never zero."""
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)
-    return motion_square(float(vibration_mean_square), float(squared_means_sum))
+    return motion_size_squared(float(vibration_mean_square), float(squared_means_sum))

@@ -37,7 +37,7 @@ from fenics_crack.numerics.fourier import (
 )
 
 
-def coupled_integrals(
+def integrals_with_coupled_pairs(
     law: ContactLaw, harmonics: int, residual_compliance: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
     """Return the integrals for pairs that a static compliance R_inf couples.
@@ -242,17 +242,17 @@ class FrictionForces(CoupledForces):
             raise MemoryError("friction")
         return tangent
 
-    def by_softness(self) -> np.ndarray:
+    def softness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
             -self._integrals.mean_pair_compliance * self._force_samples
         )
 
-    def by_log_stiffness(self) -> np.ndarray:
+    def log_stiffness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
             self._force_samples * self._integrals.spring_compliance
         )
 
-    def by_friction_scale(self) -> np.ndarray:
+    def friction_scale_derivative(self) -> np.ndarray:
         """Return the coefficients' derivative by the factor of the friction coefficient.
 
         f is the derivative of slipping pairs' friction forces at fixed normal forces. By the

@@ -35,7 +35,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT, ErrorReport, report_by_more_modes
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, more_modes_structure_of
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN, MoreModes, more_modes_structure_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -50,10 +50,10 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.suggestions import fit_argument
 from fenics_crack.basics.tables import format_percent, format_quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIP_STATES
-from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
+from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error, exact_flow_or_none
@@ -62,7 +62,7 @@ from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     PeriodicOrbit,
     RealFourierCoefficients,
-    is_affordable,
+    is_orbit_search_affordable,
 )
 from fenics_crack.motion.search import (
     SEGMENT_START_SLICE,
@@ -71,7 +71,7 @@ from fenics_crack.motion.search import (
     search_orbit,
 )
 from fenics_crack.numerics.fourier import from_complex, to_complex
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
 
 def solve_linear(
@@ -171,7 +171,7 @@ def linear_response(
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    load_omegas = numbers(omega)
+    load_omegas = floats_or_nan(omega)
     if load_omegas.ndim != 1 or not np.all(np.isfinite(load_omegas) & (load_omegas >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
     load_rows = load_coefficients(structure, 1, 1)
@@ -202,7 +202,7 @@ def _complex_linear_displacement(
             return dynamic_stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))[0]
-    modal_displacement = modes.respond(receptance, load @ modes.shapes)
+    modal_displacement = modes.modal_response(receptance, load @ modes.shapes)
     return modal_displacement @ modes.shapes.T + load @ modes.massless_flexibility
 
 
@@ -412,7 +412,7 @@ def lacks_modes(solution: PeriodicSolution, tolerance: float) -> bool:
     return solution.report.total > tolerance and solution.report.reduction > tolerance / 2.0
 
 
-def solve_beside(
+def solve_from_neighbour(
     problem: Problem,
     neighbour: PeriodicSolution | None,
     tolerance: float | None = None,
@@ -445,7 +445,7 @@ def solve_beside(
     return solution
 
 
-def _error_goal(tolerance: float, reduction_error: float) -> float:
+def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for harmonics and samples.
 
     It is the tolerance less the modal truncation error, at most half of the tolerance.
@@ -465,7 +465,7 @@ def _with_tolerance_status(
     report, structure = solution.report, solution.structure
     if not solution.converged:
         return solution
-    massless_structure = as_massless_structure(structure)
+    massless_structure = as_massless_structure_or_none(structure)
     kept_modes_text = ""
     modes_remedy_text = modes_key or "modes"
     n_sectors = 1
@@ -507,8 +507,10 @@ def _solve_structure(
     """Return the solution with a structure's present modes, if possible an exact orbit."""
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
-    if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
-        return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
+    if flow is None or not is_orbit_search_affordable(flow, problem.omega, problem.subharmonic):
+        return _solve_with_growing_harmonics(
+            solver, tolerance, _solver_for(solver, problem).solve(initial)
+        )
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
         orbit_solution = solution_of_orbit(
@@ -527,7 +529,9 @@ def _solve_structure(
     if solutions:
         initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
-    solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
+    solution = _solve_with_growing_harmonics(
+        solver, tolerance, _solver_for(solver, problem).solve(initial)
+    )
     harmonics_text = ", ".join(
         str(load_harmonics * problem.subharmonic)
         for load_harmonics in SearchOptions.guess_harmonic_counts
@@ -571,7 +575,7 @@ def _search_orbit_from_solutions(
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
-                yield orbit.sampled.whole_states[SEGMENT_START_SLICE]
+                yield orbit.period_samples.whole_states[SEGMENT_START_SLICE]
             elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
         for load_harmonics in SearchOptions.guess_harmonic_counts:
@@ -581,7 +585,7 @@ def _search_orbit_from_solutions(
             )[1]
             if solution.converged:
                 solutions.append(solution)
-                yield solution.assessment.states_over_period
+                yield solution.assessment.states_at_period_parts
 
     search = search_orbit(
         flow, problem.omega, state_guesses(), problem.subharmonic, prefer_stable=initial is None
@@ -598,8 +602,8 @@ def _states_with_more_modes(
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
-        return more_modes.orbit.sampled.whole_states[SEGMENT_START_SLICE]
-    return MoreModes(flow, assessment.wave, orbit).states_over_period
+        return more_modes.orbit.period_samples.whole_states[SEGMENT_START_SLICE]
+    return MoreModes(flow, assessment.wave, orbit).states_at_period_parts
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
@@ -654,16 +658,19 @@ def solution_of_orbit(
         initial_more_modes = initial.assessment.more_modes
         more_modes = replace(
             more_modes,
-            inverse_function=initial_more_modes.orbit_inverse_function
+            i_minus_m_solver=initial_more_modes.orbit_i_minus_m_solver
             if initial_more_modes
             else None,
         )
-    reduction_error, load_error = _modal_truncation_errors(
+    reduction_error, displacement_at_load_error = _modal_truncation_errors(
         problem, solution_with_harmonics, more_modes
     )
-    error_goal = _error_goal(tolerance, reduction_error)
+    allowed_harmonics_error = _allowed_harmonics_error(tolerance, reduction_error)
     n_insufficient_harmonics, solution = 0, solution_with_harmonics(problem.harmonics)
-    while not solution.assessment.distance <= error_goal and solution.harmonics < max_harmonics:
+    while (
+        not solution.assessment.relative_orbit_distance <= allowed_harmonics_error
+        and solution.harmonics < max_harmonics
+    ):
         n_insufficient_harmonics = solution.harmonics
         solution = solution_with_harmonics(min(2 * solution.harmonics, max_harmonics))
     if n_insufficient_harmonics:
@@ -671,17 +678,23 @@ def solution_of_orbit(
             range(solution.harmonics),
             True,
             n_insufficient_harmonics + 1,
-            key=lambda count: solution_with_harmonics(count).assessment.distance <= error_goal,
+            key=lambda count: (
+                solution_with_harmonics(count).assessment.relative_orbit_distance
+                <= allowed_harmonics_error
+            ),
         )
         solution = solution_with_harmonics(harmonics)
-    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.gap_and_load_errors()
+    gap_samples = orbit.gap
+    gap_and_displacement_errors = solution.assessment.gap_and_displacement_errors()
     gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
-        truncation=gap_and_load_errors[0],
+        truncation=gap_and_displacement_errors[0],
         reduction=reduction_error,
-        penetration=relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
-        displacement=min(gap_and_load_errors[1] + load_error, UNKNOWN_ERROR),
+        penetration=change_relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
+        displacement=min(
+            gap_and_displacement_errors[1] + displacement_at_load_error, ERROR_IF_UNKNOWN
+        ),
     )
     return replace(solution.reported(report), iterations=orbit.iterations)
 
@@ -731,13 +744,16 @@ def _modal_truncation_errors(
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement
-    return errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
+    return (more_modes and more_modes.gap_and_displacement_errors) or (
+        ERROR_IF_UNKNOWN,
+        ERROR_IF_UNKNOWN,
+    )
 
 
 # --- by harmonics ---------------------------------------------------------------------------------
 
 
-def _raise_harmonics(
+def _solve_with_growing_harmonics(
     solver: Solver, tolerance: float, solution: PeriodicSolution
 ) -> PeriodicSolution:
     """Return the best solution while harmonics are doubled until the error is small."""
@@ -758,10 +774,12 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
     is_error_unknown = (
-        truncation_and_sampling >= UNKNOWN_ERROR
+        truncation_and_sampling >= ERROR_IF_UNKNOWN
         and solution.harmonics >= SearchOptions.guess_harmonic_counts[-1] * solution.subharmonic
     )
-    meets_goal = truncation_and_sampling <= _error_goal(tolerance, solution.report.reduction)
+    meets_goal = truncation_and_sampling <= _allowed_harmonics_error(
+        tolerance, solution.report.reduction
+    )
     return meets_goal or is_error_unknown or solution.harmonics >= MAX_HARMONICS
 
 

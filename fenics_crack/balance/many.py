@@ -27,19 +27,19 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
-from fenics_crack.motion.motions import rows_of
+from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
     PeriodicOrbit,
     find_orbit,
-    is_affordable,
+    is_orbit_search_affordable,
     orbit_from,
 )
 from fenics_crack.numerics.fourier import fourier_coefficients
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
 """Nearest cases searched for neighbours, and neighbours that a fitted plane uses."""
@@ -182,7 +182,7 @@ def solve_many(
     >>> many = fc.solve_many(structure, 2000.0, contact, damping=np.linspace(0.5, 2.0, 20))
     >>> lost = np.flatnonzero(many.status == "lost")
     """
-    argument_arrays = [numbers(argument) for argument in (omega, load, damping, clearance)]
+    argument_arrays = [floats_or_nan(argument) for argument in (omega, load, damping, clearance)]
     shapes = {argument.shape for argument in argument_arrays} - {()}
     if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
         shapes_in_words = ", ".join(str(argument.shape) for argument in argument_arrays)
@@ -199,15 +199,15 @@ def solve_many(
     columns_by_name |= {column_name: np.full(n_cases, np.nan) for column_name in NUMBER_COLUMNS}
     columns_by_name["states"] = np.full((n_cases, flow.size), np.nan)
     orbit_table = ManyOrbits(structure, contact, harmonics, **columns_by_name)
-    watched_dof_row = rows_of(structure, [structure.watched_dof])
+    watched_dof_row = dof_selection_rows(structure, [structure.watched_dof])
     for case, neighbour_indices, offsets in _yield_cases_with_neighbours(orbit_table, flow):
         try:
             problem = orbit_table.problem(case)
             orbit = _find_orbit_of_case(orbit_table, case, problem, neighbour_indices, offsets)
-            for column_name, table_entry in _table_entries_of_orbit(
+            for column_name, column_entry in _table_entries_of_orbit(
                 problem, orbit, watched_dof_row
             ).items():
-                columns_by_name[column_name][case] = table_entry
+                columns_by_name[column_name][case] = column_entry
         except (ConvergenceError, InputError, np.linalg.LinAlgError) as error:
             orbit_table.status[case] = "refused" if isinstance(error, InputError) else "lost"
             orbit_table.reason[case] = str(error)
@@ -284,13 +284,13 @@ def _find_orbit_of_case(
     found.
     """
     flow = ContactFlow(problem.structure, problem.contact)
-    if not is_affordable(flow, problem.omega):
+    if not is_orbit_search_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
-    is_usable = (orbit_table.verdict[neighbour_indices] != "") & (
+    is_usable_neighbour = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0
     )
-    neighbour_indices = neighbour_indices[is_usable][:N_NEIGHBOURS]
-    offsets = offsets[is_usable][:N_NEIGHBOURS]
+    neighbour_indices = neighbour_indices[is_usable_neighbour][:N_NEIGHBOURS]
+    offsets = offsets[is_usable_neighbour][:N_NEIGHBOURS]
     neighbour_states = (
         orbit_table.states[neighbour_indices]
         * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
@@ -344,12 +344,12 @@ def _table_entries_of_orbit(
             for quantity_samples in displacement_gaps_forces
         )
     )
-    gap_error = displacement_gaps_forces[1] - wave.over_period(n_instants)[1]
+    gap_error = displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
     truncation_error = (
         0.0
         if are_crack_faces_still(orbit_samples)
-        else relative_to_motion(
+        else change_relative_to_motion(
             gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
         )
     )
@@ -358,10 +358,10 @@ def _table_entries_of_orbit(
     return {
         "amplitude": 0.5
         * (
-            _interpolated_largest_sample(watched_displacement)
-            + _interpolated_largest_sample(-watched_displacement)
+            _interpolated_overall_maximum(watched_displacement)
+            + _interpolated_overall_maximum(-watched_displacement)
         ),
-        "opening": max(0.0, _interpolated_largest_sample(-orbit_samples.gap)),
+        "opening": max(0.0, _interpolated_overall_maximum(-orbit_samples.gap)),
         "closed_share": contact_track.mean_time_share(contact_track.sets > 0),
         "multiplier": multiplier,
         "truncation": truncation_error,
@@ -370,7 +370,7 @@ def _table_entries_of_orbit(
     }
 
 
-def _interpolated_largest_sample(period_samples: np.ndarray) -> float:
+def _interpolated_overall_maximum(period_samples: np.ndarray) -> float:
     """Return the largest of all values over a period, by interpolation.
 
     Rows of ``period_samples`` (n, m) are equally spaced instants. A parabola goes through the

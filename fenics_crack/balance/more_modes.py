@@ -24,14 +24,14 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.model.modes import NEGLIGIBLE, multiply
-from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
+from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
     IMinusMSolver,
-    MotionInArcs,
+    MotionInEqualParts,
     PeriodicOrbit,
     find_orbit,
     predict_motion,
@@ -40,13 +40,13 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.motion.search import SEGMENT_START_SLICE
 from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
-from fenics_crack.numerics.newton import relative_to_motion
+from fenics_crack.numerics.newton import change_relative_to_motion
 
-UNKNOWN_ERROR = 1.0
+ERROR_IF_UNKNOWN = 1.0
 """Relative error that stands for an unknown error."""
 
-Errors = tuple[float, float]
-"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN_ERROR`."""
+GapAndDisplacementErrors = tuple[float, float]
+"""Errors of the gap, and of the displacement at the load; at most :data:`ERROR_IF_UNKNOWN`."""
 
 
 def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
@@ -70,7 +70,7 @@ def _neglected_dissipation_ratio(wave: Wave) -> float:
 
     It is 0 with another damping, and for a structure with mass in all coordinates.
     """
-    massless_structure = as_massless_structure(wave.structure)
+    massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(
         massless_structure.original.damping, RayleighDamping
     ):
@@ -85,18 +85,20 @@ def _neglected_dissipation_ratio(wave: Wave) -> float:
     return float(
         neglected_energy
         / max(
-            np.sum(modal_rate_coefficients**2 @ massless_structure.rate),
+            np.sum(modal_rate_coefficients**2 @ massless_structure.modal_damping),
             NEGLIGIBLE * neglected_energy,
             1e-300,
         )
     )
 
 
-def modal_truncation_errors(structure: Structure, gap_and_load_changes: Errors) -> Errors:
+def modal_truncation_errors(
+    structure: Structure, gap_and_displacement_changes: GapAndDisplacementErrors
+) -> GapAndDisplacementErrors:
     """Return the modal truncation errors from changes between a structure and its reference."""
     reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
-    return min(gap_and_load_changes[0] / reference_share, UNKNOWN_ERROR), min(
-        gap_and_load_changes[1] / reference_share, UNKNOWN_ERROR
+    return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(
+        gap_and_displacement_changes[1] / reference_share, ERROR_IF_UNKNOWN
     )
 
 
@@ -110,24 +112,24 @@ class MoreModes:
     """Harmonic-balance solution."""
     nearest_orbit: PeriodicOrbit
     """Nearest exact orbit, with the modes of the solution's structure."""
-    inverse_function: IMinusMSolver | None = None
+    i_minus_m_solver: IMinusMSolver | None = None
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
     allowed_prediction: float = math.inf
     """Maximum predicted relative change of the gaps for which the orbit is sought."""
 
     @property
-    def states_over_period(self) -> np.ndarray:
+    def states_at_period_parts(self) -> np.ndarray:
         """Return the nearest orbit's states on the flow with more modes: (32, flow.size).
 
         They belong to equal parts of the period. New modes respond statically to the load and the
         contact forces.
         """
-        orbit_samples, flow = self.nearest_orbit.sampled, self.flow
+        orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes
         modal_coordinates, modal_velocities, sticking_places = np.split(
             orbit_samples.whole_states, [n_orbit_modes, 2 * n_orbit_modes], axis=1
         )
-        if as_massless_structure(self.wave.structure) is None:
+        if as_massless_structure_or_none(self.wave.structure) is None:
             return self._projected_states(modal_coordinates, modal_velocities, sticking_places)[
                 SEGMENT_START_SLICE
             ]
@@ -180,7 +182,7 @@ class MoreModes:
         """Return the orbit to the accuracy of an error estimate, or None."""
         return (
             None
-            if isinstance(self.orbit_or_corrected_motion, MotionInArcs)
+            if isinstance(self.orbit_or_corrected_motion, MotionInEqualParts)
             else self.orbit_or_corrected_motion
         )
 
@@ -191,14 +193,14 @@ class MoreModes:
         The step corrects all parts of the nearest orbit's period together.
         """
         flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
-        period_states, start_inverse_function = self.states_over_period, self.inverse_function
+        period_states, start_i_minus_m_solver = self.states_at_period_parts, self.i_minus_m_solver
         search_from_state = partial(
             find_orbit, flow, load_omega, subharmonic=n_load_periods, step_tolerance=ROOT_TOLERANCE
         )
         orbit = None
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = search_from_state(period_states[0], solve_i_minus_m=start_inverse_function) or (
-                search_from_state(period_states[0]) if start_inverse_function else None
+            orbit = search_from_state(period_states[0], solve_i_minus_m=start_i_minus_m_solver) or (
+                search_from_state(period_states[0]) if start_i_minus_m_solver else None
             )
         if orbit is None and (
             prediction := predict_orbit(flow, load_omega, period_states, n_load_periods)
@@ -211,34 +213,39 @@ class MoreModes:
         return orbit
 
     @property
-    def orbit_inverse_function(self) -> IMinusMSolver | None:
+    def orbit_i_minus_m_solver(self) -> IMinusMSolver | None:
         """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
-            return self.orbit.inverse if self.orbit else None
+            return self.orbit.i_minus_m_solver if self.orbit else None
         return None
 
     @property
-    def gap_and_load_errors(self) -> Errors | None:
+    def gap_and_displacement_errors(self) -> GapAndDisplacementErrors | None:
         """Return the modal truncation errors; None if they are unknown.
 
         The gap's error is 0 if gaps move only by rounding.
         """
         if self.orbit_or_corrected_motion is None:
             return None
-        orbit_samples = self.nearest_orbit.sampled
-        motion_samples = self.orbit_or_corrected_motion.sampled
-        gap_error = relative_to_motion(
-            motion_samples.gaps - orbit_samples.gaps,
+        orbit_samples = self.nearest_orbit.period_samples
+        samples_with_more_modes = self.orbit_or_corrected_motion.period_samples
+        gap_error = change_relative_to_motion(
+            samples_with_more_modes.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
         )
         orbit_motion, motion_with_more_modes = (
             motion_along_load(samples.flow.structure, samples.displacement)
-            for samples in (orbit_samples, motion_samples)
+            for samples in (orbit_samples, samples_with_more_modes)
         )
-        load_error = relative_to_motion(motion_with_more_modes - orbit_motion, orbit_motion)
+        displacement_at_load_error = change_relative_to_motion(
+            motion_with_more_modes - orbit_motion, orbit_motion
+        )
         return modal_truncation_errors(
             self.wave.structure,
-            (0.0 if are_crack_faces_still(orbit_samples) else gap_error, load_error),
+            (
+                0.0 if are_crack_faces_still(orbit_samples) else gap_error,
+                displacement_at_load_error,
+            ),
         )
 
     def describe_contradiction(self, verdict: str) -> str:

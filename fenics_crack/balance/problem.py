@@ -41,7 +41,7 @@ from fenics_crack.balance.compliance import (
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     ExactIntegrals,
-    contact_integrals,
+    integrals_with_uncoupled_pairs,
     multiply_compliance_and_force,
 )
 from fenics_crack.balance.contact_system import (
@@ -50,7 +50,7 @@ from fenics_crack.balance.contact_system import (
     Wave,
     default_projection_weight,
 )
-from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
+from fenics_crack.balance.friction_integrals import FrictionIntegrals, integrals_with_coupled_pairs
 from fenics_crack.basics.errors import (
     MAX_SAMPLES_PER_PERIOD,
     InputError,
@@ -74,7 +74,11 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow_or_none
-from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
+from fenics_crack.motion.orbit import (
+    MAX_MODES_FOR_MONODROMY,
+    PeriodicOrbit,
+    is_orbit_search_affordable,
+)
 from fenics_crack.motion.search import SearchOptions, StartStrategy, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
@@ -90,7 +94,7 @@ from fenics_crack.numerics.newton import (
     SystemSnes,
     can_solve_in_kernel,
     point_on_path,
-    solve_at,
+    solve_at_parameter,
     solve_by_full_or_damped_steps,
 )
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
@@ -202,7 +206,7 @@ class Problem:
         return load_coefficients(self.structure, self.harmonics, self.subharmonic)
 
     @property
-    def cutoff(self) -> float:
+    def quasi_static_above(self) -> float:
         """Return the frequency above which modes are quasi-static [rad/s].
 
         It matters only with a :attr:`residual_compliance`.
@@ -212,11 +216,11 @@ class Problem:
 
     @property
     def static_cutoff(self) -> float | None:
-        """Return :attr:`cutoff`, or None without a residual flexibility [rad/s].
+        """Return :attr:`quasi_static_above`, or None without a residual flexibility [rad/s].
 
         Solutions keep this value.
         """
-        return None if self.residual_compliance is None else self.cutoff
+        return None if self.residual_compliance is None else self.quasi_static_above
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
@@ -249,7 +253,7 @@ class Problem:
         if may_project_constraint or not is_small(structure):
             return None
         residual_compliance = all_modes(self.structure_with_row_pairs).static_pair_compliance(
-            self.cutoff
+            self.quasi_static_above
         )
         if not has_massless_faces and not has_rigid_law:
             is_static_part_requested = self.static_above is not None and np.any(residual_compliance)
@@ -274,7 +278,7 @@ class Problem:
         has_few_dofs = is_small(self.structure)
         pair_spring_compliances = spring_compliances(self.contact, self.structure.n_pairs)
         residual_compliance = (
-            all_modes(self.structure_with_row_pairs).static_pair_compliance(self.cutoff)
+            all_modes(self.structure_with_row_pairs).static_pair_compliance(self.quasi_static_above)
             if has_few_dofs
             else None
         )
@@ -349,17 +353,23 @@ class Problem:
         """
         contact_law, harmonics = self.contact, self.harmonics
         if self.residual_compliance is not None:
-            return coupled_integrals(contact_law, harmonics, self.residual_compliance, self.samples)
+            return integrals_with_coupled_pairs(
+                contact_law, harmonics, self.residual_compliance, self.samples
+            )
         if self.has_friction:
             zero_compliance = np.zeros((self.structure_with_row_pairs.n_pairs,) * 2)
-            return coupled_integrals(contact_law, harmonics, zero_compliance, self.samples)
+            return integrals_with_coupled_pairs(
+                contact_law, harmonics, zero_compliance, self.samples
+            )
         if is_rigid(contact_law):
             assert contact_law.weight is not None
             projection_compliance = np.eye(self.structure.n_pairs) / contact_law.weight
             return ExactIntegrals(contact_law, harmonics, residual_compliance=projection_compliance)
-        return contact_integrals(contact_law, harmonics, self.samples, self.subharmonic)
+        return integrals_with_uncoupled_pairs(
+            contact_law, harmonics, self.samples, self.subharmonic
+        )
 
-    def compliance(self) -> ComplianceModel:
+    def compliance_model(self) -> ComplianceModel:
         """Return the compliance at multiples of the base frequency (collective).
 
         The caller destroys it.
@@ -476,7 +486,7 @@ class Search:
             snes = None
             if not can_solve_in_kernel(system):
                 snes = exit_stack.enter_context(SystemSnes(system, self.snes_residual_norms))
-            for start_strategy in self._start_strategies(neighbour_slow_gaps):
+            for start_strategy in self._yield_start_strategies(neighbour_slow_gaps):
                 begin_stage(start_strategy.name)
                 iterations_before = self.iterations
                 for slow_gap_guess in start_strategy.generate_candidates():
@@ -513,7 +523,7 @@ class Search:
         """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve_and_linearise(
-                guess, 1.0, self.tolerance, self._iterations_per_guess
+                guess, 1.0, self.tolerance, self._max_iterations_per_guess
             )
             self.iterations += n_iterations
             return point
@@ -537,9 +547,9 @@ class Search:
         parameter : float
             Parameter of the system: 1 is the law itself, 0 very soft contact.
         """
-        max_guess_iterations = self._iterations_per_guess
+        max_guess_iterations = self._max_iterations_per_guess
         raised_tolerance = max(self.tolerance, tolerance)
-        path_point = solve_at(
+        path_point = solve_at_parameter(
             system,
             guess,
             parameter,
@@ -550,7 +560,7 @@ class Search:
         return None if path_point is None else path_point.linearisation
 
     @property
-    def _iterations_per_guess(self) -> int:
+    def _max_iterations_per_guess(self) -> int:
         """Return the maximum iterations per guess; few with many harmonics and friction."""
         return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
 
@@ -561,29 +571,34 @@ class Search:
 
     # --- the ladder of starts ---------------------------------------------------------------------
 
-    def _start_strategies(
+    def _yield_start_strategies(
         self, neighbour_slow_gaps: Sequence[np.ndarray]
     ) -> Iterator[StartStrategy]:
         """Yield starts in the order of attempts."""
         system, problem = self.system, self.problem
         for neighbour_slow_gap in neighbour_slow_gaps:
             yield StartStrategy(
-                "full Newton steps", partial(self._guesses_near, system, neighbour_slow_gap)
+                "full Newton steps",
+                partial(self._yield_guess_and_damped_newton_point, system, neighbour_slow_gap),
             )
         if problem.has_friction:
-            yield StartStrategy("from contact without friction", self._guesses_without_friction)
+            yield StartStrategy(
+                "from contact without friction", self._yield_guesses_without_friction
+            )
         else:
             is_system_large = (
                 system.residual_compliance is not None or system.size > kernel.MANY_UNKNOWNS
             )
             coarsest_harmonics = problem.least_harmonics if is_system_large else problem.harmonics
-            harmonic_counts = halve_harmonics(problem.harmonics, coarsest_harmonics)
+            harmonic_counts = halved_harmonic_counts(problem.harmonics, coarsest_harmonics)
             strategy_name = "from fewer harmonics" if is_system_large else "full Newton steps"
-            yield StartStrategy(strategy_name, partial(self._guesses_by_harmonics, harmonic_counts))
+            yield StartStrategy(
+                strategy_name, partial(self._yield_guesses_from_fewer_harmonics, harmonic_counts)
+            )
         continued_quantity_name = (
             "coefficient of friction" if problem.has_friction else "contact compliance"
         )
-        path_guess_function = partial(self._guesses_by_continuation, system)
+        path_guess_function = partial(self._yield_guesses_by_continuation, system)
         later_strategies = (
             []
             if self._is_budget_spent
@@ -598,7 +613,7 @@ class Search:
         ):
             flow = exact_flow_or_none(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
-            orbit_strategy = StartStrategy("from an exact orbit", self._guesses_from_orbit)
+            orbit_strategy = StartStrategy("from an exact orbit", self._yield_guesses_from_orbit)
             later_strategies.insert(len(later_strategies) * is_orbit_last, orbit_strategy)
         yield from later_strategies
 
@@ -607,7 +622,9 @@ class Search:
         """Return the number of harmonics above which an exact orbit is tried first."""
         return self.problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
 
-    def _guesses_near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
+    def _yield_guess_and_damped_newton_point(
+        self, system: ContactSystem, guess: np.ndarray
+    ) -> Iterator[np.ndarray]:
         """Yield a guess, then the point that shortened steps reach from it."""
         yield guess
         if self._is_budget_spent:
@@ -621,7 +638,9 @@ class Search:
         if shortened_step_point is not None:
             yield shortened_step_point.unknown
 
-    def _guesses_by_harmonics(self, harmonic_counts: list[int]) -> Iterator[np.ndarray]:
+    def _yield_guesses_from_fewer_harmonics(
+        self, harmonic_counts: list[int]
+    ) -> Iterator[np.ndarray]:
         """Yield guesses with the last of ascending numbers of harmonics.
 
         Solutions with fewer harmonics lead there: each starts the next one, and the linear solution
@@ -631,7 +650,7 @@ class Search:
         orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
             if orbit_first_above_harmonics < n_harmonics <= 2 * orbit_first_above_harmonics:
-                yield from self._guesses_from_orbit()
+                yield from self._yield_guesses_from_orbit()
             system = self.system
             iterations_before = self.iterations
             simpler_point = self._simpler_point
@@ -646,14 +665,16 @@ class Search:
                 else system.slow_gap(simpler_point.gap, simpler_point.force)
             )
             if system is self.system:
-                yield from self._guesses_near(system, guess)
+                yield from self._yield_guess_and_damped_newton_point(system, guess)
                 continue
-            coarse_point = self._first_coarse_solution(system, self._guesses_near(system, guess))
+            coarse_point = self._first_coarse_solution(
+                system, self._yield_guess_and_damped_newton_point(system, guess)
+            )
             # Iterations with fewer harmonics cost little: they do not count.
             self._max_iterations += self.iterations - iterations_before
-            if coarse_point is None and not system.matrix_free:
+            if coarse_point is None and not system.is_matrix_free:
                 coarse_point = self._first_coarse_solution(
-                    system, self._guesses_by_continuation(system, 0.5)
+                    system, self._yield_guesses_by_continuation(system, 0.5)
                 )
             self._simpler_point = coarse_point or simpler_point
 
@@ -666,13 +687,13 @@ class Search:
             (system.linearise(point.unknown) for point in points if point is not None), None
         )
 
-    def _guesses_without_friction(self) -> Iterator[np.ndarray]:
+    def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
         """Yield the slow gap under the contact forces of the solution without friction."""
         problem_with_friction, system_with_friction = self.problem, self.system
         frictionless_problem = replace(
             problem_with_friction, contact=normal_law(problem_with_friction.contact)
         )
-        compliance_model = frictionless_problem.compliance()
+        compliance_model = frictionless_problem.compliance_model()
         try:
             frictionless_search = Search(
                 frictionless_problem.system(compliance_model),
@@ -698,10 +719,10 @@ class Search:
             )
         )
         if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
-            yield from self._guesses_from_orbit()
+            yield from self._yield_guesses_from_orbit()
         yield self._simpler_point.unknown
 
-    def _guesses_from_orbit(self) -> Iterator[np.ndarray]:
+    def _yield_guesses_from_orbit(self) -> Iterator[np.ndarray]:
         """Yield guesses near an exact orbit.
 
         The search for the orbit begins at a simpler solution, if there is one, and otherwise at
@@ -712,7 +733,7 @@ class Search:
         state_guesses = list[np.ndarray]()
         flow = exact_flow_or_none(problem.structure, problem.contact)
         load_omega, n_load_periods = problem.omega, problem.subharmonic
-        if flow is None or not is_affordable(flow, load_omega, n_load_periods):
+        if flow is None or not is_orbit_search_affordable(flow, load_omega, n_load_periods):
             return
         if simpler_point is not None:
             simpler_displacement = self.system.compliance_model.displacement(
@@ -724,9 +745,9 @@ class Search:
         ).orbit
         if self.orbit is not None:
             gap_and_force_coefficients = self.orbit.coefficients(problem.harmonics)
-            self._max_iterations += self._iterations_per_guess
+            self._max_iterations += self._max_iterations_per_guess
             self.remedy = "a tolerance, which takes the exact orbit that was found"
-            yield from self._guesses_near(
+            yield from self._yield_guess_and_damped_newton_point(
                 self.system,
                 self.system.slow_gap(
                     gap_and_force_coefficients.gap, gap_and_force_coefficients.force
@@ -734,7 +755,7 @@ class Search:
             )
         self.orbit = None
 
-    def _guesses_by_continuation(
+    def _yield_guesses_by_continuation(
         self, system: ContactSystem, budget_fraction: float = 1.0
     ) -> Iterator[np.ndarray]:
         """Yield the end of a path from very soft contact to the law.
@@ -770,7 +791,7 @@ class Search:
             yield path.last_point.unknown
 
 
-def halve_harmonics(harmonics: int, min_harmonics: int) -> list[int]:
+def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
     """Return ascending numbers of harmonics, each about half of the next.
 
     The first is ``min_harmonics``, the last is ``harmonics``.
@@ -815,4 +836,4 @@ def _iteration_budget(system: ContactSystem) -> float:
     if getattr(system, "compiled_equations", None) is not None:
         return kernel_budget
     python_budget = MAX_SEARCH_ITERATIONS / 5  # Python takes five times as long
-    return python_budget if system.matrix_free else min(python_budget, kernel_budget)
+    return python_budget if system.is_matrix_free else min(python_budget, kernel_budget)

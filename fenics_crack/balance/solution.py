@@ -24,7 +24,7 @@ from fenics_crack.basics.tables import (
     format_count,
     format_quantity,
 )
-from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
+from fenics_crack.model.contact import check_slope, friction_coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import ObservedMotion, Record
@@ -148,7 +148,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     KIND: ClassVar[str] = "periodic solution"
 
     def __post_init__(self) -> None:
-        if self.assessment is None or not self.assessment.is_of(self):
+        if self.assessment is None or not self.assessment.holds_for(self):
             wave = Wave(
                 **{wave_field.name: getattr(self, wave_field.name) for wave_field in fields(Wave)}
             )
@@ -182,7 +182,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         """
         if self.residual_compliance is None:
             return evaluate_series(self.coefficients_at(dofs), self.base_omega, time)
-        return self.structure.values_at(self.coordinates(time), dofs)
+        return self.structure.values_at(self.displacement_of_local_dofs(time), dofs)
 
     def function(self, time: float) -> Any:
         """Return the displacement at a time [s] as DOLFINx's Function (collective).
@@ -190,7 +190,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         It is on the space of the mesh, for ParaView and for further forms.
         """
         check_number("time", time)
-        return self.structure.function(self.coordinates(np.array([time]))[0])
+        return self.structure.function(self.displacement_of_local_dofs(np.array([time]))[0])
 
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
         """Yield the record of the motion at equally spaced instants of the period.
@@ -198,7 +198,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         ``rows`` (m, n_local) are factors of the displacement. Default: the times of
         :meth:`instants`. If a number ``instants`` is given, all numbers follow from those samples.
         """
-        friction_coefficient, static_motion_per_force = coefficient_of(self.contact), None
+        friction_coefficient, static_motion_per_force = friction_coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
             static_motion_per_force = rows @ all_modes(
                 self.structure_with_row_pairs
@@ -208,26 +208,34 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )
 
         def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return motion_gap_and_force(*self.at_phase(RAD_PER_TURN * period_fractions))
+            return motion_gap_and_force(
+                *self.basis_gaps_and_forces_at_phases(RAD_PER_TURN * period_fractions)
+            )
 
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             row_products = basis @ motion_coefficients
             if static_motion_per_force is not None:
-                row_products -= (force - basis @ self.force_rows) @ static_motion_per_force.T
+                row_products -= (
+                    force - basis @ self.row_force_coefficients
+                ) @ static_motion_per_force.T
             return row_products, gap, force
 
         n_instants = instants or len(self.instants())
         period_fractions = np.arange(n_instants) / n_instants
-        row_products, gap, force = motion_gap_and_force(*self.over_period(n_instants))
+        row_products, gap, force = motion_gap_and_force(
+            *self.basis_gaps_and_forces_over_period(n_instants)
+        )
         yield Record(
             self.omega, self.subharmonic, self.period * period_fractions, motion_coefficients,
             row_products, gap, force, structure=self.structure,
             friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
             evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,
-            exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
+            exact_numbers=(
+                {} if instants or self.orbit is None else self.orbit.friction_number_by_name
+            ),
         )  # fmt: skip
 
     @property
@@ -268,7 +276,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
         The shape is (len(time), n_local) [m], for this rank's dofs.
         """
-        return self.structure.expand(self.coordinates(time))
+        return self.structure.expand(self.displacement_of_local_dofs(time))
 
     def instants(self) -> np.ndarray:
         """Return equally spaced times over the period, to search for extremes [s].
@@ -411,7 +419,7 @@ class Solver:
         its whole budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if
         known.
         """
-        compliance_model = self.problem.compliance()
+        compliance_model = self.problem.compliance_model()
         budget_fraction = (
             1.0 if with_whole_budget else 1.0 / len(SearchOptions.guess_harmonic_counts)
         )
@@ -454,7 +462,7 @@ class Solver:
         system, start_slow_gaps = problem.system(compliance_model), []
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
-            gap_and_force_rows = initial.gap_rows, initial.force_rows
+            gap_and_force_rows = initial.row_gap_coefficients, initial.row_force_coefficients
             if (
                 gap_and_force_rows[0].shape[1] == system.shape[1]
             ):  # False: the initial solution has no friction

@@ -36,8 +36,8 @@ from fenics_crack.cli.scenes import describe_undamped_harmonics
 from fenics_crack.curves.curve import (
     DESCRIPTION_BY_PARAMETER,
     ResponseCurve,
+    axis_factor_name_and_unit,
     kind_in_words,
-    parameter_axis,
 )
 from fenics_crack.curves.peak import LargestResponse
 from fenics_crack.curves.stability import attractors
@@ -573,7 +573,9 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
             "; ".join(filter(None, (f"by the tolerance: {curve.method}", status_detail)))
         )
     if curve.exact:
-        width_text = format_in_unit(parameter_axis(curve.parameter, True), curve.resolution)
+        width_text = format_in_unit(
+            axis_factor_name_and_unit(curve.parameter, True), curve.resolution
+        )
         note_texts.append(
             f"windows of instability narrower than {width_text} may lie between points"
         )
@@ -621,7 +623,7 @@ def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
     """Return parameter values with unit: "50.1 and 50.3 Hz"."""
     return format_in_unit(
-        parameter_axis(run.result.parameter, run.scene.in_hertz), *parameter_values
+        axis_factor_name_and_unit(run.result.parameter, run.scene.in_hertz), *parameter_values
     )
 
 

@@ -25,7 +25,7 @@ from fenics_crack.balance.contact_system import (
     CompiledEquations,
     ContactPoint,
     ContactSystem,
-    residual_by_friction_scale,
+    residual_friction_scale_derivative,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
@@ -64,14 +64,14 @@ class BalanceEquations(CurveSystem):
         )
         self._last_value_and_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
-        self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
+        self.shape, self.is_matrix_free = start_system.shape, start_system.is_matrix_free
         self.angle_weights: np.ndarray | None = None
         """Weights of the unknowns in angles between tangents.
 
         If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
         the phase of harmonic k turns k times as far, and a tangent's high harmonics are not small.
         """
-        if self.matrix_free:
+        if self.is_matrix_free:
             harmonic_order = (np.arange(self.shape[0]) + 1) // 2
             self.angle_weights = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
 
@@ -85,7 +85,7 @@ class BalanceEquations(CurveSystem):
 
         Modes above it are quasi-static on the whole range.
         """
-        return max(self.vary(problem, value).cutoff for value in (start, end))
+        return max(self.vary(problem, value).quasi_static_above for value in (start, end))
 
     @cached_property
     def _contact_integrals(self) -> ContactIntegrals:
@@ -118,7 +118,7 @@ class BalanceEquations(CurveSystem):
             return self.problem_at(value).system(self.compliance_model_at(value))
         return ContactSystem(self.compliance_model_at(value), self._contact_integrals)
 
-    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+    def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
         assert isinstance(point.system.compliance_model, ModalCompliance)
         return point.system.compliance_model.residual_derivative(self.parameter_name, point.force)
@@ -158,8 +158,8 @@ class BalanceEquations(CurveSystem):
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
         value_rate = self.value_rate(value)
-        return self.system(value).with_derivative(
-            unknown, lambda point: value_rate * self._residual_by_value(value, point)
+        return self.system(value).linearise_with_derivative(
+            unknown, lambda point: value_rate * self._residual_derivative_by_value(value, point)
         )
 
     @property
@@ -233,8 +233,8 @@ class BalanceAlongFrequency(BalanceEquations):
     def load_frequency(cls, problem: Problem, value: float) -> float:
         return value
 
-    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return super()._residual_by_value(value, point) / self.problem.subharmonic
+    def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return super()._residual_derivative_by_value(value, point) / self.problem.subharmonic
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         base_omega = self.start / self.problem.subharmonic
@@ -271,7 +271,7 @@ class _BalanceOfVariedStructure(BalanceEquations):
         )
 
 
-class BalanceAlongLoad(_BalanceOfVariedStructure):
+class BalanceAlongLoadFactor(_BalanceOfVariedStructure):
     """Equations along v: factor for the load; a negative factor reverses it."""
 
     parameter_name = "load"
@@ -310,20 +310,20 @@ class BalanceAlongClearance(_BalanceOfVariedStructure):
     parameter_name = "clearance"
 
 
-class BalanceAlongContactStiffness(BalanceEquations):
+class BalanceAlongStiffnessFactor(BalanceEquations):
     """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
-    parameter_name, logarithmic, has_varying_integrals = "stiffness", True, True
+    parameter_name, is_logarithmic, has_varying_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
-    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+    def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         return (
             multiply_compliance_and_force(
                 point.system.dynamic_less_static_compliance,
-                point.linearised_forces.by_log_stiffness(),
+                point.linearised_forces.log_stiffness_derivative(),
             )
             / value
         )
@@ -336,7 +336,7 @@ class BalanceAlongContactStiffness(BalanceEquations):
         )
 
 
-class BalanceAlongFriction(BalanceEquations):
+class BalanceAlongFrictionFactor(BalanceEquations):
     """Equations along v: factor for the coefficient of friction."""
 
     parameter_name, has_varying_integrals = "friction", True
@@ -351,8 +351,8 @@ class BalanceAlongFriction(BalanceEquations):
             problem, contact=replace(unvaried_friction_law, coefficient=friction_coefficient)
         )
 
-    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return residual_by_friction_scale(point) / value
+    def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return residual_friction_scale_derivative(point) / value
 
 
 class BalanceAlongSpeed(BalanceEquations):
@@ -387,19 +387,21 @@ class BalanceAlongSpeed(BalanceEquations):
         run_up_structure = as_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
         natural_frequencies = np.array([run_up_structure.at_speed(speed).omega for speed in speeds])
-        lower_mode_frequencies = natural_frequencies.max(axis=0)[:-1]
-        upper_mode_frequencies = natural_frequencies.min(axis=0)[1:]
-        can_hold_cutoff = (upper_mode_frequencies > min_cutoff) & (
-            upper_mode_frequencies > lower_mode_frequencies * (1.0 + 1e-6)
+        lower_mode_max_frequencies = natural_frequencies.max(axis=0)[:-1]
+        upper_mode_min_frequencies = natural_frequencies.min(axis=0)[1:]
+        can_hold_cutoff = (upper_mode_min_frequencies > min_cutoff) & (
+            upper_mode_min_frequencies > lower_mode_max_frequencies * (1.0 + 1e-6)
         )
-        possible_cutoffs = np.sqrt(lower_mode_frequencies * upper_mode_frequencies)[can_hold_cutoff]
+        possible_cutoffs = np.sqrt(lower_mode_max_frequencies * upper_mode_min_frequencies)[
+            can_hold_cutoff
+        ]
         return float(max([min_cutoff, *possible_cutoffs[:1]]))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)
         return ModalCompliance(problem.structure_with_row_pairs, problem.base_omega, problem.load)
 
-    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+    def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         speed_step = CENTRAL_DIFFERENCE_STEP * value
         residuals_at_both_speeds = (
             self._make_system(speed).linearise(point.unknown).residual
@@ -436,11 +438,11 @@ EQUATIONS_CLASS_BY_PARAMETER: dict[str, type[BalanceEquations]] = {
     equations_class.parameter_name: equations_class
     for equations_class in (
         BalanceAlongFrequency,
-        BalanceAlongLoad,
-        BalanceAlongContactStiffness,
+        BalanceAlongLoadFactor,
+        BalanceAlongStiffnessFactor,
         BalanceAlongDampingFactor,
         BalanceAlongClearance,
-        BalanceAlongFriction,
+        BalanceAlongFrictionFactor,
         BalanceAlongSpeed,
         BalanceAtResonance,
     )

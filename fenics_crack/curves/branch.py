@@ -57,10 +57,14 @@ class ReturnToParent(Event):
     def __init__(self, system: CurveSystem) -> None:
         self._system, self._crossing_events = system, (Fold(), BranchPoint())
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         return np.asarray(
             np.any(
-                [crossing_event.detect(segment) for crossing_event in self._crossing_events], axis=0
+                [
+                    crossing_event.mark_steps_with_event(segment)
+                    for crossing_event in self._crossing_events
+                ],
+                axis=0,
             )
         )
 

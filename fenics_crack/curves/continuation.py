@@ -23,7 +23,11 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import check_initial, search_initial_orbit, solve_beside
+from fenics_crack.balance.harmonic_balance import (
+    check_initial,
+    search_initial_orbit,
+    solve_from_neighbour,
+)
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -43,8 +47,8 @@ from fenics_crack.curves.curve import (
     Bifurcation,
     CurvePoint,
     ResponseCurve,
+    axis_factor_name_and_unit,
     leading_multiplier_in_upper_half,
-    parameter_axis,
 )
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbits import system_along
@@ -53,7 +57,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow_or_error, exact_flow_or_none
-from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_too_slow
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_load_too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
     MIN_RESOLVED_DISTANCE,
@@ -132,11 +136,11 @@ class GrowingCurve:
 
     def _convert_path_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
-        return self._curve_point(
+        return self._make_curve_point(
             point.parameter, point.unknown, point.iterations, point.step_control_values
         )
 
-    def _curve_point(
+    def _make_curve_point(
         self,
         parameter: float,
         unknown: np.ndarray,
@@ -181,7 +185,9 @@ class GrowingCurve:
             complete=self.complete,
             status=self.status,
             subharmonic=problem.subharmonic,
-            points=np.array([system.state(point.unknown, point.value) for point in points]),
+            points=np.array(
+                [system.curve_points_row(point.unknown, point.value) for point in points]
+            ),
             tolerance=self._tolerance,
             samples=problem.samples,
             static_above=None if is_exact else problem.static_cutoff,
@@ -190,7 +196,7 @@ class GrowingCurve:
         )
         bifurcations = []
         for kind, curve_point in self._kinds_and_special_points:
-            point_state = system.state(curve_point.unknown, curve_point.value)
+            point_state = system.curve_points_row(curve_point.unknown, curve_point.value)
             bifurcations.append(
                 curve.bifurcation(
                     kind, curve_point.value, curve_point.omega, point_state, curve_point.multipliers
@@ -217,7 +223,7 @@ class GrowingCurve:
 
         The values are printed in their unit; default: the value at the last point.
         """
-        axis = parameter_axis(self.system.parameter_name, True)
+        axis = axis_factor_name_and_unit(self.system.parameter_name, True)
         point_count_text = format_count(len(self.points), "point")
         return f"{format_in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count_text}"
 
@@ -226,19 +232,19 @@ class GrowingCurve:
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the last point so far, then all points that follow."""
         yield self.points[-1]
-        for segment in self._segments():
-            for one_point_segment in segment.split_points():
-                yield self._record(one_point_segment)
+        for segment in self._yield_segments():
+            for one_point_segment in segment.yield_one_point_segments():
+                yield self._append_segment(one_point_segment)
 
     def run(self) -> None:
         """Follow the curve to its end.
 
         This is faster than iteration, since whole segments without events are recorded together.
         """
-        for segment in self._segments():
-            self._record(segment)
+        for segment in self._yield_segments():
+            self._append_segment(segment)
 
-    def _segments(self) -> Iterator[PathSegment]:
+    def _yield_segments(self) -> Iterator[PathSegment]:
         """Yield the rest of the path, from the last point to the end of the curve."""
         if self.complete:
             return
@@ -246,22 +252,22 @@ class GrowingCurve:
         last_point = self._last_path_point
         longest_step = self._step_limits.longest_step
         self.status = "under way"
-        events: list[Event] = [event_class() for event_class in system.event_classes]
-        events += [Target(1.0), ClosedLoop(self._start_path_point, system)]
+        watched_events: list[Event] = [event_class() for event_class in system.event_classes]
+        watched_events += [Target(1.0), ClosedLoop(self._start_path_point, system)]
         if self._is_branch:
-            events.append(Target(0.0))
+            watched_events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
-                events.insert(0, ReturnToParent(system))
+                watched_events.insert(0, ReturnToParent(system))
         path_options = PathOptions(
             initial_step=0.2 * longest_step,
             max_step=longest_step,
             min_step=max(MIN_RESOLVED_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
             points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
-            span=(-self._step_limits.turning_back, np.inf),
+            parameter_range=(-self._step_limits.turning_back, np.inf),
         )
         path = Path(
-            system, last_point, path_options, events, system.make_step_control(longest_step)
+            system, last_point, path_options, watched_events, system.make_step_control(longest_step)
         )
         yield from path
         assert path.end_reason is not None
@@ -273,7 +279,7 @@ class GrowingCurve:
             path.event, ClosedLoop
         )
 
-    def _record(self, segment: PathSegment) -> CurvePoint:
+    def _append_segment(self, segment: PathSegment) -> CurvePoint:
         """Append a segment's points and special points; return its last point."""
         kinds_and_special_points = [
             (event.kind, self._convert_path_point(path_point))
@@ -288,7 +294,11 @@ class GrowingCurve:
         )
         parameters, all_iterations = segment.parameters.tolist(), segment.iterations.tolist()
         self.points += map(
-            self._curve_point, parameters, segment.unknowns, all_iterations, multipliers_and_counts
+            self._make_curve_point,
+            parameters,
+            segment.unknowns,
+            all_iterations,
+            multipliers_and_counts,
         )
         self._last_path_point = segment[-1]
         kinds_and_values = tuple(
@@ -410,7 +420,7 @@ class Continuation(GrowingCurve):
             if initial is not None:
                 check_initial(start_problem, initial)  # type: ignore[arg-type]
             if tolerance is not None:
-                initial = solve_beside(start_problem, initial, tolerance)  # type: ignore[arg-type]
+                initial = solve_from_neighbour(start_problem, initial, tolerance)  # type: ignore[arg-type]
                 problem = problem.with_harmonics(initial.harmonics)
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
@@ -473,7 +483,7 @@ def first_point(
     )
 
 
-def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
+def can_follow_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
     """Return True if exact orbits can be followed along a parameter.
 
     The structure must be small. The law must have an exact flow, with few enough modes to form the
@@ -486,7 +496,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     end_frequencies = [
         EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, value).omega for value in (start, end)
     ]
-    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
+    return not any(is_load_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

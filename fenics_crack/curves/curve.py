@@ -15,7 +15,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, truncated_orbit_solution
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
@@ -78,7 +78,7 @@ graze, or if several multipliers collide in one step.
 """
 
 
-def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
+def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
     if parameter in ("omega", "speed"):
         return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
@@ -331,7 +331,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return a point's problem and linearised harmonic-balance equations."""
         problem, equations = self.problem_of(index), self.system
         if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
-            contact_system = problem.system(problem.compliance())
+            contact_system = problem.system(problem.compliance_model())
         else:
             contact_system = equations.system(float(self.values[index]))
         return problem, contact_system.linearise(self.points[index])
@@ -378,7 +378,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             force_coefficients = np.stack(
                 [contact_system.integrals.force(unknown) for unknown in unknowns], axis=1
             )
-            displacement_coefficients = compliance_model.displacements(
+            displacement_coefficients = compliance_model.displacements_at_base_omegas(
                 omega / self.subharmonic, force_coefficients
             )
             for index, unknown in enumerate(unknowns):
@@ -490,7 +490,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def part(self, places: Sequence[int] | slice) -> Self:
         """Return a curve with some points alone, without bifurcations."""
         selected_array_by_name = {
-            name: point_array[places] for name, point_array in _array_fields(self).items()
+            name: point_array[places] for name, point_array in _array_by_field_name(self).items()
         }
         return replace(self, **selected_array_by_name, bifurcations=())
 
@@ -528,7 +528,9 @@ class ResponseCurve(ObservedMotion, Tabular):
             *bifurcation_curves,
             source_curve.part([-1]),
         ]
-        array_dicts = [_array_fields(one_point_curve) for one_point_curve in one_point_curves]
+        array_dicts = [
+            _array_by_field_name(one_point_curve) for one_point_curve in one_point_curves
+        ]
         joined_columns = {
             name: np.concatenate([array_by_name[name] for array_by_name in array_dicts])
             for name in array_dicts[0]
@@ -550,7 +552,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         return self.observe([dof])[0][0].real_fourier_coefficients
 
-    def _gather(self, values: list[Any]) -> np.ndarray:
+    def _value_or_array_over_points(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> LargestResponse:
@@ -630,9 +632,9 @@ class ResponseCurve(ObservedMotion, Tabular):
             more_modes_motion = orbit_solution.assessment.more_modes
             if more_modes_motion is not None:
                 return (
-                    UNKNOWN_ERROR
-                    if more_modes_motion.gap_and_load_errors is None
-                    else more_modes_motion.gap_and_load_errors[1]
+                    ERROR_IF_UNKNOWN
+                    if more_modes_motion.gap_and_displacement_errors is None
+                    else more_modes_motion.gap_and_displacement_errors[1]
                 )
         return self.solution(index, search=False).report.displacement
 
@@ -662,7 +664,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return ", ".join([*title_parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
-def _array_fields(curve: ResponseCurve) -> dict[str, np.ndarray]:
+def _array_by_field_name(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """Return the array fields of a curve by name."""
     value_by_field = {
         curve_field.name: getattr(curve, curve_field.name) for curve_field in fields(curve)

@@ -34,7 +34,7 @@ class CurveSystem(ABC):
         v at p = 0 and p = 1.
     shape : tuple of int
         Shape of the unknowns.
-    logarithmic : bool
+    is_logarithmic : bool
         True if p is proportional to ln v.
     event_classes : sequence of type of Event
         Kinds of special points to detect.
@@ -45,24 +45,24 @@ class CurveSystem(ABC):
     start: float
     end: float
     shape: tuple[int, ...]
-    logarithmic: bool = False
+    is_logarithmic: bool = False
     event_classes: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
 
     def value(self, parameter: float) -> float:
         """Return the curve's parameter v at the path parameter p, 0 to 1."""
-        if self.logarithmic:
+        if self.is_logarithmic:
             return float(self.start * (self.end / self.start) ** parameter)
         return self.start + parameter * (self.end - self.start)
 
     def parameter(self, value: float) -> float:
         """Return the path parameter p, 0 to 1, at the curve's parameter v."""
-        if self.logarithmic:
+        if self.is_logarithmic:
             return math.log(value / self.start) / math.log(self.end / self.start)
         return (value - self.start) / (self.end - self.start)
 
     def value_rate(self, value: float) -> float:
         """Return the derivative dv/dp of the curve's parameter at v."""
-        if self.logarithmic:
+        if self.is_logarithmic:
             return value * math.log(self.end / self.start)
         return self.end - self.start
 
@@ -70,7 +70,7 @@ class CurveSystem(ABC):
     def omega(self, value: float, unknown: np.ndarray) -> float:
         """Return a solution's load frequency [rad/s]; ``value`` is v."""
 
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+    def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Convert unknowns to the array that a curve stores; by default the unknowns."""
         return unknown
 

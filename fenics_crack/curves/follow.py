@@ -19,7 +19,12 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.progress import add_progress_text, begin_stage
 from fenics_crack.basics.suggestions import check_options
-from fenics_crack.curves.continuation import Continuation, GrowingCurve, StepOptions, has_orbits
+from fenics_crack.curves.continuation import (
+    Continuation,
+    GrowingCurve,
+    StepOptions,
+    can_follow_orbits,
+)
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
@@ -178,7 +183,7 @@ def continue_parameter(
     is_exact = (
         error_tolerance is not None
         and samples is None
-        and has_orbits(problem, parameter, start, end)
+        and can_follow_orbits(problem, parameter, start, end)
     )
 
     def make_curve(

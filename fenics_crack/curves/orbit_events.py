@@ -111,7 +111,7 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
     return multipliers_and_counts
 
 
-def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
+def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
     """Return the changes in the three counts from each point to the next.
 
     Two real multipliers that become a complex pair, or the reverse, change no count.
@@ -202,7 +202,7 @@ class MultiplierStepControl(StepControl):
         is_coarse &= step_lengths > self._min_step
         is_coarse |= has_collision & (step_lengths > self._min_collision_step)
         has_several_events = (
-            np.abs(count_changes(segment.step_control_values[first_index:])).sum(axis=1) > 1
+            np.abs(changes_of_counts(segment.step_control_values[first_index:])).sum(axis=1) > 1
         )
         return np.asarray(is_coarse | has_several_events)
 
@@ -212,14 +212,14 @@ class PeriodDoubling(Event):
 
     kind = "period_doubling"
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(count_changes(segment.step_control_values)[:, 1] != 0.0)
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(changes_of_counts(segment.step_control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         point = find_zero_and_residual(
             system,
             ends,
-            lambda candidate: period_doubling_function(multipliers_of(candidate)),
+            lambda candidate: period_doubling_test_value(multipliers_of(candidate)),
             rtol,
         )[0]
         return point if np.abs(1.0 + multipliers_of(point)).min() <= MULTIPLIER_TOLERANCE else None
@@ -230,8 +230,8 @@ class NeimarkSacker(Event):
 
     kind = "neimark_sacker"
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(count_changes(segment.step_control_values)[:, 2] != 0.0)
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(changes_of_counts(segment.step_control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         assert ends[0].step_control_values is not None and ends[1].step_control_values is not None
@@ -261,7 +261,7 @@ def multipliers_of(point: PathPoint) -> np.ndarray:
     return point.step_control_values[:-3]
 
 
-def period_doubling_function(multipliers: np.ndarray) -> float:
+def period_doubling_test_value(multipliers: np.ndarray) -> float:
     """Return a number with the sign and the zeros of the product of all 1 + mu.
 
     Every factor is scaled to a modulus of at most 1. The result is 0 if a factor is smaller than

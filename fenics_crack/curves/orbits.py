@@ -70,7 +70,8 @@ class OrbitEquations(CurveSystem):
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.parameter_name, self.start, self.end = problem, parameter, start, end
         self.balance_class = EQUATIONS_CLASS_BY_PARAMETER[parameter]
-        self.logarithmic, self.subharmonic = self.balance_class.logarithmic, problem.subharmonic
+        self.is_logarithmic = self.balance_class.is_logarithmic
+        self.subharmonic = problem.subharmonic
         self._start_flow = self._make_flow(start)
         self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
         self.shape = (self._start_flow.size,)
@@ -96,7 +97,7 @@ class OrbitEquations(CurveSystem):
         return self._last_value_and_flow[1]
 
     @cached_property
-    def scale(self) -> np.ndarray:
+    def state_factors(self) -> np.ndarray:
         """Factors dx/dz from states to unknowns: (n_unknowns,).
 
         They are 1 for modal displacements and 1 / w for modal velocities. w is the mode's
@@ -127,9 +128,9 @@ class OrbitEquations(CurveSystem):
         )
         return np.array([start_rest, end_rest - start_rest])
 
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+    def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return the state z at phase zero for unknowns x at a parameter value."""
-        state = (unknown + self._scaled_rest_state(value)) / self.scale
+        state = (unknown + self._scaled_rest_state(value)) / self.state_factors
         if self.parameter_name == "speed":
             state = state @ self._state_transformation(value).T
         return np.asarray(state)
@@ -145,7 +146,7 @@ class OrbitEquations(CurveSystem):
         """
         if self.parameter_name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
-        return np.asarray(state * self.scale)
+        return np.asarray(state * self.state_factors)
 
     def _scaled_rest_state(self, value: float) -> np.ndarray:
         """Return the scaled rest state x_0 + p x_1 under the mean load."""
@@ -159,7 +160,7 @@ class OrbitEquations(CurveSystem):
         n_unknowns).
         """
         modal_basis_change = (
-            self.flow(value).modal_model.inverse @ self._start_flow.modal_model.shapes
+            self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
         )
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)
@@ -169,7 +170,7 @@ class OrbitEquations(CurveSystem):
     ) -> IntegratedMotion:
         """Return the motion over a fraction of the period."""
         value = self.value(parameter)
-        omega, start_state = self.omega(value), self.state(unknown, value)
+        omega, start_state = self.omega(value), self.curve_points_row(unknown, value)
         orbit_period = 2.0 * np.pi * self.subharmonic / omega
         return self.flow(value).advance(start_state, omega, period_fraction * orbit_period)
 
@@ -220,7 +221,7 @@ class OrbitEquations(CurveSystem):
                 kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": load_change}
                 kernel_fields |= {"gap": kernel_flow.load_gap, "gap_rate": load_gap_change}
         return ShootingEquations(
-            kernel_flow, self.scale, omega_and_change, self.subharmonic, **kernel_fields
+            kernel_flow, self.state_factors, omega_and_change, self.subharmonic, **kernel_fields
         )
 
     def rounding(self, parameter: float) -> float:
@@ -249,15 +250,17 @@ class OrbitEquations(CurveSystem):
             if self.parameter_name == "speed":
                 transformation = self._state_transformation(value)
                 tangent_matrix = np.linalg.solve(transformation, tangent_matrix @ transformation)
-            return np.asarray(self.scale[:, None] * tangent_matrix / self.scale)
+            return np.asarray(self.state_factors[:, None] * tangent_matrix / self.state_factors)
 
         def by_parameter() -> np.ndarray:
             if self.parameter_name == "speed" or self._start_flow.friction_law:
                 step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
-            state = self.state(unknown, value)
+            state = self.curve_points_row(unknown, value)
             softness_rate = -self.value_rate(value) / value * motion.track.flow.softness
-            unknown_change = self.scale * motion.track.derivative_by_softness(state, softness_rate)
+            unknown_change = self.state_factors * motion.track.derivative_by_softness(
+                state, softness_rate
+            )
             rest_change = self._scaled_rest_and_change[1]
             return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 

@@ -41,7 +41,7 @@ from fenics_crack.numerics.equations import Linearisation
 
 
 @dataclass(frozen=True)
-class Drive:
+class ExcitingHarmonic:
     """Exciting harmonic in a load.
 
     Attributes
@@ -56,10 +56,10 @@ class Drive:
     cosine_and_sine_load: np.ndarray
 
     @classmethod
-    def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
+    def of_structure(cls, structure: Structure, harmonic: int) -> ExcitingHarmonic:
         """Return a harmonic in a structure's load."""
         row_slice = slice(2 * harmonic - 1, 2 * harmonic + 1)
-        return cls(harmonic, structure.whole.watched_sector_load(structure, row_slice))
+        return cls(harmonic, structure.whole.watched_sector_load_rows(structure, row_slice))
 
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""
@@ -68,10 +68,10 @@ class Drive:
         )
         return self._complex_work_of(work_coefficients)
 
-    def complex_work_by_omega(self, point: ContactPoint) -> complex:
+    def complex_work_omega_derivative(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
         return self._complex_work_of(
-            modal_compliance_of(point).selected_displacement_by_omega(
+            modal_compliance_of(point).selected_displacement_omega_derivative(
                 self.cosine_and_sine_load, point.force
             )
         )
@@ -107,7 +107,7 @@ class PhasePoint(Linearisation):
         w.
     complex_work : complex [N m]
         P / v.
-    unknown_by_frequency, complex_work_by_frequency : (2H+1, n_pairs), complex
+    slow_gap_frequency_derivative, complex_work_frequency_derivative : (2H+1, n_pairs), complex
         ds/dw and dP/dw over v, along the response curve through the point.
     """
 
@@ -115,19 +115,19 @@ class PhasePoint(Linearisation):
         self.unknown, self.problem, self.drive = unknown, system.problem, system.drive
         self._vibration_size, self.omega = system.vibration_size, system.omega(1.0, unknown)
         self.contact_point = system.frequency_equations.system(self.omega).linearise(
-            system.state(unknown, 1.0)
+            system.curve_points_row(unknown, 1.0)
         )
         self.complex_work = system.drive.complex_work(self.contact_point)
         load_factor = system.value(parameter)
-        self._inverse_factor = 1.0 / load_factor
-        self._inverse_factor_rate = -system.value_rate(load_factor) / load_factor**2
+        self._inverse_load_factor = 1.0 / load_factor
+        self._inverse_load_factor_rate = -system.value_rate(load_factor) / load_factor**2
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
         contact_residual = self.contact_point.residual.copy()
-        contact_residual[0] += (1.0 - self._inverse_factor) * self.contact_point.system.linear_gap[
-            0
-        ]
+        contact_residual[0] += (
+            1.0 - self._inverse_load_factor
+        ) * self.contact_point.system.linear_gap[0]
         return np.append(
             contact_residual / self._vibration_size, self.complex_work.real / self.complex_work.imag
         )
@@ -136,13 +136,13 @@ class PhasePoint(Linearisation):
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         residual_derivative = np.zeros_like(self.unknown)
         residual_derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_factor_rate
+            -self._inverse_load_factor_rate
             * self.contact_point.system.linear_gap[0]
             / self._vibration_size
         )
         return residual_derivative
 
-    def _phase_change(self, work_change: complex) -> float:
+    def _phase_cotangent_change(self, work_change: complex) -> float:
         """Return the change in Re P / Im P by a change in the complex work P."""
         complex_work = self.complex_work
         return (
@@ -161,7 +161,7 @@ class PhasePoint(Linearisation):
         )
 
     @cached_property
-    def unknown_by_frequency(self) -> np.ndarray:
+    def slow_gap_frequency_derivative(self) -> np.ndarray:
         return -self.contact_point.solve(
             modal_compliance_of(self.contact_point).residual_derivative(
                 "omega", self.contact_point.force
@@ -169,32 +169,36 @@ class PhasePoint(Linearisation):
         )
 
     @cached_property
-    def complex_work_by_frequency(self) -> complex:
-        return self.drive.complex_work_by_omega(self.contact_point) + self._complex_work_change(
-            self.unknown_by_frequency
-        )
+    def complex_work_frequency_derivative(self) -> complex:
+        return self.drive.complex_work_omega_derivative(
+            self.contact_point
+        ) + self._complex_work_change(self.slow_gap_frequency_derivative)
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         gap_change = self._vibration_size * self.contact_point.solve(
             right_side[:-1].reshape(self.contact_point.unknown.shape)
         )
-        remainder = right_side[-1] - self._phase_change(self._complex_work_change(gap_change))
-        omega_change = remainder / self._phase_change(self.complex_work_by_frequency)
+        remainder = right_side[-1] - self._phase_cotangent_change(
+            self._complex_work_change(gap_change)
+        )
+        omega_change = remainder / self._phase_cotangent_change(
+            self.complex_work_frequency_derivative
+        )
         scaled_gap_change = (
-            gap_change + omega_change * self.unknown_by_frequency
+            gap_change + omega_change * self.slow_gap_frequency_derivative
         ) / self._vibration_size
         return np.append(scaled_gap_change, omega_change / self.problem.omega)
 
     @property
     def sign(self) -> float:
         return self.contact_point.sign * float(
-            np.sign(self._phase_change(self.complex_work_by_frequency))
+            np.sign(self._phase_cotangent_change(self.complex_work_frequency_derivative))
         )
 
     @property
-    def width(self) -> float:
+    def half_power_width(self) -> float:
         """Return D, the half-power width for a mode with this response [rad/s]."""
-        return -2.0 / (self.complex_work_by_frequency / self.complex_work).imag
+        return -2.0 / (self.complex_work_frequency_derivative / self.complex_work).imag
 
     @property
     def distance_to_peak_in_widths(self) -> float:
@@ -202,7 +206,11 @@ class PhasePoint(Linearisation):
 
         It follows from the derivative of P by the frequency.
         """
-        return 0.25 * self.width * (self.complex_work_by_frequency / self.complex_work).real
+        return (
+            0.25
+            * self.half_power_width
+            * (self.complex_work_frequency_derivative / self.complex_work).real
+        )
 
     @cached_property
     def solution(self) -> PeriodicSolution:
@@ -224,12 +232,12 @@ class ResonanceSystem(CurveSystem):
         Size of the slow gap's vibration at this point, over v.
     """
 
-    parameter_name, logarithmic = "resonance", True
+    parameter_name, is_logarithmic = "resonance", True
 
     def __init__(
         self,
         problem: Problem,
-        drive: Drive,
+        drive: ExcitingHarmonic,
         nearby_point: ContactPoint,
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
@@ -252,7 +260,7 @@ class ResonanceSystem(CurveSystem):
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return float(unknown[-1]) * self.problem.omega
 
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+    def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
         return self.vibration_size * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:

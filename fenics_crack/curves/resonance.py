@@ -39,7 +39,7 @@ from fenics_crack.curves.continuation import (
 )
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import run_to_end
-from fenics_crack.curves.phase import Drive, PhasePoint, ResonanceSystem
+from fenics_crack.curves.phase import ExcitingHarmonic, PhasePoint, ResonanceSystem
 from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -54,7 +54,9 @@ from fenics_crack.numerics.path import (
     ZeroCrossing,
 )
 
-RESONANCE_PATH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
+PATH_TO_RESONANCE_OPTIONS = PathOptions(
+    0.05, 0.3, max_steps=300, points_per_call=8, parameter_range=(-4.0, 1.8)
+)
 """Options for the response curve to the first resonance.
 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
@@ -149,7 +151,8 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     contact_point = equations.linearise(start_unknown, 0.0)
     n_load_harmonics = len(problem.structure.force) // 2
     drives = [
-        Drive.of_structure(problem.structure, harmonic + 1) for harmonic in range(n_load_harmonics)
+        ExcitingHarmonic.of_structure(problem.structure, harmonic + 1)
+        for harmonic in range(n_load_harmonics)
     ]
     drive = max(drives, key=lambda drive: abs(drive.complex_work(contact_point).imag))
     complex_work = drive.complex_work(contact_point)
@@ -166,8 +169,8 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     if complex_work.real > 0.0:  # the resonance is above
         start_path_point = replace(start_path_point, tangent=start_path_point.tangent.reverse())
     resonance_path_point = Path(
-        equations, start_path_point, RESONANCE_PATH_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
-    ).run_to_terminal_event()
+        equations, start_path_point, PATH_TO_RESONANCE_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
+    ).find_terminal_point_or_none()
     if resonance_path_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {from_omega:.6g} rad/s on")
     problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
@@ -196,7 +199,7 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     return system.linearise(path_point.unknown, 0.0)
 
 
-def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
+def _refined_point_and_error(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
     """Double the harmonics until the error is below a tolerance.
 
     The search also ends if several modes answer together, at the maximum number of harmonics, or if
@@ -225,14 +228,14 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
         except ConvergenceError:
             break
         amplitude_change = finer_point.solution.amplitude() / point.solution.amplitude() - 1.0
-        frequency_shift_in_widths = (finer_point.omega - point.omega) / finer_point.width
+        frequency_shift_in_widths = (finer_point.omega - point.omega) / finer_point.half_power_width
         harmonics_error = abs(amplitude_change) + 2.0 * frequency_shift_in_widths**2
         error = max(harmonics_error, finer_point.solution.report.displacement)
         point, n_harmonics = finer_point, 2 * n_harmonics
     return point, error
 
 
-def _find_order_crossing_and_rate(
+def _find_order_crossing_and_resonance_rate(
     point: PhasePoint, order: float | None
 ) -> tuple[PhasePoint, float]:
     """Find the resonance that an engine order meets, over the rotor speed.
@@ -359,12 +362,13 @@ def resonance_at(
     if parameter == "speed":
         order = problem.omega / as_run_up_structure(problem.structure).speed
     point = first_phase_resonance(*_small_problem_and_start_omega(problem, near, tolerance))
-    point, resonance_rate = _find_order_crossing_and_rate(point, order)
+    point, resonance_rate = _find_order_crossing_and_resonance_rate(point, order)
     if tolerance is not None:
-        point, error = _refine_to_tolerance(point, tolerance)
-        point, resonance_rate = _find_order_crossing_and_rate(point, order)
+        point, error = _refined_point_and_error(point, tolerance)
+        point, resonance_rate = _find_order_crossing_and_resonance_rate(point, order)
     omega, omega_per_value = point.omega, order or 1.0
-    width, harmonic = point.width / omega_per_value / (1.0 - resonance_rate), point.drive.harmonic
+    width = point.half_power_width / omega_per_value / (1.0 - resonance_rate)
+    harmonic = point.drive.harmonic
     return Resonance(
         omega / omega_per_value,
         omega,
@@ -376,7 +380,7 @@ def resonance_at(
     )
 
 
-def at_small_load(problem: Problem) -> Problem:
+def problem_at_small_load(problem: Problem) -> Problem:
     """Return a problem with a small load and the same mean load.
 
     Under a small load a crack stays open or closed if the mean load holds it.
@@ -426,16 +430,16 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    (problem, near), problem_at_load_factor = (
+    (problem, near), vary_load_factor = (
         _small_problem_and_start_omega(problem, near, tolerance),
         EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary,
     )
     if tolerance is not None:
-        end_point = _refine_to_tolerance(
-            first_phase_resonance(problem_at_load_factor(problem, end), near), tolerance
+        end_point = _refined_point_and_error(
+            first_phase_resonance(vary_load_factor(problem, end), near), tolerance
         )[0]
         problem = problem.with_harmonics(end_point.problem.harmonics)
-    point = first_phase_resonance(problem_at_load_factor(problem, start), near)
+    point = first_phase_resonance(vary_load_factor(problem, start), near)
     start_problem = replace(point.problem, structure=problem.structure, omega=point.omega)
     system = ResonanceSystem(start_problem, point.drive, point.contact_point, (start, end))
     growing_curve = GrowingCurve(

@@ -39,7 +39,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment, wave_with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
 from fenics_crack.basics.tables import format_percent
@@ -47,8 +47,8 @@ from fenics_crack.model.contact import (
     ContactLaw,
     check_law,
     check_slope,
+    forces_and_slopes_of_smooth_law,
     is_unilateral,
-    smooth_forces_and_slopes,
 )
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -101,18 +101,20 @@ def monodromy_of_linear_flow(
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
     if modes.residual_compliance is not None:
-        force_samples = smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[0]
+        force_samples = forces_and_slopes_of_smooth_law(
+            contact, modes.residual_compliance, gap_samples
+        )[0]
         gap_samples = gap_samples - force_samples @ modes.residual_compliance
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
-    coarser_product = extrapolated_matrix = _multiply_steps(
+    coarser_product = extrapolated_matrix = _monodromy_by_steps(
         modes, contact, gap_coefficients, base_omega, n_steps
     )
     change_norm = matrix_norm = np.inf
     while n_steps < 2**13 and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf:
         n_steps *= 2
-        finer_product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
+        finer_product = _monodromy_by_steps(modes, contact, gap_coefficients, base_omega, n_steps)
         coarser_matrix = extrapolated_matrix
         extrapolated_matrix = finer_product + (finer_product - coarser_product) / 3.0
         coarser_product = finer_product
@@ -128,7 +130,7 @@ def monodromy_of_linear_flow(
     return extrapolated_matrix
 
 
-def _multiply_steps(
+def _monodromy_by_steps(
     modes: AllModes, contact: ContactLaw, gap_coefficients: np.ndarray, base_omega: float,
     n_steps: int,
 ) -> np.ndarray:  # fmt: skip
@@ -145,43 +147,54 @@ def _multiply_steps(
     n_modes = len(modes.squares)
     gap_samples = sample_period(gap_coefficients, n_steps)
     if modes.residual_compliance is None:
-        kicks = step_size * contact.tangent(gap_samples)[:, :, None]
+        steps_times_stiffness = step_size * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = (
-            step_size * smooth_forces_and_slopes(contact, modes.residual_compliance, gap_samples)[1]
+        steps_times_stiffness = (
+            step_size
+            * forces_and_slopes_of_smooth_law(contact, modes.residual_compliance, gap_samples)[1]
         )
     n_stretches = 1
     while (
         n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
     ):
         n_stretches *= 2
-    kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
-    transition = modes.transition(step_size)[0]
+    steps_times_stiffness_of_stretches = steps_times_stiffness.reshape(
+        n_stretches, n_steps // n_stretches, *steps_times_stiffness.shape[1:]
+    )
+    transition = modes.transition_and_force_response(step_size)[0]
     stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
-        for kick in kicks_of_stretches.swapaxes(0, 1):
+        for step_times_stiffness in steps_times_stiffness_of_stretches.swapaxes(0, 1):
             stretch_matrices[:, n_modes:] -= _velocity_change(
-                modes, kick, stretch_matrices[:, :n_modes]
+                modes, step_times_stiffness, stretch_matrices[:, :n_modes]
             )
             stretch_matrices = _step_without_contact_forces(modes, transition, stretch_matrices)
         monodromy_matrix = stretch_matrices[0]
         for stretch_matrix in stretch_matrices[1:]:
             monodromy_matrix = stretch_matrix @ monodromy_matrix
-        half_kick = np.zeros_like(monodromy_matrix)
-        half_kick[n_modes:, :n_modes] = 0.5 * _velocity_change(modes, kicks[0], np.eye(n_modes))
-        monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick
-        return monodromy_matrix - half_kick @ monodromy_matrix
+        half_kick_matrix = np.zeros_like(monodromy_matrix)
+        half_kick_matrix[n_modes:, :n_modes] = 0.5 * _velocity_change(
+            modes, steps_times_stiffness[0], np.eye(n_modes)
+        )
+        monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick_matrix
+        return monodromy_matrix - half_kick_matrix @ monodromy_matrix
 
 
-def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _velocity_change(
+    modes: AllModes, step_times_stiffness: np.ndarray, displacement: np.ndarray
+) -> np.ndarray:
     """Return the modal velocity change h P kappa P^T q by contact.
 
-    ``kick`` is the step length h times the contact stiffness kappa of each pair, or the matrix of
-    coupled pairs. P are the modes at the pairs, and q the modal displacements.
+    ``step_times_stiffness`` is the step length h times the contact stiffness kappa of each pair, or
+    the matrix of coupled pairs. P are the modes at the pairs, and q the modal displacements.
     """
     pair_displacement = modes.gaps_by_mode.T @ displacement
     has_uncoupled_pairs = modes.residual_compliance is None
-    pair_impulse = kick * pair_displacement if has_uncoupled_pairs else kick @ pair_displacement
+    pair_impulse = (
+        step_times_stiffness * pair_displacement
+        if has_uncoupled_pairs
+        else step_times_stiffness @ pair_displacement
+    )
     return np.asarray(modes.gaps_by_mode @ pair_impulse)
 
 
@@ -190,8 +203,8 @@ def _step_without_contact_forces(
 ) -> np.ndarray:
     """Return the states after a step without contact forces.
 
-    ``transition`` is the first result of :meth:`AllModes.transition`. States are the columns
-    (m, 2 n_modes, k) of modal displacements, then velocities.
+    ``transition`` is the first result of :meth:`AllModes.transition_and_force_response`. States
+    are the columns (m, 2 n_modes, k) of modal displacements, then velocities.
     """
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)
@@ -261,7 +274,7 @@ def shoot(
     orbit = None if settle else assessment.nearest_orbit
     if orbit is None:
         orbit_equations = FlowOrbitEquations(
-            flow, solution.omega, assessment.states_over_period[0], subharmonic
+            flow, solution.omega, assessment.states_at_period_parts[0], subharmonic
         )
         settled_unknown = orbit_equations.start_unknown
         for _ in range(settle):
@@ -383,13 +396,17 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
     )
     multipliers, eigenvectors = np.linalg.eig(
-        orbit_equations.scale[:, None] * nearest_orbit.monodromy / orbit_equations.scale
+        orbit_equations.state_factors[:, None]
+        * nearest_orbit.monodromy
+        / orbit_equations.state_factors
     )
     leading_index = int(np.abs(multipliers).argmax())
     leading_multiplier = multipliers[leading_index]
     start_change = eigenvectors[:, leading_index].real
-    orbit_states = nearest_orbit.sampled.whole_states
-    rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
+    orbit_states = nearest_orbit.period_samples.whole_states
+    rms_motion = motion_size(orbit_equations.state_factors * orbit_states) / np.sqrt(
+        len(orbit_states)
+    )
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
     distinct_attractors: list[Attractor] = []
     start_unknowns = (
@@ -410,7 +427,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     return tuple(distinct_attractors)
 
 
-def from_rest(solution: PeriodicSolution) -> Attractor | None:
+def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
     """Follow the exact motion from rest, to compare with a solution (collective).
 
     The motion is followed for as long as a search for an orbit follows one. The result is None
@@ -420,7 +437,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbit_equations = FlowOrbitEquations(
-        flow, solution.omega, solution.assessment.states_over_period[0]
+        flow, solution.omega, solution.assessment.states_at_period_parts[0]
     )
     return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.max_periods(flow))
 
@@ -451,7 +468,12 @@ def stability_of(assessment: Assessment) -> Stability:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
     return Stability(
-        orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, assessment.distance, reason
+        orbit.multipliers,
+        verdict,
+        MULTIPLIER_TOLERANCE,
+        True,
+        assessment.relative_orbit_distance,
+        reason,
     )
 
 
@@ -485,7 +507,7 @@ def _stability_by_linear_flow(
         unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
     largest_modulus, solution_error, reason = abs(multipliers[0]), solution.report.truncation, ""
-    if solution_error >= UNKNOWN_ERROR or not np.isfinite(uncertainty):
+    if solution_error >= ERROR_IF_UNKNOWN or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
     elif solution_error > LARGE_ERROR:
         reason = f"the truncated harmonics change it by {format_percent(solution_error)}; use more"

@@ -26,17 +26,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenics_crack.balance.assessment import MAX_ACCEPTED_ERROR
+from fenics_crack.balance.assessment import MAX_ORBIT_DISTANCE
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import path_points_with_chord
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier_in_upper_half
 from fenics_crack.curves.orbit_events import (
-    count_changes,
+    changes_of_counts,
     leading_multipliers_and_counts,
     multiplier_pair_excess,
-    period_doubling_function,
+    period_doubling_test_value,
 )
 from fenics_crack.curves.stability import floquet, monodromy_of_linear_flow, stability_of
 from fenics_crack.model.contact import is_unilateral
@@ -85,16 +85,18 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     for indices in map(sorted, (sampled_indices, {*range(len(curve))} - sampled_indices)):
         for index, assessment in zip(indices, curve.assessments(indices), strict=True):
             # With a larger error, the nearest orbit is seldom accepted.
-            if assessment.predicted_error <= MAX_ACCEPTED_ERROR and assessment.is_accepted:
+            if assessment.predicted_error <= MAX_ORBIT_DISTANCE and assessment.is_accepted:
                 multipliers[index] = _leading_multiplier_if_decided(stability_of(assessment))
         if np.isnan(multipliers).all():
             break
-    growth_factors = _growth_factors_along(curve, np.isnan(multipliers))
+    growth_factors = _growth_factors_of_irregular_motions(curve, np.isnan(multipliers))
     multipliers = np.where(growth_factors > 1.0, growth_factors, multipliers)
     return replace(curve, multipliers=multipliers, irregular=growth_factors > 1.0)
 
 
-def _growth_factors_along(curve: ResponseCurve, is_undecided: np.ndarray) -> np.ndarray:
+def _growth_factors_of_irregular_motions(
+    curve: ResponseCurve, is_undecided: np.ndarray
+) -> np.ndarray:
     """Measure the growth of disturbances at some points without a verdict.
 
     ``is_undecided`` (n,) is True at points without a verdict.
@@ -145,7 +147,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     ]
     multipliers = np.array([stability.multipliers for stability in stabilities])
     multipliers_and_counts = leading_multipliers_and_counts(multipliers)
-    has_crossing = count_changes(multipliers_and_counts)[:, 1:] != 0.0
+    has_crossing = changes_of_counts(multipliers_and_counts)[:, 1:] != 0.0
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
     for index, kind_index in np.argwhere(has_crossing).tolist():
         kind = ("period_doubling", "neimark_sacker")[kind_index]
@@ -154,7 +156,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
         multiplier_pair_test = partial(
             multiplier_pair_excess, multiplier_pair_index=multiplier_pair_index
         )
-        test_function = multiplier_pair_test if kind_index else period_doubling_function
+        test_function = multiplier_pair_test if kind_index else period_doubling_test_value
         bifurcation_location = _locate_bifurcation(curve, index, test_function)
         bifurcations.append(curve.bifurcation(kind, *bifurcation_location))
     bifurcations.sort(key=curve.nearest)

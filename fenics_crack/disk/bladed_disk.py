@@ -165,7 +165,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
-    dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
+    dofs = wheel.dofs_of_blades(int(wheel.as_dof_numbers([dof])[0]))
     get_solution = cache(
         lambda point_index: result if is_solution else result.solution(point_index)
     )

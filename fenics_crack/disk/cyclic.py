@@ -39,7 +39,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.model.body import Body
-from fenics_crack.model.factor import Factor, distribute_rows, local_rows
+from fenics_crack.model.factor import Factor, local_rows, make_matrix_from_local_rows
 from fenics_crack.model.modes import (
     MULTIPLE_FREQUENCY_TOLERANCE,
     NEGLIGIBLE,
@@ -233,7 +233,7 @@ class Sector:
         left_coupling, right_coupling = (
             tied_stiffness[inside_rows][:, columns] for columns in (side_rows, right_rows)
         )
-        inside_stiffness = distribute_rows(
+        inside_stiffness = make_matrix_from_local_rows(
             tied_stiffness[inside_rows][:, inside_rows], MPI.COMM_SELF
         )
         with Factor(inside_stiffness, definite=True) as inside_factor:
@@ -410,7 +410,7 @@ class NodalDiameter:
                 if self.phase_factor.imag
                 else tied_matrix
             )
-            return distribute_rows(real_form, MPI.COMM_SELF)
+            return make_matrix_from_local_rows(real_form, MPI.COMM_SELF)
 
         mass, stiffness = map(make_real_form, (sector.mass, sector.stiffness))
         n_rows = mass.size[0]

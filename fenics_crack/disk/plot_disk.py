@@ -13,7 +13,7 @@ from fenics_crack.basics.tables import (
     choose_unit_prefix,
     format_quantity,
 )
-from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit
 from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_of
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel
@@ -149,7 +149,7 @@ def draw_blades(
     wheel = wheel_of(curve.problem_of(0).structure)
     dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
     blade_amplitudes = np.array([curve.amplitude(blade_dof) for blade_dof in dofs])
-    unit_factor, *name_and_unit = parameter_axis(curve.parameter, in_hertz)
+    unit_factor, *name_and_unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     [panel] = picture = Picture(comm=wheel.comm, **picture_options)
     whole_blades = [
         blade_index for blade_index in range(len(dofs)) if blade_index not in wheel.cracked

@@ -42,7 +42,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     if scene.speed > 0.0:
         with sector.factor_stiffness() as nodal_diameter:  # the load is the same on all sectors
             rotation = assemble_rotation(scene, dofs, structure, nodal_diameter.static_response)
-        static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
+        static_stiffness, stiffness = rotation.static_shape_and_motion_stiffness(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
         force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation.force

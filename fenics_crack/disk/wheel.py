@@ -47,8 +47,8 @@ from fenics_crack.disk.cyclic import (
     solve_cyclic_modes,
 )
 from fenics_crack.model.body import DEFAULT_SETTING, Body
-from fenics_crack.model.factor import distribute_rows, local_rows
-from fenics_crack.model.matrices import AbsentMatrix, numbers
+from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
+from fenics_crack.model.matrices import AbsentMatrix, floats_or_nan
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, body_property
 from fenics_crack.model.reduced import ReducedStructure
@@ -166,7 +166,7 @@ class Wheel(Structure):
         return self.sector.structure
 
     @property
-    def watched_sector(self) -> int:
+    def watched_sector_index(self) -> int:
         """Place of the sector with the watched blade, from 0.
 
         This is the first cracked sector; without a crack, sector 0.
@@ -220,13 +220,13 @@ class Wheel(Structure):
         """Return the wheel in the coordinates (q, d) used to solve (collective)."""
         return WheelStructure(self, count_basis_families(self.families))
 
-    def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return load rows on the watched blade (:meth:`Structure.watched_sector_load`).
+    def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
+        """Return load rows on the watched blade (:meth:`Structure.watched_sector_load_rows`).
 
         The rows (n_rows, structure.n_dofs) are in the coordinates of ``structure``.
         """
         is_own_dof = ~self.sector.dof_numbering.is_next_sector
-        blade_dofs = np.unique(self.numbers[self.watched_sector, is_own_dof])
+        blade_dofs = np.unique(self.numbers[self.watched_sector_index, is_own_dof])
         loaded_dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
         blade_motions = structure.values_at(np.eye(structure.n_dofs), loaded_dofs.tolist())
         return np.asarray(self.force[rows, loaded_dofs] @ blade_motions.T)
@@ -253,7 +253,7 @@ class Wheel(Structure):
         """Assemble a wheel's matrix from the free sectors' block matrix (collective)."""
         copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
         wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_matrices @ copy_matrix)
-        return distribute_rows(wheel_matrix[: self.n_local], self.comm)
+        return make_matrix_from_local_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
     def _size_description(self) -> str:
@@ -320,7 +320,7 @@ class Wheel(Structure):
 
 def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
     """Return a stiffness deviation for each sector (N,), or raise InputError."""
-    deviations = numbers(given_deviations)
+    deviations = floats_or_nan(given_deviations)
     if (
         deviations.shape not in ((), (n_sectors,))
         or not np.all(deviations > -1.0)
@@ -465,7 +465,7 @@ class WheelStructure(Structure):
 
         sector_tangential = sector_structure.tangential if wheel.cracked else None
         body = WheelCoordinates(
-            distribute_rows(mass, comm), distribute_rows(stiffness, comm),
+            make_matrix_from_local_rows(mass, comm), make_matrix_from_local_rows(stiffness, comm),
             assemble_gap(sector_structure.gap), force, wheel.clearance, damping=wheel.damping,
             tangential=None if sector_tangential is None else assemble_gap(sector_tangential),
             nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=basis,
@@ -556,7 +556,7 @@ class WheelStructure(Structure):
         ``displacement`` has the coordinates (m, n_dofs).
         """
         wheel = self.whole
-        owner_positions = wheel.places[wheel.check_dofs(dofs)]
+        owner_positions = wheel.places[wheel.as_dof_numbers(dofs)]
         dof_motions = self.basis.sector_motions(
             *divmod(owner_positions, wheel.sector.structure.n_dofs)
         )

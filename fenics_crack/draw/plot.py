@@ -33,7 +33,7 @@ from fenics_crack.draw.figure import (
     wrap_upright_label,
 )
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
+from fenics_crack.model.contact import ContactLaw, friction_coefficient_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import friction_losses, is_slipping
@@ -791,7 +791,7 @@ def draw_friction_loops(
     >>> rubbing = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=20)
     >>> figure = fc.draw_friction_loops(rubbing, path="loops.png")
     """
-    friction_coefficient = coefficient_of(solution.contact)
+    friction_coefficient = friction_coefficient_of(solution.contact)
     if friction_coefficient is None:
         raise InputError("solution", "no friction", "one with CoulombFriction")
     time = np.append(solution.instants(), solution.period)

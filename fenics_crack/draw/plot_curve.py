@@ -18,7 +18,7 @@ from fenics_crack.basics.tables import (
     frequency_axis,
     heading_with_unit,
 )
-from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit, kind_in_words
 from fenics_crack.curves.peak import damping_by_half_power_width
 from fenics_crack.draw.figure import (
     COLOURS_BY_NAME,
@@ -96,7 +96,8 @@ def draw_curve(
     [panel] = picture = Picture(**picture_options)
     if curve.parameter == "omega":
         panel.set_yscale("log")
-    amplitudes, unit_factor = curve.amplitude(dof), parameter_axis(curve.parameter, in_hertz)[0]
+    amplitudes = curve.amplitude(dof)
+    unit_factor = axis_factor_name_and_unit(curve.parameter, in_hertz)[0]
     for (curve_label, (parameter_values, other_amplitudes)), grey_tone in zip(
         (behind or {}).items(), cycle(BACKGROUND_COLOURS), strict=False
     ):
@@ -175,7 +176,8 @@ def _mark_peak(
     curve_colour : str
         The curve's colour if there are several, otherwise empty for a ring with a legend entry.
     """
-    peak, (unit_factor, _, unit) = curve.top(dof), parameter_axis(curve.parameter, in_hertz)
+    peak = curve.top(dof)
+    (unit_factor, _, unit) = axis_factor_name_and_unit(curve.parameter, in_hertz)
     if peak.at_end:
         return
     peak_parameter, amplitude = unit_factor * peak.value, peak.amplitude
@@ -296,7 +298,7 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
 
     A curve over the speed also has its engine order's frequency above.
     """
-    unit_factor, parameter_name, unit = parameter_axis(curve.parameter, in_hertz)
+    unit_factor, parameter_name, unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     if curve.parameter == "speed":
         engine_order = float(curve.omega[0] / curve.values[0])
         frequency_factor, frequency_name, frequency_unit = frequency_axis(in_hertz)
@@ -364,7 +366,7 @@ def draw_content(
     panel.set_yscale("log")
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown_amplitudes = harmonics[:, :highest].T
-    parameter_values = parameter_axis(curve.parameter, in_hertz)[0] * curve.values
+    parameter_values = axis_factor_name_and_unit(curve.parameter, in_hertz)[0] * curve.values
     colours = distinct_colours(len(shown_amplitudes))
     for order, (order_amplitudes, colour) in enumerate(
         zip(shown_amplitudes, colours, strict=True), 1
@@ -414,7 +416,7 @@ def draw_multipliers(
     if curve.multipliers is None:
         raise InputError("stability", False, "True when the curve is followed")
     [panel] = picture = Picture(**picture_options)
-    parameter_values = parameter_axis(curve.parameter, in_hertz)[0] * curve.values
+    parameter_values = axis_factor_name_and_unit(curve.parameter, in_hertz)[0] * curve.values
     multipliers, moduli = curve.multipliers, np.abs(curve.multipliers)
     is_undecided = curve.verdicts == "undecided"
     is_complex_pair = np.abs(multipliers.imag) > 1e-9 * moduli

@@ -34,7 +34,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.draw.figure import magnification_to_tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate_series
@@ -282,7 +282,7 @@ def stress_at(
 
     check_motion(run)
     result, structure = run.result, run.structure
-    mesh, stress_points = NodalMesh(structure), numbers(points)
+    mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
     has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
     if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
         requirement = f"one or more rows of {mesh.dimension} finite numbers [m]"

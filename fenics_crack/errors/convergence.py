@@ -33,7 +33,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.scene.scene import Scene
 
 SAFE, CAUTIOUS = 1.25, 3.0
@@ -146,7 +146,7 @@ def grid_convergence(
     >>> order, value = convergence.order, convergence.extrapolated
     """
     check_number("formal", formal, 0.0, excludes_bound=True)
-    h, f = numbers(sizes), numbers(values)
+    h, f = floats_or_nan(sizes), floats_or_nan(values)
     if h.shape not in ((2,), (3,)) or not np.all((h > 0.0) & (h < np.inf)):
         raise InputError("sizes", sizes, "two or three finite numbers > 0")
     if len(np.unique(h)) < len(h):

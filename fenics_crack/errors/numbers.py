@@ -39,7 +39,13 @@ from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import CrackFaces, Harmonics, ObservedMotion, Record, rows_of
+from fenics_crack.motion.motions import (
+    CrackFaces,
+    Harmonics,
+    ObservedMotion,
+    Record,
+    dof_selection_rows,
+)
 from fenics_crack.motion.orbit import INSTANTS_PER_PERIOD, PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import observe_quantities
@@ -243,7 +249,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     record, other_record = (
         next(
             motion.records(
-                rows_of(motion.structure, dofs), INSTANTS_PER_PERIOD * motion.subharmonic
+                dof_selection_rows(motion.structure, dofs), INSTANTS_PER_PERIOD * motion.subharmonic
             )
         )
         for motion in motions

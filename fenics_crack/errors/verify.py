@@ -29,7 +29,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenics_crack.balance.contact_integrals import default_samples
+from fenics_crack.balance.contact_integrals import default_n_samples
 from fenics_crack.basics.errors import MAX_SAMPLES_PER_PERIOD, ConvergenceError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.errors.case import CAUSE_WITHOUT_CONTACT, Case, solve_again, vary
@@ -378,7 +378,7 @@ class _VerifiedCase(Case):
             return "without contact there are none"
         if table.samples is None and is_unilateral(law):
             return "contact is integrated exactly"
-        count = table.samples or default_samples(table.harmonics)
+        count = table.samples or default_n_samples(table.harmonics)
         return self._judge_by_more(
             "samples", self.study, scene, key, count, MAX_SAMPLES_PER_PERIOD, SAMPLES_ORDER
         )

@@ -47,7 +47,7 @@ from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
 from fenics_crack.kernel import Struct, kernel
-from fenics_crack.model.factor import factor_memory
+from fenics_crack.model.factor import estimate_factor_bytes
 from fenics_crack.scene.scene import Scene
 
 MIN_RELATIVE_CELL_SIZE = 1e-7
@@ -153,7 +153,7 @@ def check_cell_count(
     element to the message.
     """
     n_dofs, allowed_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
-    factor_bytes = factor_memory(n_dofs, solid=scene.dimension == 3)
+    factor_bytes = estimate_factor_bytes(n_dofs, solid=scene.dimension == 3)
     assembled_bytes = 1500.0 * n_dofs  # bytes of mesh and matrices
     needed_bytes, machine_bytes = max(assembled_bytes, factor_bytes), machine_memory()
     refusal_reason = f"{n_cells:.2g} are more than {allowed_cells:.0e}"

@@ -59,7 +59,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.rotation import Rotation, static_state
+from fenics_crack.model.rotation import Rotation, static_displacement_and_forces
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -123,7 +123,7 @@ def assemble_rotation(
     if solve_static is not None:
         u_c_vector = solve_static(centrifugal_load[:, None])[:, 0]
     else:
-        u_c_vector, _ = static_state(
+        u_c_vector, _ = static_displacement_and_forces(
             structure_at_rest, centrifugal_load, np.zeros(structure_at_rest.n_pairs)
         )
     grad_u_c = ufl.grad(dofs.function(u_c_vector))

@@ -35,7 +35,7 @@ from fenics_crack.model.nodes import (
     MAX_NODE_DISTANCE_RATIO,
     Clamp,
     describe_nearest_node,
-    find_nodes_at,
+    find_node_indices_at,
 )
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
@@ -154,7 +154,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
         raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
     all_node_positions = gather_rows(dofs.comm, dofs.points)
     owned_node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
-    if len(coincident_nodes := find_nodes_at(all_node_positions, point)):
+    if len(coincident_nodes := find_node_indices_at(all_node_positions, point)):
         return np.where(owned_node_numbers == coincident_nodes[0], 1.0, 0.0)
     local_cell_nodes, basis_values = compat.evaluate_basis(
         dofs.space, scene.mesh.order, np.array(point)

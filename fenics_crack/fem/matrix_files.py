@@ -42,7 +42,7 @@ from fenics_crack.fem.cracks import (
     find_unique_rows,
 )
 from fenics_crack.fem.model_files import Model, read_model
-from fenics_crack.model.factor import distribute_rows, local_rows
+from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
 from fenics_crack.model.matrices import (
     LabelledMatrix,
     format_matrix_market,
@@ -123,7 +123,7 @@ def _make_structure(
             )
         first_row, end_row = _own_row_range(node_starts, comm)
         for name in labelled_matrices:
-            structure_fields[name] = distribute_rows(
+            structure_fields[name] = make_matrix_from_local_rows(
                 structure_fields[name][first_row:end_row], comm
             )
         own_nodes = _own_nodes(model, node_dofs, first_row, end_row, comm)
@@ -136,7 +136,9 @@ def _make_structure(
         pairs = replace(pairs, areas=_read_per_pair("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert own_nodes is not None
-        _, point_dofs = own_nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
+        _, point_dofs = own_nodes.find_nearest_position_and_dofs(
+            comm, "excitation.point", scene.excitation.point
+        )
         for name in FORCE_KEYS:
             force_column = sparse.lil_matrix(structure_fields.get(name, (n_dofs, 1)))
             for dof, force_component in zip(

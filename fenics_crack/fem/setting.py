@@ -6,7 +6,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.model.nodes import Pairs
-from fenics_crack.model.periodic_load import read_wave
+from fenics_crack.model.periodic_load import read_load_harmonics_and_error
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
@@ -77,4 +77,6 @@ def read_load_table_harmonics(load: Excitation, dimension: int) -> tuple[np.ndar
     residual : float
         Root mean square of the part of the table that these harmonics leave out, relative.
     """
-    return read_wave(load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension)
+    return read_load_harmonics_and_error(
+        load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension
+    )

@@ -532,7 +532,7 @@ def _states_by_mode(
     dof_states = dof_signs * datasets[f"{prefix}states"]
     sticking_gaps = datasets.get(f"{prefix}places", np.zeros((len(parameter_values), 0)))
     inverse_shape_matrices = (
-        all_modes(curve.problem_at(parameter_value).structure).inverse
+        all_modes(curve.problem_at(parameter_value).structure).shapes_inverse
         for parameter_value in parameter_values.tolist()
     )
     state_rows = zip(inverse_shape_matrices, dof_states, sticking_gaps, strict=True)

@@ -105,14 +105,14 @@ class Struct:
     """
 
     def __init__(self, struct_type: str, **members: Any) -> None:
-        self._members = members
+        self._value_by_member = members
         c_members = {name: _as_c_member(member) for name, member in members.items()}
         self.address = ffi.new(f"{struct_type} *", c_members)
 
     def with_members(self, **members: Any) -> Struct:
         """Return a copy with the given fields changed, quicker than a new struct."""
         copy = Struct.__new__(Struct)
-        copy._members = self._members | members
+        copy._value_by_member = self._value_by_member | members
         copy.address = ffi.new(ffi.typeof(self.address), self.address[0])
         for name, member in members.items():
             setattr(copy.address, name, _as_c_member(member))

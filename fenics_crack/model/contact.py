@@ -50,7 +50,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import attach_destructor, kernel, pointer, require_shape
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, MACHINE_EPSILON, ROUNDING
 
@@ -79,7 +79,7 @@ class _PenaltyBase:
     stiffness: float | np.ndarray
 
     def __post_init__(self) -> None:
-        stiffness = _check_positive("contact stiffness", self.stiffness, allows_array=True)
+        stiffness = _checked_positive_number("contact stiffness", self.stiffness, allows_array=True)
         object.__setattr__(self, "stiffness", stiffness)
 
     def scaled(self, factor: float) -> Self:
@@ -138,7 +138,9 @@ class SmoothedPenalty(_PenaltyBase):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "sharpness", _check_positive("contact sharpness", self.sharpness))
+        object.__setattr__(
+            self, "sharpness", _checked_positive_number("contact sharpness", self.sharpness)
+        )
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """Return lambda(g) [N]."""
@@ -175,7 +177,9 @@ class UnilateralConstraint:
 
     def __post_init__(self) -> None:
         if self.weight is not None:
-            object.__setattr__(self, "weight", _check_positive("contact weight", self.weight))
+            object.__setattr__(
+                self, "weight", _checked_positive_number("contact weight", self.weight)
+            )
 
     @property
     def stiffness(self) -> float:
@@ -236,10 +240,10 @@ class CoulombFriction:
     def __post_init__(self) -> None:
         if not is_unilateral(self.law):
             raise InputError("law", self.law, "UnilateralPenalty or UnilateralConstraint")
-        mu = _check_positive("friction coefficient", self.coefficient, allows_array=True)
+        mu = _checked_positive_number("friction coefficient", self.coefficient, allows_array=True)
         object.__setattr__(self, "coefficient", mu)
         if not np.array_equal(self.tangential_stiffness, np.inf):
-            tangential_stiffness = _check_positive(
+            tangential_stiffness = _checked_positive_number(
                 "tangential stiffness", self.tangential_stiffness, allows_array=True
             )
             object.__setattr__(self, "tangential_stiffness", tangential_stiffness)
@@ -270,7 +274,7 @@ def friction_of(contact: object) -> CoulombFriction | None:
     return contact if isinstance(contact, CoulombFriction) else None
 
 
-def coefficient_of(contact: object) -> float | np.ndarray | None:
+def friction_coefficient_of(contact: object) -> float | np.ndarray | None:
     """Return a law's friction coefficient mu; None without friction."""
     return getattr(friction_of(contact), "coefficient", None)
 
@@ -323,7 +327,7 @@ def gauss_rule(n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
-def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
+def contact_energy(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
     """Return the contact energy V(g), the integral of lambda from 0: (..., n_pairs) [J]."""
     nodes, weights = gauss_rule(32)
     forces = contact.force(np.multiply.outer(nodes, gap))
@@ -379,7 +383,7 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     law_name = type(law).__name__
     for method_name in ("force", "tangent"):
         try:
-            output_values = numbers(getattr(law, method_name)(gap))
+            output_values = floats_or_nan(getattr(law, method_name)(gap))
         except (ArithmeticError, TypeError, ValueError, IndexError):
             output_values = np.asarray(np.nan)
         if output_values.shape != gap.shape or not np.all(np.isfinite(output_values)):
@@ -390,7 +394,7 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     try:
         half_law = law.scaled(0.5)
         is_scaled = isinstance(half_law, type(law)) and np.allclose(
-            numbers(half_law.stiffness), 0.5 * numbers(law.stiffness), atol=0.0
+            floats_or_nan(half_law.stiffness), 0.5 * floats_or_nan(law.stiffness), atol=0.0
         )
     except (ArithmeticError, TypeError, ValueError):
         is_scaled = False
@@ -423,9 +427,11 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
         raise InputError("contact", type(law).__name__, requirement)
 
 
-def _check_positive(key: str, number: object, *, allows_array: bool = False) -> float | np.ndarray:
+def _checked_positive_number(
+    key: str, number: object, *, allows_array: bool = False
+) -> float | np.ndarray:
     """Return a number > 0, or an array of them; else raise InputError."""
-    number_array = numbers(number)
+    number_array = floats_or_nan(number)
     is_all_positive = number_array.size > 0 and np.all(
         np.isfinite(number_array) & (number_array > 0.0)
     )
@@ -443,13 +449,13 @@ class FrictionContactSolver:
 
     Attributes
     ----------
-    compliance : (2 n_pairs, 2 n_pairs) [m/N]
+    compliance_matrix : (2 n_pairs, 2 n_pairs) [m/N]
         D = R_inf + diag(1/k, 1/k_t): residual flexibility and contact springs, normal gaps first.
     """
 
     def __init__(self, compliance: np.ndarray, coefficient: float | np.ndarray) -> None:
         n_gaps = len(compliance)
-        self.compliance = compliance = require_shape(compliance, n_gaps, n_gaps)
+        self.compliance_matrix = compliance = require_shape(compliance, n_gaps, n_gaps)
         mu = np.ascontiguousarray(np.broadcast_to(coefficient, n_gaps // 2), dtype=float)
         # The kernel does not copy all of these.
         self._kernel_arrays = np.zeros((n_gaps, 1)), compliance, mu
@@ -520,7 +526,7 @@ SETS_MEMORY_FRACTION = 1 / 32
 Each of several processes may have some. Finding a set anew takes the time of five pieces of a
 motion.
 """
-MAX_NEWTON_SMOOTH = 200
+MAX_SMOOTH_LAW_ITERATIONS = 200
 """Maximum number of iterations for forces that are not piecewise linear in the gaps."""
 REGULAR_EIGENVALUE_RATIO: float = kernel.REGULAR_EIGENVALUE_RATIO
 """Minimum relative eigenvalue of R_inf for which a constraint is solved.
@@ -544,12 +550,14 @@ class ActiveSetSolver:
 
     Attributes
     ----------
-    compliance : (n_pairs, n_pairs) [m/N]
+    compliance_matrix : (n_pairs, n_pairs) [m/N]
         D = R_inf + I/k: residual flexibility and contact springs.
     """
 
     def __init__(self, compliance: np.ndarray) -> None:
-        self.compliance = compliance = require_shape(compliance, len(compliance), len(compliance))
+        self.compliance_matrix = compliance = require_shape(
+            compliance, len(compliance), len(compliance)
+        )
         max_inverses = int(SETS_MEMORY_FRACTION * machine_memory()) // max(compliance.nbytes, 8)
         n_pairs = len(compliance)
         self.handle = attach_destructor(
@@ -557,7 +565,7 @@ class ActiveSetSolver:
         )
         """The kernel's own object."""
 
-    def invert_sets(self, sets: np.ndarray) -> np.ndarray:
+    def invert_compliance_on_sets(self, sets: np.ndarray) -> np.ndarray:
         """Invert the compliance D on sets A of closed pairs, with zeros outside A.
 
         Parameters
@@ -569,7 +577,7 @@ class ActiveSetSolver:
         -------
         (m, n_pairs, n_pairs) [N/m]
         """
-        is_closed = require_shape(sets, len(sets), len(self.compliance), kind=bool)
+        is_closed = require_shape(sets, len(sets), len(self.compliance_matrix), kind=bool)
         inverses = np.empty((*is_closed.shape, is_closed.shape[1]))
         if kernel.invert_sets(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
@@ -594,7 +602,7 @@ class ActiveSetSolver:
         (n, n_pairs) bool
             Closed pairs.
         """
-        gap = require_shape(gap, len(gap), len(self.compliance))
+        gap = require_shape(gap, len(gap), len(self.compliance_matrix))
         closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
         is_closed = require_shape(closed_guess, *gap.shape, kind=bool)
         force, is_failed_instant = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
@@ -607,7 +615,9 @@ class ActiveSetSolver:
             pointer(is_failed_instant),
         )
         for instant in np.flatnonzero(is_failed_instant):
-            force[instant] = solve_by_least_squares(self.compliance, gap[instant])
+            force[instant] = solve_complementarity_by_least_squares(
+                self.compliance_matrix, gap[instant]
+            )
             is_closed[instant] = force[instant] > 0.0
         return force, is_closed
 
@@ -642,7 +652,7 @@ def solve_complementarity(
     )
 
 
-def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
+def solve_complementarity_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """Solve the problem of :func:`solve_complementarity` by non-negative least squares.
 
     The symmetric part of D is solved directly, and an iteration adds the unsymmetric part.
@@ -657,7 +667,7 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     sqrt_eigenvalues = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
     tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
-    for _ in range(MAX_NEWTON_SMOOTH):
+    for _ in range(MAX_SMOOTH_LAW_ITERATIONS):
         least_squares_target = (
             eigenvectors.T @ (unit_diagonal_scale * (gap - (matrix - symmetric_part) @ force))
         ) / sqrt_eigenvalues
@@ -677,7 +687,7 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
 
 
-def smooth_forces_and_slopes(
+def forces_and_slopes_of_smooth_law(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the pair forces under a law that is not piecewise linear.
@@ -715,8 +725,8 @@ def smooth_forces_and_slopes(
 
 
 def solve_forces(
-    response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    matrix: np.ndarray,
+    law_force_and_slope: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    compliance: np.ndarray,
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
@@ -727,10 +737,10 @@ def solve_forces(
 
     Parameters
     ----------
-    response : callable
+    law_force_and_slope : callable
         Gives the law's force h(g) and its derivative for gaps g (n, n_pairs), pair by pair; h may
         not fall while g grows.
-    matrix : (n_pairs, n_pairs) [m/N]
+    compliance : (n_pairs, n_pairs) [m/N]
         D, symmetric, the gap change by unit forces.
     gap : (n, n_pairs) [m]
         s, the gaps without the forces.
@@ -749,23 +759,24 @@ def solve_forces(
     """
 
     def evaluate(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
-        total_gap = slow_gap - force @ matrix
-        return (total_gap, *response(total_gap))
+        total_gap = slow_gap - force @ compliance
+        return (total_gap, *law_force_and_slope(total_gap))
 
     all_forces, unfinished_instants = np.array(guess), np.arange(len(gap))
     identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(all_forces, gap)
-    for _ in range(MAX_NEWTON_SMOOTH):
+    for _ in range(MAX_SMOOTH_LAW_ITERATIONS):
         force, unfinished_gap = all_forces[unfinished_instants], gap[unfinished_instants]
         force_excess = force - law_force
         if not np.any(force_excess):
             return all_forces
         try:
             newton_change = -np.linalg.solve(
-                identity + tangent[:, :, None] * matrix, force_excess[:, :, None]
+                identity + tangent[:, :, None] * compliance, force_excess[:, :, None]
             )
         except np.linalg.LinAlgError:
             break
-        gap_change, trial_forces = newton_change[:, :, 0] @ matrix, force + newton_change[:, :, 0]
+        gap_change = newton_change[:, :, 0] @ compliance
+        trial_forces = force + newton_change[:, :, 0]
         if not np.all(np.isfinite(trial_forces)):
             break
         all_forces[unfinished_instants] = trial_forces

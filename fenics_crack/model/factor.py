@@ -48,7 +48,7 @@ OPTIONS_PREFIX = "crack_factor_"
 ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
-def factor_memory(dofs: float, *, solid: bool) -> float:
+def estimate_factor_bytes(n_dofs: float, *, solid: bool) -> float:
     """Estimate the memory of a factored stiffness, with MUMPS's work space [byte].
 
     Nested dissection leaves O(n log n) numbers in the plane; the constant was measured with 4,000
@@ -58,7 +58,7 @@ def factor_memory(dofs: float, *, solid: bool) -> float:
 
     Parameters
     ----------
-    dofs : float
+    n_dofs : float
         Number of degrees of freedom.
     solid : bool
         True for a solid, False for a plane mesh.
@@ -68,11 +68,11 @@ def factor_memory(dofs: float, *, solid: bool) -> float:
     George, SIAM Journal on Numerical Analysis 10, 1973, 345.
     """
     if solid:
-        return float(130.0 * dofs ** (4.0 / 3.0))
-    return float(60.0 * dofs * np.log2(dofs + 1.0))
+        return float(130.0 * n_dofs ** (4.0 / 3.0))
+    return float(60.0 * n_dofs * np.log2(n_dofs + 1.0))
 
 
-def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
+def make_matrix_from_local_rows(rows: Any, comm: MPI.Comm) -> Any:
     """Make a square PETSc matrix from the rows of each rank (collective).
 
     Every diagonal entry is stored, even a zero: MUMPS finds no null pivot without an entry.
@@ -92,10 +92,10 @@ def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
     completed_rows = sparse.csr_matrix(
         (np.append(coo_rows.data, 0.0 * diagonal_indices), rows_and_columns), coo_rows.shape
     )
-    return square_matrix(completed_rows, comm)
+    return make_square_petsc_matrix(completed_rows, comm)
 
 
-def square_matrix(local_csr_rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
+def make_square_petsc_matrix(local_csr_rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
     """Make a square PETSc matrix from CSR rows (n_local, n) as they are (collective)."""
     n_local, n_columns = local_csr_rows.shape
     row_and_column_sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
@@ -169,9 +169,9 @@ class Factor:
     ) -> None:
         self._n_local = matrix.local_size[0]
         self._n_border = 0 if border is None else border.shape[1]
-        self._matrix = matrix if border is None else _border_matrix(matrix, border)
+        self._matrix = matrix if border is None else _make_saddle_point_matrix(matrix, border)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self._vectors = self._matrix.createVecs()
+        self._padded_rhs_and_solution = self._matrix.createVecs()
         self._pc_type = "cholesky" if symmetric else "lu"
         if definite and border is None and matrix.comm.size == 1:
             try:
@@ -219,7 +219,7 @@ class Factor:
 
     def apply(self, rhs: Any, solution: Any) -> None:
         """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective)."""
-        padded_rhs, padded_solution = self._vectors
+        padded_rhs, padded_solution = self._padded_rhs_and_solution
         padded_rhs.array_w[: self._n_local] = rhs.array_r
         padded_rhs.array_w[self._n_local :] = 0.0
         self._pc.apply(padded_rhs, padded_solution)
@@ -274,7 +274,11 @@ class Factor:
     def destroy(self) -> None:
         """Free the factors and the work vectors (collective)."""
         self._destroy_factor()
-        for petsc_object in (self._matrix, *self._vectors) if self._n_border else self._vectors:
+        for petsc_object in (
+            (self._matrix, *self._padded_rhs_and_solution)
+            if self._n_border
+            else self._padded_rhs_and_solution
+        ):
             petsc_object.destroy()
 
     def __enter__(self) -> Factor:
@@ -296,7 +300,7 @@ def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) 
     matrix_sum.destroy()
 
 
-def _border_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
+def _make_saddle_point_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     """Return the saddle-point matrix [[A, s B], [s B^T, 0]] (collective).
 
     ``border`` is B, and s the size of A. The last rank owns the rows of B^T.
@@ -312,4 +316,4 @@ def _border_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
                 sparse.hstack([border_scale * border_everywhere.T, np.zeros((n_border, n_border))]),
             ]
         )
-    return distribute_rows(bordered_rows, comm)
+    return make_matrix_from_local_rows(bordered_rows, comm)

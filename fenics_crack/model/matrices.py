@@ -49,16 +49,16 @@ from fenics_crack.basics.untrusted_files import open_text_lines, parse_number_ro
 from fenics_crack.model.factor import (
     MATRIX_TOLERANCE,
     Factor,
-    distribute_rows,
     factored_sum,
     local_rows,
+    make_matrix_from_local_rows,
     weighted_sum,
 )
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
-DIRECTION_NUMBER_BY_LABEL = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
-DIRECTION_NUMBER_BY_LABEL |= {str(number): number for number in range(1, 10)}
+DIRECTION_NUMBER_BY_DOF_LABEL = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
+DIRECTION_NUMBER_BY_DOF_LABEL |= {str(number): number for number in range(1, 10)}
 """Number of each direction, by Ansys's words and by its digit."""
 MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry with the end of its line."""
@@ -124,7 +124,7 @@ class LabelledMatrix:
 
 
 def read_matrix(
-    path: Path, kind: str, labels_path: Path | None = None, n_rows: int | None = None
+    path: Path, matrix_letter: str, labels_path: Path | None = None, n_rows: int | None = None
 ) -> LabelledMatrix:
     """Read a matrix from a file in any of the module's formats.
 
@@ -132,7 +132,7 @@ def read_matrix(
     ----------
     path : Path
         The file.
-    kind : str
+    matrix_letter : str
         "K", "M" or "B": stiffness, mass or damping, if the file holds several.
     labels_path : Path, optional
         File with node and direction of each row.
@@ -145,17 +145,19 @@ def read_matrix(
         A file cannot be read, or contradicts itself; the message names the line.
     """
     suffix = path.suffix.lower()
-    if (suffix, kind) in ((".sti", "M"), (".mas", "K")):
-        raise ValueError(f"CalculiX writes the {'stiffness' if kind == 'M' else 'mass'} there")
+    if (suffix, matrix_letter) in ((".sti", "M"), (".mas", "K")):
+        raise ValueError(
+            f"CalculiX writes the {'stiffness' if matrix_letter == 'M' else 'mass'} there"
+        )
     if suffix in (".sti", ".mas"):
         return _read_calculix(path, labels_path or path.with_suffix(".dof"))
     if suffix == ".pch":
-        return _read_nastran(path, kind)
+        return _read_nastran(path, matrix_letter)
     if suffix == ".mtx" and _is_abaqus_file(path):
         return _read_abaqus(path)
     labels = None if labels_path is None else read_labels(labels_path)
     if suffix == ".op4":
-        return LabelledMatrix(_read_op4(path, kind), labels)
+        return LabelledMatrix(_read_op4(path, matrix_letter), labels)
     matrix = read_matrix_market(path, n_rows if labels is None else len(labels))
     if labels is not None and matrix.shape[1] != len(labels):
         raise ValueError(f"of shape {matrix.shape}, for {len(labels)} rows that are named")
@@ -180,8 +182,8 @@ def read_labels(path: Path) -> np.ndarray:
     row_numbers: list[int] = []
     for number, line in numbered_lines(path, "#"):
         match = _LABEL_PATTERN.fullmatch(line.rstrip())
-        if match is not None and match[3] in DIRECTION_NUMBER_BY_LABEL:
-            labels.append((int(match[2]), DIRECTION_NUMBER_BY_LABEL[match[3]]))
+        if match is not None and match[3] in DIRECTION_NUMBER_BY_DOF_LABEL:
+            labels.append((int(match[2]), DIRECTION_NUMBER_BY_DOF_LABEL[match[3]]))
             row_numbers.append(int(match[1] or len(labels)))
         elif labels:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
@@ -323,15 +325,15 @@ def _read_abaqus(path: Path) -> LabelledMatrix:
     )
 
 
-def _read_nastran(path: Path, kind: str) -> LabelledMatrix:
-    """Read the DMIG matrix whose name begins with ``kind``."""
+def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
+    """Read the DMIG matrix whose name begins with ``matrix_letter``."""
     entry_labels: list[tuple[int, int, int, int]] = []
     entries: list[float] = []
     is_wanted, column_label, form = False, (0, 0), 6
     for number, line in numbered_lines(path, "$"):
         try:
             if line.startswith("DMIG "):
-                is_wanted = re.match(f"{kind}[A-Z]", line[8:16].upper()) is not None
+                is_wanted = re.match(f"{matrix_letter}[A-Z]", line[8:16].upper()) is not None
                 if is_wanted and line[16:24].strip() == "0":
                     if entry_labels:
                         raise LookupError
@@ -339,7 +341,7 @@ def _read_nastran(path: Path, kind: str) -> LabelledMatrix:
                     if form not in (1, 6) or type_code not in (1, 2):
                         raise ValueError
             elif line.startswith("DMIG*"):
-                is_wanted = re.match(f"{kind}[A-Z]", line[8:24].upper()) is not None
+                is_wanted = re.match(f"{matrix_letter}[A-Z]", line[8:24].upper()) is not None
                 column_label = int(line[24:40]), int(line[40:56])
             elif line.startswith("*"):
                 if is_wanted:
@@ -348,19 +350,21 @@ def _read_nastran(path: Path, kind: str) -> LabelledMatrix:
             elif is_wanted:
                 raise ValueError
         except LookupError:
-            problem = f"{line[8:16].strip()}, a second matrix whose name begins with {kind}"
+            problem = (
+                f"{line[8:16].strip()}, a second matrix whose name begins with {matrix_letter}"
+            )
             raise ValueError(f"line {number}: {problem}") from None
         except ValueError:
             expected_format = "a real square matrix DMIG in fields of 16 characters"
             raise ValueError(f"line {number}: {line[:80]!r} is not of {expected_format}") from None
     if not entry_labels:
-        raise ValueError(f"it has no matrix DMIG whose name begins with {kind}")
+        raise ValueError(f"it has no matrix DMIG whose name begins with {matrix_letter}")
     label_pairs = np.array(entry_labels, dtype=np.int64).reshape(-1, 2, 2)
     return _build_labelled_matrix(label_pairs, np.array(entries), has_both_triangles=form == 1)
 
 
-def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
-    """Read the OUTPUT4 matrix whose name begins with ``kind``.
+def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
+    """Read the OUTPUT4 matrix whose name begins with ``matrix_letter``.
 
     The file has a line for the matrix and a line for each column. The latter gives the first row,
     or 0 if further lines announce strings of numbers without gaps.
@@ -396,7 +400,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
             n_columns, n_rows, _, type_code = read_integers(4)
             number_format = line[40:].upper().replace("D", "E")
             number_width = int(number_format.partition("E")[2].partition(".")[0])
-            is_wanted = line[32:40].strip().upper().startswith(kind)
+            is_wanted = line[32:40].strip().upper().startswith(matrix_letter)
             if type_code not in (1, 2, 3, 4) or (is_wanted and type_code > 2):  # complex
                 raise ValueError
             words_per_number = 2 if type_code in (2, 4) else 1
@@ -432,7 +436,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                 matrix.eliminate_zeros()  # between the numbers of a column
                 return matrix
     except StopIteration:
-        raise ValueError(f"it has no whole matrix whose name begins with {kind}") from None
+        raise ValueError(f"it has no whole matrix whose name begins with {matrix_letter}") from None
     except ValueError:
         expected_format = "a real matrix that OUTPUT4 writes as text"
         raise ValueError(f"line {line_number}: {line[:80]!r} is not of {expected_format}") from None
@@ -471,11 +475,11 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         shown_count = "more" if n_found > n_entries else n_found
         raise ValueError(f"it has {shown_count} entries instead of {n_entries}")
     if layout == "array":
-        entries, rows_and_columns = table.ravel(), _dense_rows_and_columns(shape, symmetry)
+        entries, rows_and_columns = table.ravel(), _dense_row_and_column_indices(shape, symmetry)
     elif max(shape) > max(len(table), n_rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(table)} entries")
     else:
-        entries, rows_and_columns = _split_coordinates(table, shape, symmetry)
+        entries, rows_and_columns = _split_entries_and_positions(table, shape, symmetry)
     if symmetry == "general":
         matrix = sparse.csr_matrix((entries, rows_and_columns), shape)
     else:
@@ -566,7 +570,9 @@ def _parse_header(line: str) -> tuple[str, str]:
     return layout, symmetry
 
 
-def _dense_rows_and_columns(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+def _dense_row_and_column_indices(
+    shape: tuple[int, int], symmetry: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column indices of the entries in a dense Matrix Market file.
 
     Columns follow each other. A symmetric matrix has only the entries from the diagonal down.
@@ -578,7 +584,7 @@ def _dense_rows_and_columns(shape: tuple[int, int], symmetry: str) -> tuple[np.n
     return rows, columns
 
 
-def _split_coordinates(
+def _split_entries_and_positions(
     table: np.ndarray, shape: tuple[int, int], symmetry: str
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Split the table of a sparse Matrix Market file into values and positions.
@@ -646,7 +652,7 @@ def read_number_rows(
     raise ValueError("it holds no numbers")
 
 
-def numbers(data: Any) -> np.ndarray:
+def floats_or_nan(data: Any) -> np.ndarray:
     """Convert to an array of floats; nan if that is impossible."""
     try:
         return np.asarray(np.nan if np.iscomplexobj(data) else data, dtype=float)
@@ -696,7 +702,7 @@ class AbsentMatrix:
 
 def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
     """Return one finite number per pair, from one for all or one each: (n_pairs,)."""
-    pair_values = numbers(data)
+    pair_values = floats_or_nan(data)
     if pair_values.shape not in ((), (n_pairs,)) or not np.all(np.isfinite(pair_values)):
         raise InputError(name, data, f"one finite number, or {n_pairs}")
     return np.broadcast_to(pair_values, (n_pairs,)).copy()
@@ -716,11 +722,11 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
     if not is_petsc:
         _check_entries(name, given_matrix.data)
         start, stop = (n_rows * comm.rank) // comm.size, (n_rows * (comm.rank + 1)) // comm.size
-        return distribute_rows(given_matrix[start:stop], comm)
+        return make_matrix_from_local_rows(given_matrix[start:stop], comm)
     comm = data.comm.tompi4py()
     own_rows = local_rows(data.convert("aij", PETSc.Mat()))
     call_on_each_rank(comm, lambda: _check_entries(name, own_rows.data))
-    return distribute_rows(own_rows, comm)
+    return make_matrix_from_local_rows(own_rows, comm)
 
 
 def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
@@ -778,7 +784,7 @@ def _check_entries(name: str, entries: np.ndarray) -> None:
         raise InputError(name, f"{max_magnitude:g}, the largest entry", requirement)
 
 
-def check_parts(
+def check_and_distribute_parts(
     mass: Any, stiffness: Any, gaps: tuple[Any, Any], load_parts: Mapping[str, Any], clearance: Any,
     comm: MPI.Comm,
 ) -> dict[str, Any]:  # fmt: skip
@@ -894,8 +900,8 @@ def add_harmonics(
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
             raise InputError(key, cosine_and_sine, "(cosine, sine), each (n,) or None")
         new_coefficients[2 * order - 1 : 2 * order + 1] += [
-            _read_load_columns_as_rows(key, cosine_or_sine, n)[0, own_rows]
-            for cosine_or_sine in cosine_and_sine
+            _read_load_columns_as_rows(key, load_part, n)[0, own_rows]
+            for load_part in cosine_and_sine
         ]
     return new_coefficients
 
@@ -913,7 +919,7 @@ def lump_mass(mass: Any) -> Any:
         requirement = "lumped only where every row sum is positive"
         raise InputError("mass", f"row sum {min_row_sum:.3g}", requirement)
     local_shape = mass.local_size[0], mass.size[1]
-    return distribute_rows(
+    return make_matrix_from_local_rows(
         sparse.diags(row_sums.array_r, mass.owner_range[0], local_shape), mass.comm.tompi4py()
     )
 
@@ -926,7 +932,9 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.n
     """
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
-    spring_matrix = distribute_rows(gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm)
+    spring_matrix = make_matrix_from_local_rows(
+        gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm
+    )
     stiffness_with_springs = weighted_sum(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
     return stiffness_with_springs

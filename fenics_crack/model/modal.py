@@ -168,7 +168,7 @@ class AllModes:
         (n_pairs, n_pairs) [m/N]
             Gap change by unit forces on the pairs.
         """
-        is_fast = self._is_fast(min_frequency)
+        is_fast = self._is_fast_mode(min_frequency)
         fast_pair_compliance = (
             self.gaps_by_mode[is_fast].T / self.squares[is_fast]
         ) @ self.gaps_by_mode[is_fast]
@@ -178,7 +178,7 @@ class AllModes:
             else fast_pair_compliance + self.residual_compliance
         )
 
-    def _is_fast(self, min_frequency: float) -> np.ndarray:
+    def _is_fast_mode(self, min_frequency: float) -> np.ndarray:
         """Return True for modes above a frequency [rad/s]: (n,) bool.
 
         The lowest mode never counts.
@@ -197,7 +197,7 @@ class AllModes:
         -------
         (n_dofs, n_pairs)
         """
-        is_fast = self._is_fast(min_frequency)
+        is_fast = self._is_fast_mode(min_frequency)
         pair_responses: np.ndarray = (
             self.shapes[:, is_fast] / self.squares[is_fast]
         ) @ self.gaps_by_mode[is_fast]
@@ -214,7 +214,7 @@ class AllModes:
         """
         if min_frequency is None:
             return self
-        is_slow = ~self._is_fast(min_frequency)
+        is_slow = ~self._is_fast_mode(min_frequency)
         if np.all(is_slow):
             return self
         fast_squares, fast_shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
@@ -235,25 +235,25 @@ class AllModes:
             self.static_pair_compliance(min_frequency),
             self.static_pair_responses(min_frequency),
             massless_flexibility,
-            self.inverse[is_slow],
+            self.shapes_inverse[is_slow],
         )
 
     @cached_property
-    def inverse(self) -> np.ndarray:
+    def shapes_inverse(self) -> np.ndarray:
         """Phi^-1, which turns displacements into modal coordinates: (n, n_dofs)."""
         if self.inverse_shapes is not None:
             return self.inverse_shapes
         return np.linalg.inv(self.shapes)
 
-    def damping_force(self, modal_coordinates: np.ndarray) -> np.ndarray:
+    def damping_force(self, modal_velocities: np.ndarray) -> np.ndarray:
         """Return the modal damping forces Phi^T C Phi q' from modal velocities q' (..., n)."""
         return (
-            modal_coordinates * self.damping
+            modal_velocities * self.damping
             if self.damping.ndim == 1
-            else modal_coordinates @ self.damping.T
+            else modal_velocities @ self.damping.T
         )
 
-    def respond(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
+    def modal_response(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
         """Return the modal response H f to modal forces f: (..., n).
 
         H is the result of :meth:`modal_receptances`.
@@ -262,7 +262,7 @@ class AllModes:
             return receptance * modal_force
         return np.matmul(receptance, modal_force[..., None])[..., 0]
 
-    def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
+    def compliance_of_pairs(self, receptance: np.ndarray) -> np.ndarray:
         """Return the compliance B^T Phi H Phi^T B of the pairs: (..., n_pairs, n_pairs) [m/N].
 
         H is the result of :meth:`modal_receptances`. An entry is the gap change of a pair by a unit
@@ -272,7 +272,7 @@ class AllModes:
             return np.matmul(self.gaps_by_mode.T * receptance[..., None, :], self.gaps_by_mode)
         return self.gaps_by_mode.T @ receptance @ self.gaps_by_mode
 
-    def transition(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def transition_and_force_response(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrices that advance modes over a step under constant pair forces.
 
         The state z = (q, q') has modal displacements and velocities; freely it moves as z' = A z.
@@ -320,7 +320,7 @@ class AllModes:
         e = scipy.linalg.expm(h * state_matrix)[: 2 * n_modes]
         return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
 
-    def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:
+    def steady_modal_amplitudes(self, omega: float, force: np.ndarray) -> np.ndarray:
         """Return the complex amplitudes of the modes under a harmonic load: (n,).
 
         ``force`` (n,) has the complex modal forces. Modes without load are at rest.
@@ -370,7 +370,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
     damping_modes = damped_modes(structure)
     if damping_modes is not None and len(damping_modes.omega) == structure.n_dofs:
         squares, mode_shapes = damping_modes.omega**2, damping_modes.shapes
-        damping = damping_modes.modal_damping
+        damping = damping_modes.damping_rates
     else:
         stiffness_and_mass = (
             local_rows(petsc_matrix).toarray()
@@ -394,7 +394,7 @@ def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     return AllModes(
         squares,
         modal_shapes,
-        structure.rate,
+        structure.modal_damping,
         modal_shapes.T @ gap,
         bool(np.any(squares == 0.0)),
         pair_factor @ pair_factor.T,

@@ -205,7 +205,7 @@ def _count_modes(structure: Structure, ties: Any) -> int:
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
-class Inverse(Protocol):
+class StiffnessInverse(Protocol):
     """Interface of solvers K x = r, such as a :class:`Factor`."""
 
     n_null_pivots: int
@@ -215,7 +215,7 @@ class Inverse(Protocol):
         """Solve K x = ``rhs`` for a PETSc vector, into ``solution`` (collective)."""
 
 
-class BondedInverse:
+class BondedStiffnessInverse:
     """Solver K x = r with a bonded crack, B^T x = 0.
 
     It takes the factor of the stiffness K and independent columns of the pairs' matrix B:
@@ -242,7 +242,7 @@ class BondedInverse:
 
 
 def solve_modes_with_factor(
-    stiffness_inverse: Inverse, structure: Structure, n_modes: int, ties: Any = None
+    stiffness_inverse: StiffnessInverse, structure: Structure, n_modes: int, ties: Any = None
 ) -> Modes:
     """Find the lowest modes of a structure, given the inverse of its stiffness (collective).
 
@@ -262,8 +262,10 @@ def solve_modes_with_factor(
     square_scale = float(np.min(diagonal_quotients[diagonal_quotients > 0.0], initial=np.inf))
     square_scale = square_scale if np.isfinite(square_scale) else 1.0
     begin_stage(format_count(n_modes, "natural mode"))
-    used_inverse: Inverse = (
-        stiffness_inverse if ties is None else BondedInverse(stiffness_inverse, structure, ties)
+    used_inverse: StiffnessInverse = (
+        stiffness_inverse
+        if ties is None
+        else BondedStiffnessInverse(stiffness_inverse, structure, ties)
     )
     n_requested_modes, available_count = n_modes, _count_modes(structure, ties)
     while True:
@@ -355,7 +357,11 @@ def _run_solver_to_convergence(solver: Any, n_modes: int) -> None:
 
 
 def _solve_near_zero(
-    stiffness_inverse: Inverse, structure: Structure, n_modes: int, square_scale: float, ties: Any
+    stiffness_inverse: StiffnessInverse,
+    structure: Structure,
+    n_modes: int,
+    square_scale: float,
+    ties: Any,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes closest to zero frequency, with the inverse of K (collective).
 
@@ -391,7 +397,7 @@ def krylov_size(n_modes: int) -> int:
 
 
 def _solve_near_shift(
-    shifted_inverse: Inverse, structure: Structure, n_modes: int, shift: float
+    shifted_inverse: StiffnessInverse, structure: Structure, n_modes: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
 
@@ -478,7 +484,7 @@ def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
     return products
 
 
-def independent_part(
+def orthonormalise_against_basis(
     structure: Structure, matrix: Any, basis: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
     """Orthogonalise columns against a basis and each other (collective).
@@ -557,20 +563,20 @@ def _mode_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modes that carry the modal damping C = M Phi diag(modal_damping) Phi^T M.
+    """Modes that carry the modal damping C = M Phi diag(damping_rates) Phi^T M.
 
     Attributes
     ----------
     omega : (m,) [rad/s]
         Natural frequencies of the damped modes.
-    modal_damping : (m,) [1/s]
+    damping_rates : (m,) [1/s]
         2 xi_j omega_j, with the damping ratios xi_j.
     shapes, mass_shapes : (n_local, m)
         Mass-normalised shapes Phi, and M Phi.
     """
 
     omega: np.ndarray
-    modal_damping: np.ndarray
+    damping_rates: np.ndarray
     shapes: np.ndarray
     mass_shapes: np.ndarray
 
@@ -591,7 +597,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     return (
         modes
         if damping_factor == 1.0
-        else replace(modes, modal_damping=damping_factor * modes.modal_damping)
+        else replace(modes, damping_rates=damping_factor * modes.damping_rates)
     )
 
 
@@ -599,8 +605,8 @@ def _compute_damped_modes(structure: Structure) -> DampedModes:
     """Compute the modes that carry the modal damping (collective)."""
     modes = solve_modes(structure, count_damped_modes(structure))
     mass_shapes = multiply(structure.mass, modes.shapes)
-    modal_damping = structure.damping.rate(modes.omega**2)
-    return DampedModes(modes.omega, modal_damping, modes.shapes, mass_shapes)
+    damping_rates = structure.damping.rate(modes.omega**2)
+    return DampedModes(modes.omega, damping_rates, modes.shapes, mass_shapes)
 
 
 def count_damped_modes(structure: Structure) -> int:
@@ -649,7 +655,7 @@ def damped_count_and_max_omega(structure: Structure) -> tuple[int, float] | None
     assert damping_modes is not None
     # A smaller rate is rounding of a projection.
     damped_indices = np.flatnonzero(
-        damping_modes.modal_damping > 1e-9 * damping_modes.modal_damping.max()
+        damping_modes.damping_rates > 1e-9 * damping_modes.damping_rates.max()
     )
     if not damped_indices.size:
         return 0, 0.0
@@ -698,7 +704,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     if damping_modes is None:
         return np.zeros((columns.shape[1], columns.shape[1]))
     modal_columns = structure.sum_over_ranks(damping_modes.mass_shapes.T @ columns)
-    return (modal_columns.T * damping_modes.modal_damping) @ modal_columns
+    return (modal_columns.T * damping_modes.damping_rates) @ modal_columns
 
 
 # --- with the crack open and bonded --------------------------------------------------------------

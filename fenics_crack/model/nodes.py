@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.matrices import ReadOnlyArrays, numbers
+from fenics_crack.model.matrices import ReadOnlyArrays, floats_or_nan
 from fenics_crack.numerics.fourier import evaluate_series
 
 AXES = "xyz"
@@ -61,7 +61,7 @@ class Nodes(ReadOnlyArrays):
     mesh_dofs: Any = None
     frames: np.ndarray | None = None
 
-    def find_nearest(
+    def find_nearest_position_and_dofs(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find the node nearest to a point (collective).
@@ -87,7 +87,7 @@ class Nodes(ReadOnlyArrays):
         hint = describe_nearest_node(all_points, point)
         if distances[nearest_index] > MAX_NODE_DISTANCE_RATIO * mesh_extent:
             raise InputError(key, point_tuple, f"on the mesh ({hint})")
-        if len(find_nodes_at(all_points, all_points[nearest_index])) > 1:
+        if len(find_node_indices_at(all_points, all_points[nearest_index])) > 1:
             raise InputError(
                 key, point_tuple, f"near a node that exists once, not on a face ({hint})"
             )
@@ -96,7 +96,7 @@ class Nodes(ReadOnlyArrays):
         return all_points[nearest_index], all_node_dofs[nearest_index]
 
 
-def find_nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
+def find_node_indices_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the indices of the nodes at a point.
 
     Parameters
@@ -125,7 +125,7 @@ def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarra
 def format_point(point: np.ndarray, digits: str = ".8g") -> str:
     """Return a point in words, "(0.1, 0.1)".
 
-    Its digits identify a node for :func:`find_nodes_at`.
+    Its digits identify a node for :func:`find_node_indices_at`.
     """
     return f"({', '.join(format(x, digits) for x in point.round(12) + 0.0)})"  # no "-0"
 
@@ -362,19 +362,19 @@ class Coordinates:
         displacement : (m, n_local)
         dofs : sequence of int or None
             Numbers of dofs through all ranks; None stands for the watched dof. Checked by
-            :meth:`check_dofs`, which raises InputError.
+            :meth:`as_dof_numbers`, which raises InputError.
 
         Returns
         -------
         (m, len(dofs))
         """
-        checked_dofs = self.check_dofs(dofs)
+        checked_dofs = self.as_dof_numbers(dofs)
         is_local = (checked_dofs >= self.first_dof) & (checked_dofs < self.first_dof + self.n_local)
         dof_values = np.zeros((len(displacement), len(checked_dofs)), dtype=displacement.dtype)
         dof_values[:, is_local] = displacement[:, checked_dofs[is_local] - self.first_dof]
         return self.sum_over_ranks(dof_values)
 
-    def check_dofs(self, dofs: Sequence[int | None]) -> np.ndarray:
+    def as_dof_numbers(self, dofs: Sequence[int | None]) -> np.ndarray:
         """Return dofs as an array of integers; None stands for the watched dof (collective).
 
         Raises
@@ -384,7 +384,7 @@ class Coordinates:
         """
         if isinstance(dofs, list | tuple) and None in dofs:
             dofs = [self.watched_dof if dof is None else dof for dof in dofs]
-        dof_numbers = np.atleast_1d(numbers(dofs)).ravel()
+        dof_numbers = np.atleast_1d(floats_or_nan(dofs)).ravel()
         if not np.all(
             (dof_numbers >= 0)
             & (dof_numbers < self.n_dofs)
@@ -418,13 +418,13 @@ class Coordinates:
                 f"{', '.join(map(repr, allowed_components[:-1]))} or {allowed_components[-1]!r}"
             )
             raise InputError("component", component, requirement)
-        coordinates = numbers(point)
+        coordinates = floats_or_nan(point)
         if coordinates.shape != (n_dimensions,) or not np.all(np.isfinite(coordinates)):
             count_word = ("two", "three")[n_dimensions - 2]
             requirement = f"[{', '.join(AXES[:n_dimensions])}], {count_word} finite numbers"
             raise InputError("point", point, requirement)
         points = gather_rows(comm, self.nodes.points)
-        node_indices = find_nodes_at(points, coordinates)
+        node_indices = find_node_indices_at(points, coordinates)
         if len(node_indices) != 1:
             hint = describe_nearest_node(points, coordinates)
             requirement = f"at a node that exists once ({len(node_indices)} found there; {hint})"

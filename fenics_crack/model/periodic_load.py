@@ -21,7 +21,7 @@ from fenics_crack.basics.errors import (
     report_read_errors,
 )
 from fenics_crack.basics.untrusted_files import read_csv_rows
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.numerics.fourier import from_complex
 
 
@@ -55,15 +55,15 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     >>> square, error = fc.load_harmonics([0.0, 0.5, 0.5, 1.0], [1.0, 1.0, -1.0, -1.0], 9)
     >>> sine = square[2::2]
     """
-    instants, samples = numbers(time), numbers(values)
+    instants, samples = floats_or_nan(time), floats_or_nan(values)
     check_count("harmonics", harmonics, 1, MAX_HARMONIC_ORDER)
-    is_ascending = (
+    is_time_valid = (
         instants.ndim == 1
         and len(instants) > 1
         and np.all(np.isfinite(instants))
         and instants[-1] > instants[0]
     )
-    if not is_ascending or np.any(np.diff(instants) < 0.0):
+    if not is_time_valid or np.any(np.diff(instants) < 0.0):
         raise InputError("time", time, "two or more ascending numbers, of a whole period")
     if (
         samples.ndim not in (1, 2)
@@ -105,7 +105,9 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     return coefficients.reshape(2 * harmonics + 1, *samples.shape[1:]), truncation_error
 
 
-def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.ndarray, float]:
+def read_load_harmonics_and_error(
+    key: str, path: str, harmonics: int, dimension: int
+) -> tuple[np.ndarray, float]:
     """Read a table of a periodic force, and return its harmonics.
 
     The first line has words; a row has a time and the components of the force [N].

@@ -173,9 +173,9 @@ def _convert_receptance_to_load(
         ]
     )
     n_known_load_rows = len(all_load_rows) - len(new_load_rows)
-    if len(known_receptance.modal) - n_known_load_rows != sources_of(structure).shape[1] - len(
-        new_load_rows
-    ):
+    if len(known_receptance.modal) - n_known_load_rows != pair_and_load_force_matrix(
+        structure
+    ).shape[1] - len(new_load_rows):
         return None  # only one of the two has tangents
     gram = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
     load_weights = (
@@ -214,7 +214,7 @@ def check_matrices(structure: Structure, result_name: str) -> None:
         raise AbsentMatrix.input_error(result_name)
 
 
-def sources_of(structure: Structure) -> sparse.csr_matrix:
+def pair_and_load_force_matrix(structure: Structure) -> sparse.csr_matrix:
     """Return the forces of pairs and load as columns X = [B, B_t, f] (collective).
 
     The shape is (n_local, n_sources). f has the nonzero parts of the load.
@@ -246,7 +246,9 @@ def _extend_receptance(
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
         modes = solve_modes_with_factor(factored_stiffness, structure, n_modes)
         squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs
-        flexibility = ResidualFlexibility(structure, modes.shapes, squares, sources_of(structure))
+        flexibility = ResidualFlexibility(
+            structure, modes.shapes, squares, pair_and_load_force_matrix(structure)
+        )
         begin_stage("static responses")
         # Without an elastic mode there may be further rigid-body motions.
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
@@ -298,7 +300,7 @@ def _extend_receptance(
     )
 
 
-def displacement_rows(
+def modal_and_static_displacement_rows(
     structure: Structure, n_modes: int, dofs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return displacements of dofs by the modes and by all other modes' statics (collective).
@@ -320,7 +322,7 @@ def displacement_rows(
     if missing_dofs:
         shapes = solve_modes(structure, known_receptance.n_modes).shapes
         flexibility = ResidualFlexibility(
-            structure, shapes, known_receptance.squares, sources_of(structure)
+            structure, shapes, known_receptance.squares, pair_and_load_force_matrix(structure)
         )
         _store_dof_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
     shape_rows, residual_rows = (
@@ -346,7 +348,7 @@ def expand_residual_response(
     squares : (n_modes,) [rad^2/s^2]
         Squares of their frequencies.
     amplitudes : (m, n_sources)
-        Amplitudes c of the forces X of pairs and load (:func:`sources_of`).
+        Amplitudes c of the forces X of pairs and load (:func:`pair_and_load_force_matrix`).
 
     Returns
     -------
@@ -355,7 +357,7 @@ def expand_residual_response(
     is_nonzero_row = np.any(amplitudes != 0.0, axis=1)
     displacements = np.zeros((len(amplitudes), structure.n_local))
     if np.any(is_nonzero_row):
-        sources = sources_of(structure.original)
+        sources = pair_and_load_force_matrix(structure.original)
         flexibility = ResidualFlexibility(structure, shapes, squares, sources)
         with Factor(structure.stiffness, definite=True) as factored_stiffness:
             displacements[is_nonzero_row] = flexibility.solve(
@@ -386,7 +388,9 @@ def _store_dof_rows(
     if known_receptance.n_modes < structure.n_dofs:
         stiffness_factor = factor or Factor(structure.stiffness, definite=True)
         with nullcontext(stiffness_factor) if factor else stiffness_factor as usable_factor:
-            residual_rows = flexibility.project_with_inertia(usable_factor, unit_forces)[0]
+            residual_rows = flexibility.projected_compliance_and_inertia(
+                usable_factor, unit_forces
+            )[0]
     shape_rows = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
         zip(map(int, dofs), zip(shape_rows, residual_rows, strict=True), strict=True)
@@ -449,7 +453,7 @@ class ResidualFlexibility:
             displacements - structure.sum_over_ranks(inertia_forces @ mode_shapes) @ mode_shapes.T
         )
 
-    def project_with_inertia(
+    def projected_compliance_and_inertia(
         self, factor: Factor, columns: sparse.spmatrix
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements along forces Y by the forces X (collective).
@@ -499,5 +503,7 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X, the change of S's diagonal by w^2.
         """
-        unsymmetric_compliance, inertia_diagonal = self.project_with_inertia(factor, self.sources)
+        unsymmetric_compliance, inertia_diagonal = self.projected_compliance_and_inertia(
+            factor, self.sources
+        )
         return 0.5 * (unsymmetric_compliance + unsymmetric_compliance.T), inertia_diagonal

@@ -34,10 +34,13 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import hertz_property
 from fenics_crack.model.body import Body
-from fenics_crack.model.factor import distribute_rows
+from fenics_crack.model.factor import make_matrix_from_local_rows
 from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
 from fenics_crack.model.nodes import body_property
-from fenics_crack.model.receptance import displacement_rows, expand_residual_response
+from fenics_crack.model.receptance import (
+    expand_residual_response,
+    modal_and_static_displacement_rows,
+)
 from fenics_crack.model.structure import DampingRule, Structure
 
 MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -72,14 +75,14 @@ def _make_body_fields(
     """
     n_modes, n_massless = len(squared_frequencies), len(massless_stiffness)
     if isinstance(damping, np.ndarray):
-        damping = distribute_rows(
+        damping = make_matrix_from_local_rows(
             scipy.linalg.block_diag(damping, 0.0 * massless_stiffness), MPI.COMM_SELF
         )
     mass_or_zero_diagonal = sparse.diags(np.repeat([1.0, 0.0], [n_modes, n_massless]))
     stiffness_blocks = sparse.block_diag([sparse.diags(squared_frequencies), massless_stiffness])
     return {
-        "mass": distribute_rows(mass_or_zero_diagonal, MPI.COMM_SELF),
-        "stiffness": distribute_rows(stiffness_blocks, MPI.COMM_SELF),
+        "mass": make_matrix_from_local_rows(mass_or_zero_diagonal, MPI.COMM_SELF),
+        "stiffness": make_matrix_from_local_rows(stiffness_blocks, MPI.COMM_SELF),
         "gap": gap, "tangential": tangential_gap, "force": force, "clearance": source.clearance,
         "damping": damping, "nodes": source.nodes, "pairs": source.pairs,
         "omega": np.sqrt(np.maximum(squared_frequencies, 0.0)), "source": source,
@@ -203,7 +206,7 @@ class QuasiStaticReduction(ReducedStructure):
         return len(self.omega)
 
     @property
-    def rate(self) -> np.ndarray:
+    def modal_damping(self) -> np.ndarray:
         """Modal damping matrix Phi^T C Phi [1/s], before the damping factor.
 
         A diagonal matrix is given as its diagonal, (n_modes,), any other as (n_modes, n_modes).
@@ -287,7 +290,7 @@ class MasslessStructure(QuasiStaticReduction):
         field_by_name = _make_body_fields(
             source, squares, damping, gap, tangential_gap, force, compliance
         )
-        field_by_name["inverse_compliance_root"] = _factor_of_inverse(compliance)
+        field_by_name["inverse_compliance_root"] = _root_of_pseudoinverse(compliance)
         field_by_name["error_share_removed_by_reference"] = share
         Structure.__init__(self, MasslessBody(**field_by_name, reference=reference))
 
@@ -328,11 +331,14 @@ class MasslessStructure(QuasiStaticReduction):
         """
         if not is_bonded:
             return super().known_omega_and_shapes(is_bonded=False)
-        gaps_by_mode, residual_compliance = self.gap[: self.n_modes].toarray(), self.residual
+        gaps_by_mode = self.gap[: self.n_modes].toarray()
+        residual_compliance = self.residual_compliance
         scaled_gaps_by_mode = (
             gaps_by_mode / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
         )
-        ties = _factor_of_inverse(scaled_gaps_by_mode.T @ scaled_gaps_by_mode + residual_compliance)
+        ties = _root_of_pseudoinverse(
+            scaled_gaps_by_mode.T @ scaled_gaps_by_mode + residual_compliance
+        )
         tie_flexibilities, tie_eigenvectors = np.linalg.eigh(ties.T @ residual_compliance @ ties)
         ties, is_soft_tie = ties @ tie_eigenvectors, tie_flexibilities > NEGLIGIBLE
         rigid_tie_gaps = gaps_by_mode @ ties[:, ~is_soft_tie]
@@ -364,7 +370,7 @@ class MasslessStructure(QuasiStaticReduction):
         return np.asarray(self.stiffness.getValues(massless_range, massless_range))
 
     @property
-    def residual(self) -> np.ndarray:
+    def residual_compliance(self) -> np.ndarray:
         """Residual flexibility R_inf = B^T G B of the pairs: (n_pairs, n_pairs) [m/N]."""
         pair_factor = self.gap[self.n_modes :].T @ self.root
         return np.asarray(pair_factor @ pair_factor.T)
@@ -410,24 +416,27 @@ class MasslessStructure(QuasiStaticReduction):
         """
         if self._source.whole is not self._source:  # it is reduced itself
             return self._source.values_at(self._expand_to_source(displacement), dofs)
-        checked_dofs = self._source.check_dofs(dofs)
+        checked_dofs = self._source.as_dof_numbers(dofs)
         return (
-            displacement @ np.hstack(displacement_rows(self._source, self.n_modes, checked_dofs)).T
+            displacement
+            @ np.hstack(
+                modal_and_static_displacement_rows(self._source, self.n_modes, checked_dofs)
+            ).T
         )
 
 
-def check_mass(structure: Structure, remedy: str) -> None:
+def check_faces_have_mass(structure: Structure, remedy: str) -> None:
     """Raise InputError, with advice ``remedy``, if crack faces lack mass."""
     if structure.light_lips:
         raise InputError("structure", repr(structure), f"one with mass at its faces; {remedy}")
 
 
-def as_massless_structure(structure: Structure | None) -> MasslessStructure | None:
+def as_massless_structure_or_none(structure: Structure | None) -> MasslessStructure | None:
     """Return the structure itself if its crack faces have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _factor_of_inverse(compliance: np.ndarray) -> np.ndarray:
+def _root_of_pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     """Return a root W of the pseudoinverse W W^T of a compliance C.
 
     It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.

@@ -45,13 +45,13 @@ from fenics_crack.model.modes import (
     count_damped_modes,
     damped_modes,
     damping_on_modes,
-    independent_part,
     multiply,
+    orthonormalise_against_basis,
     solve_modes,
     solve_modes_with_factor,
 )
 from fenics_crack.model.receptance import ResidualFlexibility, find_loaded_row_mask, receptance
-from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
+from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_faces_have_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 REDUCTION_METHODS = ("massless", "free_interface")
@@ -107,7 +107,7 @@ def reduce_structure(
     >>> reduced = fc.reduce_structure(structure, modes=10)
     """
     check_choice("method", method, REDUCTION_METHODS)
-    check_mass(structure, "reduce the whole one")
+    check_faces_have_mass(structure, "reduce the whole one")
     uniform_rule = _uniform_damping_rule_or_none(structure)
     is_modally_damped = uniform_rule is None and isinstance(structure.damping, ModalDamping)
     n_damped = count_damped_modes(structure) if is_modally_damped else None
@@ -132,7 +132,9 @@ def reduce_structure(
     with Factor(structure.stiffness, definite=True) as stiffness_factor:
         computed_modes = solve_modes_with_factor(stiffness_factor, structure, int(modes))
         mode_shapes, squares = computed_modes.shapes[:, :modes], computed_modes.omega[:modes] ** 2
-        with _factor_regular(stiffness_factor, structure, is_held=bool(squares[0] > 0.0)) as factor:
+        with _regular_stiffness_factor(
+            stiffness_factor, structure, is_held=bool(squares[0] > 0.0)
+        ) as factor:
             # Static responses to pair forces and load, without the part of the modes.
             nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
             unit_force_rows = np.vstack([structure.gap.T.toarray(), nonzero_load_rows])
@@ -145,7 +147,9 @@ def reduce_structure(
                 own_compliances, flexibility.modal_sources.T, squares
             )
             static_shapes = static_shapes[:, ~is_rounding]
-            static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
+            static_shapes = orthonormalise_against_basis(
+                structure, structure.mass, mode_shapes, static_shapes
+            )
             if not reference:
                 return _reduce_to_vectors(structure, mode_shapes, squares, static_shapes, None)
             reference_vectors = [
@@ -281,7 +285,9 @@ def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
 
 
 @contextmanager
-def _factor_regular(factor: Factor, structure: Structure, *, is_held: bool) -> Iterator[Factor]:
+def _regular_stiffness_factor(
+    factor: Factor, structure: Structure, *, is_held: bool
+) -> Iterator[Factor]:
     """Yield a factor of the stiffness, shifted if it is singular.
 
     ``is_held`` is True if K is regular. Otherwise K + s M is factored, with one of the lowest
@@ -309,7 +315,7 @@ def _reduce_to_vectors(
     The basis is made M-orthonormal and K-diagonal. ``squares`` are the squares of the modes'
     frequencies; ``vectors`` are (n_local, m).
     """
-    vectors = independent_part(structure, structure.mass, mode_shapes, vectors)
+    vectors = orthonormalise_against_basis(structure, structure.mass, mode_shapes, vectors)
     projected_stiffness = structure.sum_over_ranks(
         vectors.T @ multiply(structure.stiffness, vectors)
     )

@@ -36,9 +36,15 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
-from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
+from fenics_crack.model.factor import Factor, make_matrix_from_local_rows, weighted_sum
 from fenics_crack.model.matrices import read_only_array, read_only_csr_matrix
-from fenics_crack.model.modes import ZERO_TOLERANCE, Modes, independent_part, multiply, solve_modes
+from fenics_crack.model.modes import (
+    ZERO_TOLERANCE,
+    Modes,
+    multiply,
+    orthonormalise_against_basis,
+    solve_modes,
+)
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import QuasiStaticReduction, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
@@ -58,7 +64,7 @@ class Rotation:
         The structure without rotation: K and its own load.
     rotation_stiffness : PETSc.Mat
         K_1 = K_g - M_y, stress stiffening less spin softening at 1 rad/s: (n, n) [kg].
-    displaced_stiffnesses : tuple of PETSc.Mat
+    displaced_shape_stiffness_terms : tuple of PETSc.Mat
         K_2 [kg] and K_3 [kg s^2], due to the displaced shape.
     force : (n_local,) [kg m]
         Centrifugal load f_c at 1 rad/s.
@@ -68,7 +74,7 @@ class Rotation:
 
     at_rest: Structure
     rotation_stiffness: Any
-    displaced_stiffnesses: tuple[Any, Any]
+    displaced_shape_stiffness_terms: tuple[Any, Any]
     force: np.ndarray
     speed: float
 
@@ -84,7 +90,7 @@ class Rotation:
         check_number("speed", speed, 0.0)
         if speed == 0.0:
             return self.at_rest
-        static_shape_stiffness, stiffness = self.stiffnesses(speed)
+        static_shape_stiffness, stiffness = self.static_shape_and_motion_stiffness(speed)
         with Factor(stiffness) as factored_stiffness:
             if factored_stiffness.n_negative_pivots or factored_stiffness.n_null_pivots:
                 raise InputError(
@@ -100,7 +106,7 @@ class Rotation:
             stiffness=stiffness, force=load_coefficients, rotation=rotation
         )
 
-    def stiffnesses(self, speed: float) -> tuple[Any, Any]:
+    def static_shape_and_motion_stiffness(self, speed: float) -> tuple[Any, Any]:
         """Return the stiffness for the static shape and for motion (collective).
 
         Returns
@@ -110,7 +116,7 @@ class Rotation:
         PETSc.Mat
             K(W), for motion about the displaced shape.
         """
-        speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffnesses
+        speed_squared, (K_2, K_3) = speed**2, self.displaced_shape_stiffness_terms
         static_shape_stiffness = weighted_sum(
             self.at_rest.stiffness, speed_squared, self.rotation_stiffness
         )
@@ -121,12 +127,12 @@ class Rotation:
         displaced_shape_stiffness.destroy()
         return static_shape_stiffness, motion_stiffness
 
-    def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
+    def with_changed_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """Return these terms of rotation about a changed structure at rest."""
         return replace(self, at_rest=change(self.at_rest))
 
 
-def static_state(
+def static_displacement_and_forces(
     structure: Structure, constant_load: np.ndarray, clearance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find displacement and contact forces under a constant load (collective).
@@ -189,7 +195,7 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     return f"lower: {subject} {problem}"
 
 
-def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
+def relative_coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
     """Return relative shifts of natural frequencies due to the Coriolis force (collective).
 
     Other functions omit the Coriolis force. In the space of the given modes,
@@ -255,7 +261,7 @@ class RitzProjection:
         Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
         The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
-    n_modes : int
+    n_modes_with_mass : int
         Number of modes with mass in a :class:`RunUpStructure`.
     """
 
@@ -269,7 +275,7 @@ class RitzProjection:
     mass: Any
     gap: sparse.csr_matrix
     tangential: np.ndarray | None
-    n_modes: int
+    n_modes_with_mass: int
 
     @classmethod
     def of_range(
@@ -286,11 +292,11 @@ class RitzProjection:
         n_bonded : int
             Number of modes with a bonded crack at each of these speeds.
         """
-        rotation_terms = structure.rotation
+        rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
         for speed in np.unique(np.linspace(start, stop, N_BASIS_SPEEDS)):
-            is_own_speed = np.isclose(speed, rotation_terms.speed, rtol=1e-12, atol=0.0)
-            structure_at_speed = structure if is_own_speed else rotation_terms.at(float(speed))
+            is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
+            structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
             reduced_structure = reduce_structure(
                 structure_at_speed, modes=modes, method="free_interface", reference=False
             )
@@ -304,7 +310,9 @@ class RitzProjection:
                 raise InputError(
                     "rotation.speed", float(speed), describe_unstable_speed(structure, float(speed))
                 )
-            new_columns = independent_part(structure, structure.stiffness, basis, new_shapes)
+            new_columns = orthonormalise_against_basis(
+                structure, structure.stiffness, basis, new_shapes
+            )
             basis = np.hstack([basis, new_columns])
             del structure_at_speed, reduced_structure, new_shapes, new_columns
             collect_garbage(structure.comm)
@@ -315,8 +323,8 @@ class RitzProjection:
 
         mass_diagonal, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
         basis = basis @ eigenvectors
-        own_speed_squared = rotation_terms.speed**2
-        stiffness_terms = rotation_terms.rotation_stiffness, *rotation_terms.displaced_stiffnesses
+        own_speed_squared = rotation.speed**2
+        stiffness_terms = rotation.rotation_stiffness, *rotation.displaced_shape_stiffness_terms
         projected_stiffness_terms = np.array(
             [project_matrix(petsc_matrix) for petsc_matrix in stiffness_terms]
         )
@@ -328,17 +336,17 @@ class RitzProjection:
         try:
             np.linalg.cholesky(rest_stiffness)
         except np.linalg.LinAlgError:  # K is only rounding of the terms of rotation
-            requirement = describe_unstable_speed(structure, rotation_terms.speed)
-            raise InputError("rotation.speed", rotation_terms.speed, requirement) from None
+            requirement = describe_unstable_speed(structure, rotation.speed)
+            raise InputError("rotation.speed", rotation.speed, requirement) from None
         return cls(
             structure,
             read_only_array(basis),  # shared by all speeds
             rest_stiffness,
             projected_stiffness_terms,
             mass_diagonal,
-            structure.sum_over_ranks(rotation_terms.at_rest.force @ basis),
-            structure.sum_over_ranks(rotation_terms.force @ basis),
-            distribute_rows(sparse.diags(mass_diagonal), MPI.COMM_SELF),
+            structure.sum_over_ranks(rotation.at_rest.force @ basis),
+            structure.sum_over_ranks(rotation.force @ basis),
+            make_matrix_from_local_rows(sparse.diags(mass_diagonal), MPI.COMM_SELF),
             read_only_csr_matrix(structure.apply_bt(basis.T)),
             structure.apply_tangential(basis.T),
             modes,
@@ -366,7 +374,7 @@ class RitzProjection:
     def structure_at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
         stiffness, load_coefficients = self.stiffness_and_load(speed)
-        petsc_stiffness = distribute_rows(stiffness, MPI.COMM_SELF)
+        petsc_stiffness = make_matrix_from_local_rows(stiffness, MPI.COMM_SELF)
         return Structure(
             Body(self.mass, petsc_stiffness, self.gap, load_coefficients, self.structure.clearance)
         )
@@ -416,7 +424,7 @@ class RunUpStructure(QuasiStaticReduction):
         inverse_squares, eigenvectors = np.linalg.eigh(
             (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
-        inverse_squares = inverse_squares[: -ritz.n_modes - 1 : -1]
+        inverse_squares = inverse_squares[: -ritz.n_modes_with_mass - 1 : -1]
         scaled_eigenvectors = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(inverse_squares)
@@ -425,8 +433,8 @@ class RunUpStructure(QuasiStaticReduction):
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
-            shapes=scaled_eigenvectors[:, : ritz.n_modes] * omega,
-            truncated_flexibility_root=scaled_eigenvectors[:, ritz.n_modes :],
+            shapes=scaled_eigenvectors[:, : ritz.n_modes_with_mass] * omega,
+            truncated_flexibility_root=scaled_eigenvectors[:, ritz.n_modes_with_mass :],
             dense_stiffness=dense_stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
@@ -437,7 +445,7 @@ class RunUpStructure(QuasiStaticReduction):
 
         Curves over the speed make many structures, and never need this matrix.
         """
-        return distribute_rows(self.body.dense_stiffness, MPI.COMM_SELF)
+        return make_matrix_from_local_rows(self.body.dense_stiffness, MPI.COMM_SELF)
 
     @property
     def _size_description(self) -> str:

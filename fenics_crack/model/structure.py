@@ -36,11 +36,11 @@ from fenics_crack.model.matrices import (
     AbsentMatrix,
     add_harmonics,
     add_springs,
-    check_parts,
+    check_and_distribute_parts,
     expand_to_pairs,
+    floats_or_nan,
     lump_mass,
     make_petsc_matrix,
-    numbers,
     read_only_array,
 )
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, body_property
@@ -69,7 +69,7 @@ class ModalDamping:
     modes: int | None = None
 
     def __post_init__(self) -> None:
-        ratio = numbers(self.ratio)
+        ratio = floats_or_nan(self.ratio)
         if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
             raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
         if self.modes is not None:
@@ -165,7 +165,7 @@ class RayleighDamping:
         -----
         Source: Clough and Penzien, Dynamics of Structures, 2nd edition, McGraw-Hill, New York 1993.
         """
-        ratio_array, omega_array = numbers(ratios), numbers(omegas)
+        ratio_array, omega_array = floats_or_nan(ratios), floats_or_nan(omegas)
         if (
             ratio_array.shape != (2,)
             or not np.all(np.isfinite(ratio_array))
@@ -332,7 +332,9 @@ class Structure(Coordinates):
     @cached_property
     def rotation(self) -> Any:
         """Stiffness terms of rotation with load, clearance and damping as here; None without."""
-        return self.body.rotation and self.body.rotation.change_rest_structure(self._apply_setting)
+        return self.body.rotation and self.body.rotation.with_changed_rest_structure(
+            self._apply_setting
+        )
 
     @property
     def original(self) -> Structure:
@@ -440,7 +442,7 @@ class Structure(Coordinates):
         return self
 
     @property
-    def watched_sector(self) -> int:
+    def watched_sector_index(self) -> int:
         """Place of the sector whose blade is watched, from 0."""
         return 0
 
@@ -460,7 +462,7 @@ class Structure(Coordinates):
         """Yield the displacement of each sector, from coordinates (m, n_local)."""
         yield displacement
 
-    def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
+    def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return rows of the load on the watched sector.
 
         Parameters
@@ -600,15 +602,15 @@ class Structure(Coordinates):
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
             raise InputError("direction of friction", direction, requirement)
-        cached_direction_and_structure = self.compute_once(_make_empty_pair_list)
-        if not cached_direction_and_structure or not np.array_equal(
-            cached_direction_and_structure[0][0], direction
+        direction_and_structure_cache = self.compute_once(_make_empty_tangential_pairs_cache)
+        if not direction_and_structure_cache or not np.array_equal(
+            direction_and_structure_cache[0][0], direction
         ):
             original = self.original
-            cached_direction_and_structure[:] = [
+            direction_and_structure_cache[:] = [
                 (direction, _add_tangential_pairs(original, direction))
             ]
-        return cached_direction_and_structure[0][1]._in_setting(self.setting)
+        return direction_and_structure_cache[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with positions and other mesh data of its nodes and pairs."""
@@ -626,12 +628,14 @@ class Structure(Coordinates):
         if self.damping_factor != 1.0:
             setting = replace(setting, damping_factor=1.0)
         if rotation is not None:
-            rotation = rotation.change_rest_structure(lambda structure: structure.damped(damping))
+            rotation = rotation.with_changed_rest_structure(
+                lambda structure: structure.damped(damping)
+            )
         return self._in_setting(setting, damping=new_damping, rotation=rotation)
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another watched dof, for results without a named dof."""
-        checked_dof = int(self.whole.check_dofs([dof])[0])
+        checked_dof = int(self.whole.as_dof_numbers([dof])[0])
         return self._in_setting(replace(self.setting, watched_dof=checked_dof))
 
     def varied(
@@ -661,7 +665,7 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        load_weights, n_load_rows = numbers(load), len(self.force)
+        load_weights, n_load_rows = floats_or_nan(load), len(self.force)
         if load_weights.shape not in ((), (n_load_rows, n_load_rows)) or not np.all(
             np.isfinite(load_weights)
         ):
@@ -739,7 +743,7 @@ class Structure(Coordinates):
             "force_cos": force_cos,
             "force_sin": force_sin,
         }
-        part_by_name = check_parts(
+        part_by_name = check_and_distribute_parts(
             mass, stiffness, (gap, tangential), load_part_by_key, clearance, comm
         )
         if not isinstance(damping, DampingRule | None):
@@ -771,7 +775,9 @@ def _add_tangents(structure: Structure) -> Structure:
     )
 
 
-def _make_empty_pair_list(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
+def _make_empty_tangential_pairs_cache(
+    structure: Structure,
+) -> list[tuple[np.ndarray | None, Structure]]:
     """Return an empty cache of :meth:`Structure.with_tangential_pairs`: direction and result."""
     return []
 
@@ -799,5 +805,5 @@ def _change_with_rotation(
     structure: Structure, change: Callable[[Structure], Structure]
 ) -> Structure:
     """Change a structure, and with rotation also its structure at rest."""
-    rotation = structure.rotation and structure.rotation.change_rest_structure(change)
+    rotation = structure.rotation and structure.rotation.with_changed_rest_structure(change)
     return change(structure)._in_setting(DEFAULT_SETTING, rotation=rotation)

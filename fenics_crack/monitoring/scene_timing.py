@@ -376,7 +376,7 @@ def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[
             dof: factor for dof, factor in dofs_and_factors if dof >= 0 and factor != 0.0
         }
     return {
-        structure.dof_of(blade or structure.watched_sector + 1, dof): factor
+        structure.dof_of(blade or structure.watched_sector_index + 1, dof): factor
         for dof, factor in factor_by_dof.items()
     }
 

@@ -26,7 +26,7 @@ from fenics_crack.arrivals.arrival_times import MOST_PASSAGES, ArrivalTimes, che
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
 ALLOWED_JUMP_DISTANCE = 1e-3
@@ -102,7 +102,7 @@ def tip_timing(
     >>> arrivals = fc.tip_timing(
     ...     solution, tip, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=0.4, order=6)
     """
-    probe_angles = np.atleast_1d(numbers(probes))
+    probe_angles = np.atleast_1d(floats_or_nan(probes))
     check_probes(probe_angles)
     factor_by_dof = (
         tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
@@ -118,7 +118,7 @@ def tip_timing(
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
     check_count("seed", seed, 0)
-    result.structure.whole.check_dofs(list(factor_by_dof))
+    result.structure.whole.as_dof_numbers(list(factor_by_dof))
 
     tip_motion = _build_motion(result, factor_by_dof, speed, order, revolutions)
     arrival_times = _compute_arrival_times(tip_motion, probe_angles, tip_radius)

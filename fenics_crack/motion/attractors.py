@@ -22,7 +22,7 @@ from fenics_crack.motion.search import (
     MAX_RETURN_PERIODS,
     SearchOptions,
     describe_closest_return,
-    follow_periods,
+    yield_states_after_periods,
 )
 from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
@@ -120,7 +120,7 @@ def find_attractor(
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
     begin_stage(f"the exact motion over up to {max_periods} periods")
     states_at_periods = start_unknown[None]
-    state_iterator = follow_periods(orbit_equations, start_unknown, max_periods)
+    state_iterator = yield_states_after_periods(orbit_equations, start_unknown, max_periods)
     while new_states := list(
         islice(state_iterator, len(states_at_periods) - 1 + MAX_RETURN_PERIODS)
     ):

@@ -75,7 +75,7 @@ def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow
     """
     return (
         ContactFlow(structure, contact)
-        if _exact_flow_input_error(structure, contact) is None
+        if _exact_flow_input_error_or_none(structure, contact) is None
         else None
     )
 
@@ -88,17 +88,17 @@ def exact_flow_or_error(structure: Structure, contact: ContactLaw) -> ContactFlo
     InputError
         There is no exact flow.
     """
-    check_exact(structure, contact)
+    check_has_exact_flow(structure, contact)
     return ContactFlow(structure, contact)
 
 
-def check_exact(structure: Structure, contact: ContactLaw) -> None:
+def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
     """Raise InputError if a structure and a law lack an exact flow."""
-    if input_error := _exact_flow_input_error(structure, contact):
+    if input_error := _exact_flow_input_error_or_none(structure, contact):
         raise input_error
 
 
-def _exact_flow_input_error(structure: Structure, contact: ContactLaw) -> InputError | None:
+def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Return why a structure and a contact law have no exact flow. None if they have one."""
     check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
@@ -179,7 +179,7 @@ class Flow:
         ``sticking_places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the
         tangential gaps without contact forces.
         """
-        dof_to_mode_matrix, n_pairs = self.modal_model.inverse.T, self.structure.n_pairs
+        dof_to_mode_matrix, n_pairs = self.modal_model.shapes_inverse.T, self.structure.n_pairs
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
         if self.friction_law:
             if sticking_places is None:
@@ -267,11 +267,13 @@ class ContactFlow(Flow):
         closed_stiffness_matrix = (
             np.diag(modal_model.squares) + modal_model.gaps_by_mode @ closed_pair_forces_of_modes
         )
-        self.rate_bound = _bound_rates(
+        self.rate_bound = _upper_bound_of_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
         )
         """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
-        self.open_rate_bound = _bound_rates(float(modal_model.squares.max()), modal_model.damping)
+        self.open_rate_bound = _upper_bound_of_rates(
+            float(modal_model.squares.max()), modal_model.damping
+        )
         """Upper bound of these rates while all pairs are open [1/s]."""
         friction_coefficients = None
         if self.friction_law:
@@ -393,8 +395,8 @@ class ContactFlow(Flow):
         """
         weights = self.energy_weights(base_omega)
         mode_rates = weights[: self.n_modes]
-        place_rates = np.full(self.size - 2 * self.n_modes, mode_rates[0])
-        return weights / np.concatenate([mode_rates, mode_rates, place_rates])
+        stick_position_divisors = np.full(self.size - 2 * self.n_modes, mode_rates[0])
+        return weights / np.concatenate([mode_rates, mode_rates, stick_position_divisors])
 
     def advance(
         self,
@@ -725,7 +727,7 @@ class IntegratedMotion(NamedTuple):
     samples: Samples
 
 
-def _bound_rates(max_square: float, damping: np.ndarray) -> float:
+def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
     """Return an upper bound of oscillation and decay rates [1/s].
 
     Roots s of s^2 + c s + k = 0 have no larger |s| for all k <= ``max_square`` [1/s^2] and all

@@ -371,7 +371,7 @@ def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> n
     )
 
 
-def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
+def dof_selection_rows(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
     """Return the rows that select displacements of dofs: (m, n_local) (collective).
 
     Rows multiply the coordinates of the structure, and products are summed over ranks. Dofs belong
@@ -381,7 +381,7 @@ def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
         return np.zeros((0, structure.n_local))
     if structure.whole is not structure:
         return structure.values_at(np.eye(structure.n_dofs), dofs).T
-    rank_local_dofs = structure.check_dofs(dofs) - structure.first_dof
+    rank_local_dofs = structure.as_dof_numbers(dofs) - structure.first_dof
     return np.asarray(rank_local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
 
 
@@ -456,11 +456,13 @@ class ObservedMotion:
 
         Names follow :class:`Indicators`. Numbers that are nan everywhere are left out.
         """
-        if not self._face_numbers:
+        if not self._face_number_dicts:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
-        gathered_numbers = self._gather_numbers(self._face_numbers)
+        value_or_array_by_name = self._value_or_array_by_name(self._face_number_dicts)
         return {
-            name: value for name, value in gathered_numbers.items() if not np.all(np.isnan(value))
+            name: value
+            for name, value in value_or_array_by_name.items()
+            if not np.all(np.isnan(value))
         }
 
     def observe(
@@ -480,17 +482,21 @@ class ObservedMotion:
         structure = self.structure
         wanted_dofs = [structure.watched_dof if dof is None else dof for dof in dofs]
         new_dofs = [
-            dof for dof in dict.fromkeys(wanted_dofs) if dof not in self._observed_displacements
+            dof
+            for dof in dict.fromkeys(wanted_dofs)
+            if dof not in self._observed_displacement_by_dof
         ]
-        place_numbers: dict[str, Any] = {}
+        place_number_by_name: dict[str, Any] = {}
         if new_dofs or places:
-            new_observed_displacements, place_numbers = self.observe_rows(
-                rows_of(structure, new_dofs), places
+            new_observed_displacements, place_number_by_name = self.observe_rows(
+                dof_selection_rows(structure, new_dofs), places
             )
-            self._observed_displacements.update(
+            self._observed_displacement_by_dof.update(
                 zip(new_dofs, new_observed_displacements, strict=True)
             )
-        return [self._observed_displacements[dof] for dof in wanted_dofs], place_numbers
+        return [
+            self._observed_displacement_by_dof[dof] for dof in wanted_dofs
+        ], place_number_by_name
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
@@ -518,14 +524,19 @@ class ObservedMotion:
         for record_index, full_record in enumerate(self.records(all_rows)):
             dof_record = full_record.last_periods(N_RECORDED_PERIODS)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
-            if record_index < len(self._face_numbers):
+            if record_index < len(self._face_number_dicts):
                 dof_record = replace(dof_record, gaps=dof_record.gaps[:, :0])
             else:
-                self._face_numbers.append(_face_number_by_name(dof_record))
-            shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
+                self._face_number_dicts.append(_face_number_by_name(dof_record))
+            shared_number_by_name = {"omega": dof_record.omega} | self._face_number_dicts[
+                record_index
+            ]
             point_iterator = (PointDisplacement(dof_record, row) for row in range(len(rows)))
             number_dicts_of_records.append(
-                [shared_numbers | read_observables(Place.POINT, point) for point in point_iterator]
+                [
+                    shared_number_by_name | read_observables(Place.POINT, point)
+                    for point in point_iterator
+                ]
             )
             coefficients_of_records.append(dof_record.coefficients.T)
             place_number_dicts.append({})
@@ -535,8 +546,8 @@ class ObservedMotion:
                 )
         observed_displacements = [
             ObservedDisplacement(
-                Indicators(**self._gather_numbers(number_dicts_of_row)),
-                self._gather(list(coefficients_of_row)),
+                Indicators(**self._value_or_array_by_name(number_dicts_of_row)),
+                self._value_or_array_over_points(list(coefficients_of_row)),
             )
             for number_dicts_of_row, coefficients_of_row in zip(
                 zip(*number_dicts_of_records, strict=True),
@@ -544,31 +555,31 @@ class ObservedMotion:
                 strict=True,
             )
         ]
-        return observed_displacements, self._gather_numbers(place_number_dicts)
+        return observed_displacements, self._value_or_array_by_name(place_number_dicts)
 
-    def _gather_numbers(
+    def _value_or_array_by_name(
         self, dicts_of_numbers_by_name: Sequence[Mapping[str, float]]
     ) -> dict[str, Any]:
         """Gather each named number over all records: a float, on a curve (n,)."""
         return {
-            name: self._gather(
+            name: self._value_or_array_over_points(
                 [number_by_name[name] for number_by_name in dicts_of_numbers_by_name]
             )
             for name in dicts_of_numbers_by_name[0]
         }
 
-    def _gather(self, values: list[Any]) -> Any:
+    def _value_or_array_over_points(self, values: list[Any]) -> Any:
         """Return the value of a motion's only record; curves override the method."""
         [only_record_value] = values
         return only_record_value
 
     @cached_property
-    def _observed_displacements(self) -> dict[int, ObservedDisplacement]:
+    def _observed_displacement_by_dof(self) -> dict[int, ObservedDisplacement]:
         """Return the displacements observed so far, by dof."""
         return {}
 
     @cached_property
-    def _face_numbers(self) -> list[dict[str, float]]:
+    def _face_number_dicts(self) -> list[dict[str, float]]:
         """Return what :meth:`faces` has of each record, observed at the first request."""
         return []
 
@@ -578,10 +589,12 @@ def _face_number_by_name(record: Record) -> dict[str, float]:
 
     Numbers without pairs, or without friction, are nan.
     """
-    face_numbers = dict.fromkeys(observable_names(Place.FACES), math.nan)
+    number_by_name = dict.fromkeys(observable_names(Place.FACES), math.nan)
     if record.n_pairs:
-        missing_requirements = (
+        missing_requirement_flag = (
             REQUIRES_FRICTION if record.friction_coefficient is None else IN_FILES_ONLY
         )
-        face_numbers |= read_observables(Place.FACES, CrackFaces(record), missing_requirements)
-    return face_numbers | dict(record.exact_numbers)
+        number_by_name |= read_observables(
+            Place.FACES, CrackFaces(record), missing_requirement_flag
+        )
+    return number_by_name | dict(record.exact_numbers)

@@ -57,11 +57,11 @@ from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
     MAX_LOCATION_RESIDUAL,
     ROOT_TOLERANCE,
-    factorise,
-    solve_factored,
+    factorise_transpose,
+    solve_by_transpose_factors,
 )
 from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
-from fenics_crack.numerics.newton import FORCING_TERM, gmres, relative_to_motion
+from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion, gmres
 
 MAX_SEARCH_PERIODS = 20
 """Maximum periods that a search integrates."""
@@ -189,7 +189,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         )
 
     @cached_property
-    def inverse(self) -> IMinusMSolver:
+    def i_minus_m_solver(self) -> IMinusMSolver:
         """Return the function b to (I - M)^-1 b.
 
         M is the monodromy matrix. Raises LinAlgError if I - M is singular.
@@ -211,7 +211,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         )
 
     @cached_property
-    def sampled(self) -> Samples:
+    def period_samples(self) -> Samples:
         """Return the motion at 512 equally spaced times of the period."""
         return self.samples(np.arange(INSTANTS_PER_PERIOD) * self.period / INSTANTS_PER_PERIOD)
 
@@ -223,7 +223,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     @property
     def gap(self) -> np.ndarray:
         """Return the normal gaps at 512 equally spaced times: (512, n_pairs) [m]."""
-        return self.sampled.gap
+        return self.period_samples.gap
 
     def gap_at(self, time: np.ndarray) -> np.ndarray:
         """Return the normal gaps at times [s]: (len(time), n_pairs) [m]."""
@@ -296,7 +296,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         period_fractions = np.arange(n_instants) / n_instants
         row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
-            track, exact_numbers = self.motion.track, dict(self.sliding)
+            track, exact_numbers = self.motion.track, dict(self.friction_number_by_name)
             exact_numbers |= (
                 {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
             )
@@ -449,7 +449,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         return Work(load_work, damping_work, pair_friction_work)
 
     @cached_property
-    def sliding(self) -> dict[str, float]:
+    def friction_number_by_name(self) -> dict[str, float]:
         """Return friction loss [J], stick share and slip share of the period.
 
         Keys are names of :class:`Indicators`. The shares are fractions of the period, as means over
@@ -481,11 +481,11 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Return multiplier, gap extremes [m], events, residual and iterations by name."""
-        face_numbers = {"opening": 0.0, "penetration": 0.0} | self.faces
+        face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.faces
         return {
             "multiplier": float(abs(self.multipliers[0])),
-            "opening": face_numbers["opening"],
-            "penetration": face_numbers["penetration"],
+            "opening": face_number_by_name["opening"],
+            "penetration": face_number_by_name["penetration"],
             "events": self.events,
             "residual": float(self.residual),
             "iterations": self.iterations,
@@ -558,7 +558,7 @@ class RealFourierCoefficients(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class MotionInArcs(PeriodicOrbit):
+class MotionInEqualParts(PeriodicOrbit):
     """A motion in equal parts of a period, with the interface of an orbit.
 
     The state may jump from part to part.
@@ -576,16 +576,20 @@ class MotionInArcs(PeriodicOrbit):
         duration = self.period / len(self.starts)
         start_times = duration * np.arange(len(self.starts) + 1)
         times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
-        arc_argument_tuples = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
+        part_argument_tuples = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
         part_samples = [
             self.flow.advance(
                 state, self.omega, duration, start=start_time, instants=instants
             ).samples
-            for state, start_time, instants in arc_argument_tuples
+            for state, start_time, instants in part_argument_tuples
         ]
         array_tuples_of_parts = (
-            (arc_samples.states, arc_samples.forces_and_openings, arc_samples.pair_states)
-            for arc_samples in part_samples
+            (
+                samples_of_part.states,
+                samples_of_part.forces_and_openings,
+                samples_of_part.pair_states,
+            )
+            for samples_of_part in part_samples
         )
         return Samples(
             self.flow,
@@ -595,7 +599,7 @@ class MotionInArcs(PeriodicOrbit):
         )
 
 
-def is_affordable(
+def is_orbit_search_affordable(
     flow: ContactFlow,
     omega: float,
     subharmonic: int = 1,
@@ -613,12 +617,12 @@ def is_affordable(
     harmonic-balance solutions.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-        return not is_too_slow(flow, omega, subharmonic)
+        return not is_load_too_slow(flow, omega, subharmonic)
     pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
     return flow.structure.light_lips and n_periods * pieces_per_period <= MAX_SEARCH_PIECES
 
 
-def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
+def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     """Return True if two periods exceed the budget of a small model.
 
     Events are not counted. For a large model the result is False.
@@ -661,7 +665,7 @@ def predict_orbit(
     part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     gap_changes = state_changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
     return Prediction(
-        relative_to_motion(gap_changes, part_start_gaps),
+        change_relative_to_motion(gap_changes, part_start_gaps),
         states + state_changes,
         solution_track,
         solve_i_minus_m,
@@ -670,13 +674,13 @@ def predict_orbit(
 
 def predict_motion(
     flow: ContactFlow, omega: float, prediction: Prediction, subharmonic: int
-) -> MotionInArcs | None:
+) -> MotionInEqualParts | None:
     """Return the motion from a prediction's states; None if integration fails."""
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
         end_states, track, _ = flow.integrate_parts(prediction.states, omega, period)
         motion = flow.advance(end_states[-1], omega, 0.0)._replace(track=track)
-        return MotionInArcs(
+        return MotionInEqualParts(
             flow, omega, subharmonic, motion, prediction.states[0], 1, prediction.states
         )
     return None
@@ -689,10 +693,12 @@ def _make_i_minus_m_solver(flow: ContactFlow, track: Track, weights: np.ndarray)
     ``weights``.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-        i_minus_m_factors = factorise(np.eye(flow.size) - track.tangent)
+        i_minus_m_factors = factorise_transpose(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
-        return lambda right_side, tolerance: solve_factored(i_minus_m_factors, right_side)
+        return lambda right_side, tolerance: solve_by_transpose_factors(
+            i_minus_m_factors, right_side
+        )
 
     def apply_i_minus_m(change: np.ndarray) -> np.ndarray:
         return change - weights * (track @ (change / weights))
@@ -768,7 +774,9 @@ class _NewtonOrbitSearch:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
         allowed_taylor_pieces = MAX_SEARCH_PIECES
-        if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
+        if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_load_too_slow(
+            flow, omega, subharmonic
+        ):
             allowed_taylor_pieces = max(
                 allowed_taylor_pieces,
                 math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period)),
@@ -794,23 +802,27 @@ class _NewtonOrbitSearch:
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._follow(self.state)
         damping_factor, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
-        steps_with_same_m: list[np.ndarray] = []
+        newton_steps_with_same_m: list[np.ndarray] = []
         if forms_monodromy and solve_i_minus_m is not None:
-            steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
+            newton_steps_with_same_m = [
+                solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)
+            ]
         while self.n_integrated_periods < MAX_SEARCH_PERIODS:
-            if solve_i_minus_m is None or not steps_with_same_m:
+            if solve_i_minus_m is None or not newton_steps_with_same_m:
                 solve_i_minus_m = _make_i_minus_m_solver(
                     self._flow, self.motion.track, self._weights
                 )
                 is_m_current = True
-                steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
-            newton_step = steps_with_same_m[-1]
+                newton_steps_with_same_m = [
+                    solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)
+                ]
+            newton_step = newton_steps_with_same_m[-1]
             trial_state = self.state + damping_factor * newton_step
             trial_motion = self._follow(trial_state)
             simplified_step = solve_i_minus_m(
                 trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
             )
-            for earlier_step, later_step in pairwise(steps_with_same_m):
+            for earlier_step, later_step in pairwise(newton_steps_with_same_m):
                 projection_factor = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + projection_factor * later_step
             step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
@@ -823,7 +835,7 @@ class _NewtonOrbitSearch:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
                 if not is_m_current:
-                    steps_with_same_m = []
+                    newton_steps_with_same_m = []
                     continue
                 damping_factor = min(
                     0.5 * damping_factor, 0.5 * damping_factor**2 * step_size / nonlinear_part_size
@@ -836,18 +848,18 @@ class _NewtonOrbitSearch:
                 return True
             # After a good step M serves once more.
             if forms_monodromy and damping_factor == 1.0 and simplified_size <= 0.1 * step_size:
-                steps_with_same_m.append(
+                newton_steps_with_same_m.append(
                     simplified_step / (1.0 - self._fraction_along(simplified_step, newton_step))
                 )
                 continue
-            steps_with_same_m = []
+            newton_steps_with_same_m = []
             damping_factor = min(1.0, 0.5 * damping_factor**2 * step_size / nonlinear_part_size)
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
         """Return the coefficient of a change projected on a step, in the energy norm."""
-        twice_weighted_step = self._weights**2 * step
-        return float(change @ twice_weighted_step / (step @ twice_weighted_step))
+        step_times_squared_weights = self._weights**2 * step
+        return float(change @ step_times_squared_weights / (step @ step_times_squared_weights))
 
     def _follow(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, on the remaining budget."""

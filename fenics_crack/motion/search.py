@@ -330,7 +330,9 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
             yield orbit_equations.orbit(solution_point)
             return
         start_point = point_on_path(homotopy, orbit_equations.start_unknown, 0.0)
-        end_point = Path(homotopy, start_point, path_options, [Target(1.0)]).run_to_terminal_event()
+        end_point = Path(
+            homotopy, start_point, path_options, [Target(1.0)]
+        ).find_terminal_point_or_none()
         if end_point is not None:
             yield from filter(None, [task.find_orbit(orbit_equations.state(end_point.unknown))])
 
@@ -342,7 +344,7 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
     orbit_equations = task.orbit_equations
     remaining_pieces = SearchOptions.piece_budget(task.flow) // 4
-    state_iterator = follow_periods(
+    state_iterator = yield_states_after_periods(
         orbit_equations, orbit_equations.start_unknown, SearchOptions.max_periods(task.flow)
     )
     states_at_periods = np.array([orbit_equations.start_unknown, *state_iterator])
@@ -376,7 +378,7 @@ ORBIT_STARTS_BY_NAME = {
 """Starts for an orbit search, by name, in order."""
 
 
-def follow_periods(
+def yield_states_after_periods(
     orbit_equations: FlowOrbitEquations, state: np.ndarray, max_periods: int
 ) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.

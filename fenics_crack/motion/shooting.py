@@ -98,7 +98,7 @@ class ShootingEquations(Equations):
         self, flow: ContactFlow, scale: np.ndarray, omega: tuple[float, float],
         subharmonic: int, **arrays: Any,
     ) -> None:  # fmt: skip
-        self.flow, self.scale, self.shape = flow, scale, scale.shape
+        self.flow, self.state_factors, self.shape = flow, scale, scale.shape
         self.subharmonic = subharmonic
         self._struct = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.n_modes,
@@ -199,7 +199,7 @@ class FlowOrbitEquations(ShootingEquations):
         w_0 of the load [rad/s].
     subharmonic : int
         Load periods in the orbit's period.
-    scale : (flow.size,)
+    state_factors : (flow.size,)
         Diagonal of S.
     start_unknown : (flow.size,)
         Unknowns x of the nearby state.
@@ -215,11 +215,11 @@ class FlowOrbitEquations(ShootingEquations):
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
         """Return the state z = S^-1 x from the unknowns x: (flow.size,)."""
-        return np.asarray(unknown / self.scale)
+        return np.asarray(unknown / self.state_factors)
 
     def unknown(self, state: np.ndarray) -> np.ndarray:
         """Return the unknowns x = S z from a state z: (flow.size,)."""
-        return np.asarray(self.scale * state)
+        return np.asarray(self.state_factors * state)
 
     def orbit(self, point: PathPoint) -> PeriodicOrbit:
         """Return the orbit at a solution (x, p) of the equations."""

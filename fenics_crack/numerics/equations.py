@@ -128,10 +128,10 @@ class DenseLinearisation(Linearisation):
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        return factorise(self.matrix_to_factorise())
+        return factorise_transpose(self.matrix_to_factorise())
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        return solve_factored(self._factors, right_side)
+        return solve_by_transpose_factors(self._factors, right_side)
 
     @property
     def sign(self) -> float:
@@ -141,7 +141,7 @@ class DenseLinearisation(Linearisation):
         return -1.0 if (n_swaps + n_negative) % 2 else 1.0
 
 
-def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def factorise_transpose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factorise a matrix A by LAPACK, as the LU factors of A^T.
 
     The transpose is in Fortran order, so LAPACK needs no transposed copy.
@@ -157,7 +157,9 @@ def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return lu_matrix, pivots
 
 
-def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray) -> np.ndarray:
+def solve_by_transpose_factors(
+    factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray
+) -> np.ndarray:
     """Solve A x = r with the LU factors of A^T. The right-hand side r may have any shape."""
     return np.reshape(dgetrs(*factors, right_side.ravel(), trans=1)[0], right_side.shape)
 

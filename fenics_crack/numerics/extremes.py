@@ -25,9 +25,9 @@ SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
 MAX_GRID_REFINEMENTS = 10
 """Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
 period. Its square is rounding error, for up to 100 harmonics."""
-OFFSET_POWERS = np.arange(len(SAMPLE_OFFSETS))
+OFFSET_EXPONENTS = np.arange(len(SAMPLE_OFFSETS))
 """Exponents of the polynomial through nine values."""
-COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** OFFSET_POWERS)
+COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** OFFSET_EXPONENTS)
 """Matrix from nine values at ``SAMPLE_OFFSETS`` to the coefficients of their polynomial."""
 MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum error of a predicted maximum, relative to the nine values' range."""
@@ -64,27 +64,27 @@ def find_maximum_values(
         nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[
             candidate_indices, :, function_indices
         ]
-        largest_nearby_index = nearby_values.argmax(axis=1)
+        largest_nearby_indices = nearby_values.argmax(axis=1)
         np.maximum.at(
-            maxima, function_indices, nearby_values[candidate_indices, largest_nearby_index]
+            maxima, function_indices, nearby_values[candidate_indices, largest_nearby_indices]
         )
         if refinement_index == 0:
-            peak_offset, peak_estimate = _maximise_polynomial(
-                nearby_values, SAMPLE_OFFSETS[largest_nearby_index]
+            peak_offsets, peak_estimates = _maximise_polynomial(
+                nearby_values, SAMPLE_OFFSETS[largest_nearby_indices]
             )
-            peak_value = evaluate_functions(period_fractions + spacing * peak_offset)[
+            peak_values = evaluate_functions(period_fractions + spacing * peak_offsets)[
                 candidate_indices, function_indices
             ]
-            np.maximum.at(maxima, function_indices, peak_value)
+            np.maximum.at(maxima, function_indices, peak_values)
             allowed_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
-            is_polynomial = np.abs(peak_value - peak_estimate) <= allowed_error
+            is_polynomial = np.abs(peak_values - peak_estimates) <= allowed_error
             equals_largest = (
-                nearby_values == nearby_values[candidate_indices, largest_nearby_index][:, None]
+                nearby_values == nearby_values[candidate_indices, largest_nearby_indices][:, None]
             )
             is_plateau = equals_largest.sum(axis=1) > 2  # a gap closed without penetration
             candidate_indices = np.flatnonzero(~(is_polynomial | is_plateau))
         period_fractions = nearby_fractions[
-            candidate_indices, largest_nearby_index[candidate_indices]
+            candidate_indices, largest_nearby_indices[candidate_indices]
         ]
         function_indices = function_indices[candidate_indices]
         spacing *= SAMPLE_OFFSETS[1] - SAMPLE_OFFSETS[0]
@@ -111,12 +111,12 @@ def _maximise_polynomial(
         Values of the polynomials there.
     """
     coefficients, offset = values @ COEFFICIENTS_FROM_VALUES.T, start_offset
-    slope_coefficients = coefficients[:, 1:] * OFFSET_POWERS[1:]
-    curvature_coefficients = slope_coefficients[:, 1:] * OFFSET_POWERS[1:-1]
+    slope_coefficients = coefficients[:, 1:] * OFFSET_EXPONENTS[1:]
+    curvature_coefficients = slope_coefficients[:, 1:] * OFFSET_EXPONENTS[1:-1]
     for _ in range(3):
-        powers = offset[:, None] ** OFFSET_POWERS
+        powers = offset[:, None] ** OFFSET_EXPONENTS
         slope = (slope_coefficients * powers[:, :-1]).sum(1)
         curvature = (curvature_coefficients * powers[:, :-2]).sum(1)
         offset = offset - slope / np.where(curvature < 0.0, curvature, -np.inf)
         offset = np.minimum(np.maximum(offset, -1.0), 1.0)
-    return offset, (coefficients * offset[:, None] ** OFFSET_POWERS).sum(1)
+    return offset, (coefficients * offset[:, None] ** OFFSET_EXPONENTS).sum(1)

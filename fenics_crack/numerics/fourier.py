@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:  # importing it takes a tenth of NumPy's own time
     from numpy.typing import ArrayLike
 
-MAX_MATRIX_SIZE = 45_000
+MAX_MATRIX_ENTRIES = 45_000
 """Maximum entries of a Fourier basis (2H+1, n_instants) that is used as a matrix. Measured for 1 to
 100 columns and H = 20 to 100: up to this size a product takes about the time of an FFT, and SciPy's
 FFT need not be loaded."""
@@ -99,7 +99,7 @@ def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
 
     For coefficients (2H+1, ...) more than 2H instants are necessary.
     """
-    if len(coefficients) * n_instants <= MAX_MATRIX_SIZE:
+    if len(coefficients) * n_instants <= MAX_MATRIX_ENTRIES:
         return _multiply_first_axis(
             fourier_basis_over_period(len(coefficients) // 2, n_instants), coefficients
         )
@@ -115,8 +115,8 @@ def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
 
     The n > 2H samples (n, ...) are equally spaced.
     """
-    if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_SIZE:
-        return _multiply_first_axis(_analysis_matrix(harmonics, len(values)), values)
+    if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_ENTRIES:
+        return _multiply_first_axis(_samples_to_coefficients_matrix(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -131,7 +131,7 @@ def n_instants_for_products(harmonics: int) -> int:
     suit the FFT.
     """
     min_instants = 4 * harmonics + 1
-    if (2 * harmonics + 1) * min_instants <= MAX_MATRIX_SIZE:
+    if (2 * harmonics + 1) * min_instants <= MAX_MATRIX_ENTRIES:
         return min_instants
     import scipy.fft
 
@@ -157,7 +157,7 @@ def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _analysis_matrix(harmonics: int, n_instants: int) -> np.ndarray:
+def _samples_to_coefficients_matrix(harmonics: int, n_instants: int) -> np.ndarray:
     """Return the matrix from samples of a period to coefficients: (2H+1, n_instants)."""
     matrix = 2.0 / n_instants * fourier_basis_over_period(harmonics, n_instants).T
     matrix[0] *= 0.5

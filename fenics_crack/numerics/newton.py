@@ -106,7 +106,7 @@ class SnesSystem(System, Protocol):
 
     shape: tuple[int, ...]
     """Shape of the unknowns."""
-    matrix_free: bool
+    is_matrix_free: bool
     """True if J is only multiplied by vectors: GMRES then solves with it."""
 
 
@@ -135,7 +135,7 @@ class Snes(ABC):
         """
         self.matrix, self._residual_norms = matrix, [] if residual_norms is None else residual_norms
         self._tolerance = 0.0
-        self._failure: ConvergenceError | None = None
+        self._convergence_error: ConvergenceError | None = None
         self._unknown_vector, self._residual_vector = matrix.createVecs()
         self._snes = PETSc.SNES().create(matrix.comm)
         self._snes.setOptionsPrefix(OPTIONS_PREFIX)
@@ -163,7 +163,7 @@ class Snes(ABC):
     def linearise(self, unknown_vector: Any) -> None:
         """Update the matrix to the Jacobian at a vector."""
 
-    def solve_in_place(
+    def solve_into_unknown_vector(
         self, start: np.ndarray, tolerance: float, max_iterations: int
     ) -> tuple[bool, int]:
         """Solve F = 0 from a guess, given by the rows on this rank.
@@ -175,16 +175,16 @@ class Snes(ABC):
         converged : bool
         n_iterations : int
         """
-        self._tolerance, self._failure = tolerance, None
+        self._tolerance, self._convergence_error = tolerance, None
         self._unknown_vector.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=max_iterations)
         try:
             self._snes.solve(None, self._unknown_vector)
         except PETSc.Error:
-            if self._failure is None:
+            if self._convergence_error is None:
                 raise
-        if self._failure is not None:  # PETSc may have hidden it
-            raise self._failure
+        if self._convergence_error is not None:  # PETSc may have hidden it
+            raise self._convergence_error
         return self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
     def _test_convergence(
@@ -207,7 +207,7 @@ class Snes(ABC):
         try:
             self.evaluate(unknown_vector, residual_vector)
         except ConvergenceError as error:
-            self._failure = error
+            self._convergence_error = error
             raise
 
     def __enter__(self) -> Self:
@@ -226,7 +226,7 @@ class SystemSnes(Snes):
 
     def __init__(self, system: SnesSystem, residual_norms: list[float] | None = None) -> None:
         self.system, self._parameter = system, 0.0
-        self._last_evaluation: tuple[np.ndarray, Linearisation] | None = None
+        self._last_unknown_and_linearisation: tuple[np.ndarray, Linearisation] | None = None
         self._linearisation: Linearisation
         n_unknowns = int(np.prod(system.shape))
         matrix = PETSc.Mat().createPython((n_unknowns, n_unknowns), self, COMM_SELF)
@@ -234,7 +234,7 @@ class SystemSnes(Snes):
         super().__init__(matrix, residual_norms)
 
     def _set_linear_solver_type(self, linear_solver: Any) -> None:
-        if self.system.matrix_free:
+        if self.system.is_matrix_free:
             linear_solver.setType("gmres")
             linear_solver.setGMRESRestart(GMRES_RESTART)
             linear_solver.setTolerances(max_it=GMRES_RESTART)
@@ -258,21 +258,23 @@ class SystemSnes(Snes):
         has_converged : bool
         n_iterations : int
         """
-        self._parameter, self._last_evaluation = parameter, None
-        has_converged, n_iterations = self.solve_in_place(start, tolerance, max_iterations)
+        self._parameter, self._last_unknown_and_linearisation = parameter, None
+        has_converged, n_iterations = self.solve_into_unknown_vector(
+            start, tolerance, max_iterations
+        )
         return self._linearisation_at(self._unknown_vector), has_converged, n_iterations
 
     def _linearisation_at(self, unknown_vector: Any) -> Linearisation:
         """Return F and J at a PETSc vector, computed once for equal successive vectors."""
-        if self._last_evaluation is None or not np.array_equal(
-            unknown_vector.array_r, self._last_evaluation[0]
+        if self._last_unknown_and_linearisation is None or not np.array_equal(
+            unknown_vector.array_r, self._last_unknown_and_linearisation[0]
         ):
             unknown = unknown_vector.array_r.copy()
             linearisation = self.system.linearise(
                 unknown.reshape(self.system.shape), self._parameter
             )
-            self._last_evaluation = unknown, linearisation
-        return self._last_evaluation[1]
+            self._last_unknown_and_linearisation = unknown, linearisation
+        return self._last_unknown_and_linearisation[1]
 
     def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
         residual_vector.array_w[:] = self._linearisation_at(unknown_vector).residual.ravel()
@@ -328,7 +330,7 @@ class Tangent:
         """Return the opposite tangent."""
         return replace(self, x=-self.x, p=-self.p)
 
-    def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
+    def inner_product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
         if self.time_mean_weight == 1.0:
             return self.unknowns_weight * float(np.vdot(vector, other_vector))
@@ -347,10 +349,10 @@ class Tangent:
         The norm is that of the reference.
         """
         product = (
-            reference_tangent.product(system, self.x, reference_tangent.x)
+            reference_tangent.inner_product(system, self.x, reference_tangent.x)
             + self.p * reference_tangent.p
         )
-        own_length_squared = reference_tangent.product(system, self.x, self.x) + self.p**2
+        own_length_squared = reference_tangent.inner_product(system, self.x, self.x) + self.p**2
         # The slope overflows if the Jacobian is singular to rounding: there is no direction.
         return product / float(np.sqrt(own_length_squared)) if own_length_squared > 0.0 else 0.0
 
@@ -379,7 +381,7 @@ def count_time_means(system: System) -> int:
     return int(getattr(system, "n_time_means", 0))
 
 
-def motion_square(oscillation_norm_squared: float, mean_norm_squared: float) -> float:
+def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: float) -> float:
     """Return the squared size of a motion.
 
     The means contribute at most as much as the oscillation. If the oscillation is rounding error,
@@ -405,17 +407,19 @@ def motion_size(motion_samples: np.ndarray) -> float:
     """Return the size of a motion (n_instants, k).
 
     The size is the root sum of squares. The mean over time contributes at most as much as
-    the oscillation (:func:`motion_square`).
+    the oscillation (:func:`motion_size_squared`).
     """
     time_mean = motion_samples.sum(axis=0) / len(motion_samples)
     oscillation_samples = motion_samples - time_mean
     mean_norm_squared = len(motion_samples) * float(time_mean @ time_mean)
     return math.sqrt(
-        motion_square(float(np.vdot(oscillation_samples, oscillation_samples)), mean_norm_squared)
+        motion_size_squared(
+            float(np.vdot(oscillation_samples, oscillation_samples)), mean_norm_squared
+        )
     )
 
 
-def relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
+def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
     """Return the size of a change relative to a motion.
 
     Both are (n_instants, k). The mean over time contributes at most as much as the oscillation: a
@@ -450,7 +454,7 @@ def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     oscillation_norm_squared = max(
         total_norm_squared - mean_norm_squared, MACHINE_EPSILON**0.5 * total_norm_squared
     )
-    size_squared = motion_square(oscillation_norm_squared, mean_norm_squared)
+    size_squared = motion_size_squared(oscillation_norm_squared, mean_norm_squared)
     time_mean_weight = (
         0.5 * size_squared / mean_norm_squared if 2.0 * mean_norm_squared > size_squared else 1.0
     )
@@ -469,7 +473,7 @@ def tangent_of(
     """
     slope = -linearisation.solve(linearisation.by_parameter)
     slope_tangent = Tangent(slope, 1.0, *norm_weights_at(system, unknown))
-    length = float(np.sqrt(slope_tangent.product(system, slope, slope) + 1.0))
+    length = float(np.sqrt(slope_tangent.inner_product(system, slope, slope) + 1.0))
     tangent = replace(slope_tangent, x=slope / length, p=1.0 / length)
     points_back = direction is not None and tangent.cosine_to(direction, system) < 0.0
     return tangent.reverse() if points_back else tangent
@@ -612,7 +616,7 @@ def try_step(
     )
 
 
-def solve_at(
+def solve_at_parameter(
     system: System,
     unknown: np.ndarray,
     parameter: float,
@@ -644,12 +648,18 @@ def solve_by_full_or_damped_steps(
 
     Without ``try_full_steps``, only damped steps are tried.
     """
-    point = solve_at(system, unknown, parameter, tolerance=tolerance) if try_full_steps else None
-    return point or solve_at(system, unknown, parameter, tolerance=tolerance, min_damping=0.01)
+    point = (
+        solve_at_parameter(system, unknown, parameter, tolerance=tolerance)
+        if try_full_steps
+        else None
+    )
+    return point or solve_at_parameter(
+        system, unknown, parameter, tolerance=tolerance, min_damping=0.01
+    )
 
 
 def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:
     """Return the distance between two points of a path. The norm is that of the first point."""
     change = end.unknown - start.unknown
-    length_squared = start.tangent.product(system, change, change)
+    length_squared = start.tangent.inner_product(system, change, change)
     return float(np.sqrt(length_squared + (end.parameter - start.parameter) ** 2))

@@ -57,7 +57,7 @@ from fenics_crack.numerics.newton import (
     Tangent,
     chord_length,
     correction_struct,
-    solve_at,
+    solve_at_parameter,
     solve_in_plane,
     tangent_of,
     try_step,
@@ -89,11 +89,11 @@ class PathOptions:
     """Rounding error of |F| / |x|, for a system without ``rounding``."""
     points_per_call: int = 64
     """Maximum points per kernel call."""
-    span: tuple[float, float] = (-np.inf, np.inf)
+    parameter_range: tuple[float, float] = (-np.inf, np.inf)
     """Parameter range. Outside, the path ends."""
 
 
-HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
+HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, parameter_range=(0.0, 2.0))
 """Options for paths with a parameter from 0 to 1. A path that leaves 0 to 2 ends."""
 
 
@@ -184,7 +184,7 @@ class PathSegment(Sequence[PathPoint]):
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def split_points(self) -> Iterator[PathSegment]:
+    def yield_one_point_segments(self) -> Iterator[PathSegment]:
         """Yield a segment with one point for each point, in order."""
         for index in range(len(self)):
             segment = self[index : index + 1]
@@ -243,7 +243,7 @@ class Event(ABC):
     is_terminal, must_be_located, description, kind = False, False, "", ""
 
     @abstractmethod
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         """Return True for steps between points in which the event may lie: (n-1,) bool.
 
         The segment has n points.
@@ -264,26 +264,26 @@ class BranchPoint(Event):
 
     kind = "branch_point"
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         return np.asarray(segment.crosses_branch[1:] > 0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         start, end = ends
         lower_length, upper_length = 0.0, chord_length(system, start, end)
-        start_orientation = _orientation(system, start)
+        start_orientation = _orientation_sign(system, start)
         while upper_length - lower_length > MIN_RESOLVED_DISTANCE:
             middle_length = 0.5 * (lower_length + upper_length)
             point = try_step(system, start, middle_length, rtol)
             if point is None:
                 break
-            if _orientation(system, point) == start_orientation:
+            if _orientation_sign(system, point) == start_orientation:
                 lower_length = middle_length
             else:
                 end, upper_length = point, middle_length
         return end
 
 
-def _orientation(system: System, point: PathPoint) -> float:
+def _orientation_sign(system: System, point: PathPoint) -> float:
     """Return the sign of t_p det J, with the tangent's parameter part t_p."""
     linearisation = point.linearisation or system.linearise(point.unknown, point.parameter)
     return float(linearisation.sign * np.sign(point.tangent.p))
@@ -295,7 +295,7 @@ class ZeroCrossing(Event):
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         function_values = np.array([self._function(point) for point in segment])
         return np.asarray(function_values[1:] * function_values[:-1] < 0.0)
 
@@ -374,8 +374,8 @@ def find_zero_and_residual(
             kept_function_value * last_function_value < 0.0
             and abs(last_fraction - kept_fraction) > 1e-12
         ):
-            width = last_fraction - kept_fraction
-            fraction = last_fraction - last_function_value * width / (
+            fraction_width = last_fraction - kept_fraction
+            fraction = last_fraction - last_function_value * fraction_width / (
                 last_function_value - kept_function_value
             )
             if fraction in (kept_fraction, last_fraction):
@@ -397,7 +397,7 @@ class Fold(ZeroCrossing):
     def __init__(self) -> None:
         super().__init__(lambda point: point.tangent.p)
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         return np.asarray(segment.parameter_tangents[1:] * segment.parameter_tangents[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
@@ -420,7 +420,7 @@ class Target(Event):
     parameter: float
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         difference = segment.parameters - self.parameter
         return np.asarray((difference[:-1] != 0.0) & (difference[1:] * difference[:-1] <= 0.0))
 
@@ -428,7 +428,7 @@ class Target(Event):
         estimated_point = _find_fold_or_target(system, ends, self.parameter, rtol)
         if estimated_point is None:
             return None
-        point = solve_at(system, estimated_point.unknown, self.parameter, tolerance=rtol)
+        point = solve_at_parameter(system, estimated_point.unknown, self.parameter, tolerance=rtol)
         return point and replace(point, tangent=estimated_point.tangent)
 
 
@@ -440,26 +440,28 @@ class ClosedLoop(Event):
     system: System
     is_terminal, description = True, "closed loop"
 
-    def detect(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
         chord_lengths = segment.chord_lengths[1:]
-        may_return = (
+        may_return_in_step = (
             np.abs(segment.parameters[:-1] - self.origin.parameter)
             <= chord_lengths / MIN_EQUAL_DIRECTION_COSINE
         )
-        for index in np.flatnonzero(may_return):
+        for index in np.flatnonzero(may_return_in_step):
             point = segment[int(index)]
-            point_tangent, to_origin = point.tangent, self.origin.unknown - point.unknown
-            distance_along_tangent = point_tangent.product(self.system, to_origin, point_tangent.x)
+            point_tangent, change_to_origin = point.tangent, self.origin.unknown - point.unknown
+            distance_along_tangent = point_tangent.inner_product(
+                self.system, change_to_origin, point_tangent.x
+            )
             distance_along_tangent += point_tangent.p * (self.origin.parameter - point.parameter)
-            may_return[index] = 0.0 < distance_along_tangent <= chord_lengths[index]
-        return np.asarray(may_return)
+            may_return_in_step[index] = 0.0 < distance_along_tangent <= chord_lengths[index]
+        return np.asarray(may_return_in_step)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         start, origin = ends[0], self.origin
         distance_to_origin = chord_length(system, start, origin)
-        to_origin = origin.unknown - start.unknown
+        change_to_origin = origin.unknown - start.unknown
         parameter_change = origin.parameter - start.parameter
-        to_origin_cosine = replace(start.tangent, x=to_origin, p=parameter_change).cosine_to(
+        to_origin_cosine = replace(start.tangent, x=change_to_origin, p=parameter_change).cosine_to(
             start.tangent, system
         )
         if to_origin_cosine < MIN_EQUAL_DIRECTION_COSINE:
@@ -471,7 +473,9 @@ class ClosedLoop(Event):
         ):
             return None
         difference = point.unknown - origin.unknown
-        return origin if origin.tangent.product(system, difference, difference) < 1e-10 else None
+        return (
+            origin if origin.tangent.inner_product(system, difference, difference) < 1e-10 else None
+        )
 
 
 def _find_fold_or_target(
@@ -557,7 +561,7 @@ class Path:
             if step_control is None
             else min(POINTS_PER_CALL_AFTER_HALVING, max_points_per_call)
         )
-        self.last_point = start = self._with_step_control_values(start)
+        self.last_point = start = self._with_record_and_step_control_values(start)
         self.end_reason: EndReason | None = None
         self.event: Event | None = None
         self._restart(start, options.initial_step)
@@ -567,7 +571,7 @@ class Path:
         for segment in self:
             yield from segment
 
-    def run_to_terminal_event(self) -> PathPoint | None:
+    def find_terminal_point_or_none(self) -> PathPoint | None:
         """Follow the whole path; return the point of the terminal event, or None."""
         for _ in self:
             pass
@@ -585,7 +589,7 @@ class Path:
             if len(segment) == 1:
                 self.end_reason = EndReason.STEPS_TOO_SHORT
                 return
-            for segment_part, retry_index in self._split_at_events(segment):
+            for segment_part, retry_index in self._yield_parts_and_retry_indices(segment):
                 n_remaining_points -= len(segment_part)
                 if retry_index is None:
                     self._start_points[:] = [*self._start_points, *segment_part[-2:]][-2:]
@@ -603,7 +607,9 @@ class Path:
                 if retry_index is not None or self.end_reason is not None:
                     break
 
-    def _split_at_events(self, segment: PathSegment) -> Iterator[tuple[PathSegment, int | None]]:
+    def _yield_parts_and_retry_indices(
+        self, segment: PathSegment
+    ) -> Iterator[tuple[PathSegment, int | None]]:
         """Split a segment after each point with an event.
 
         Yields
@@ -614,21 +620,27 @@ class Path:
             Index in the segment of the point after which a required event was not located, else
             None.
         """
-        min_parameter, max_parameter = self._options.span
+        min_parameter, max_parameter = self._options.parameter_range
         is_outside = (segment.parameters[1:] < min_parameter) | (
             segment.parameters[1:] > max_parameter
         )
-        may_occur = np.array([event.detect(segment) for event in self._events], dtype=bool)
-        may_occur = may_occur.reshape(len(self._events), len(segment) - 1)
+        may_occur_by_event_and_step = np.array(
+            [event.mark_steps_with_event(segment) for event in self._events], dtype=bool
+        )
+        may_occur_by_event_and_step = may_occur_by_event_and_step.reshape(
+            len(self._events), len(segment) - 1
+        )
         part_start_index = 1
-        for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
+        for index in map(int, np.flatnonzero(may_occur_by_event_and_step.any(axis=0) | is_outside)):
             ends = segment[index], segment[index + 1]
             tolerance = max(MAX_LOCATION_RESIDUAL, self._rounding_at(ends[1]))
             segment_part = segment[part_start_index : index + 2]
-            for event, event_may_occur in zip(self._events, may_occur[:, index], strict=True):
+            for event, event_may_occur in zip(
+                self._events, may_occur_by_event_and_step[:, index], strict=True
+            ):
                 location = event.locate(self._system, ends, tolerance) if event_may_occur else None
                 if location is not None:
-                    location = self._with_step_control_values(location)
+                    location = self._with_record_and_step_control_values(location)
                     segment_part.located_events.append((event, location))
                 if location is not None and event.is_terminal:
                     if location is ends[0]:
@@ -653,7 +665,7 @@ class Path:
 
     # --- its steps --------------------------------------------------------------------------------
 
-    def _with_step_control_values(self, point: PathPoint) -> PathPoint:
+    def _with_record_and_step_control_values(self, point: PathPoint) -> PathPoint:
         """Return a point with the system's record and the values of the step control, if any."""
         if self._step_control is None or point.step_control_values is not None:
             return point
@@ -747,8 +759,8 @@ class Path:
         path_options, start_points = self._options, self._start_points
         parameter, rounding = start_points[-1].parameter, self._rounding_at(start_points[-1])
         target_parameters = [event.parameter for event in self._events if isinstance(event, Target)]
-        parameter_bounds = [*path_options.span, *target_parameters]
-        n_points = min(
+        parameter_bounds = [*path_options.parameter_range, *target_parameters]
+        max_new_points = min(
             n_remaining_points, self._points_per_call if self._equations.follows_many_points else 1
         )
         n_record_entries = (
@@ -756,7 +768,7 @@ class Path:
             if self._step_control is None
             else int(self._equations.function_table.n_record_entries)
         )
-        segment = PathSegment(start_points, len(start_points) + n_points, n_record_entries)
+        segment = PathSegment(start_points, len(start_points) + max_new_points, n_record_entries)
         segment_struct = segment.struct(
             len(start_points), step=self._next_step_length, orientation=self._orientation
         )

@@ -22,7 +22,7 @@ from fenics_crack.basics.tables import (
     format_quantity,
     frequency_axis,
 )
-from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit
 from fenics_crack.curves.peak import RISING_AT_END_TEXT
 from fenics_crack.errors.numbers import natural_name
 from fenics_crack.errors.stated import not_estimated
@@ -218,7 +218,7 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a curve: its largest response, errors and verdicts."""
     curve: ResponseCurve = run.result
     largest_response = curve.top(run.watched_dof)
-    curve_axis = parameter_axis(curve.parameter, run.scene.in_hertz)
+    curve_axis = axis_factor_name_and_unit(curve.parameter, run.scene.in_hertz)
     amplitude_text = format_quantity(largest_response.amplitude, "m")
     location_text = format_in_unit(curve_axis, largest_response.value)
     unknown_error_reason, fallback_text = explain_unknown_error(run), ", its error is not estimated"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import solve_beside
+from fenics_crack.balance.harmonic_balance import solve_from_neighbour
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import INTERRUPTED_STATUS, InputError
 from fenics_crack.basics.tables import format_percent
@@ -204,7 +204,9 @@ def _find_study_with_enough_modes(
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
         with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
-            mode_error = error_by_modes(study, solve_beside(problem, None, balance_table.tolerance))
+            mode_error = error_by_modes(
+                study, solve_from_neighbour(problem, None, balance_table.tolerance)
+            )
         if mode_error <= balance_table.given("tolerance") or mode_error == math.inf:
             break
     return study

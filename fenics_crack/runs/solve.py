@@ -11,7 +11,7 @@ from mpi4py import MPI
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.tables import format_count
-from fenics_crack.curves.stability import from_rest
+from fenics_crack.curves.stability import attractor_from_rest
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
 from fenics_crack.runs.run import Run
@@ -103,7 +103,7 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     begin_stage("the motion from rest")
     rest_motion = None
     with suppress(KeyboardInterrupt):  # the solution stays as it is
-        rest_motion = from_rest(solution)
+        rest_motion = attractor_from_rest(solution)
     if rest_motion is None or not rest_motion.periods:
         return run
     rest_amplitude = math.nan

@@ -28,16 +28,16 @@ from fenics_crack.fem.setting import clearance_of, damping_rule_of, force_vector
 from fenics_crack.files.codec import pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
 from fenics_crack.model.body import DEFAULT_SETTING, Body
-from fenics_crack.model.factor import square_matrix
+from fenics_crack.model.factor import make_square_petsc_matrix
 from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
-    displacement_rows,
     make_empty_receptance_list,
     make_empty_shared_receptance_list,
+    modal_and_static_displacement_rows,
+    pair_and_load_force_matrix,
     receptance,
-    sources_of,
 )
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
@@ -186,7 +186,7 @@ class PreparedStructure:
         mass, stiffness = (
             AbsentMatrix(n_dofs, comm.rank)
             if sparse_rows is None
-            else square_matrix(local_matrix(sparse_rows, n_dofs), comm)
+            else make_square_petsc_matrix(local_matrix(sparse_rows, n_dofs), comm)
             for sparse_rows in (self.mass, self.stiffness)
         )
         nodes, watched_row, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
@@ -212,7 +212,7 @@ class PreparedStructure:
             source_structure = next(
                 candidate
                 for candidate in source_structures
-                if sources_of(candidate).shape[1] == n_sources
+                if pair_and_load_force_matrix(candidate).shape[1] == n_sources
             )
             loaded_receptance = replace(stored_receptance, force=source_structure.force)
             source_structure.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
@@ -360,7 +360,7 @@ def _gather_study_datasets(study: Study) -> PreparedStructure:
     """Gather the datasets of a reduced study, with the modes of its reference (collective)."""
     reference_structure = getattr(study.structure, "reference", None) or study.structure
     n_modes = max(study.structure.n_modes, reference_structure.n_modes)
-    displacement_rows(
+    modal_and_static_displacement_rows(
         study.structure.whole,
         n_modes,
         np.array([displacement.dof for displacement in study.watched]),

@@ -46,7 +46,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.files.store import StoredFile
 from fenics_crack.model.body import Body
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modes import (
     FREQUENCY_KIND_NAMES,
     BilinearFrequencies,
@@ -59,8 +59,8 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.rotation import (
     RitzProjection,
     RunUpStructure,
-    coriolis_shifts,
-    static_state,
+    relative_coriolis_shifts,
+    static_displacement_and_forces,
 )
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -438,7 +438,7 @@ def campbell(
     scene.given("rotation")
     _, axis = scene.axis
     check_count("count", few if count is None else count, 1)
-    speed_array = np.atleast_1d(numbers(speeds))
+    speed_array = np.atleast_1d(floats_or_nan(speeds))
     is_rising = (
         speed_array.ndim == 1 and len(speed_array) > 1 and bool(np.all(np.diff(speed_array) > 0.0))
     )
@@ -477,7 +477,7 @@ def campbell(
     frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
-    coriolis = coriolis_shifts(modes, speed_array[-1] * axis)
+    coriolis = relative_coriolis_shifts(modes, speed_array[-1] * axis)
     diagram = Campbell(
         requested_scene,
         speed_array,
@@ -508,7 +508,9 @@ def _find_load_resonances(
     law = scene_contact_law(scene, projection.structure)
     if engine_order is None or law is None:
         return ()
-    search_projection = replace(projection, n_modes=max(projection.n_modes, N_SEARCH_MODES))
+    search_projection = replace(
+        projection, n_modes_with_mass=max(projection.n_modes_with_mass, N_SEARCH_MODES)
+    )
 
     def find_resonance(speed: float) -> LoadResonance:
         try:
@@ -645,7 +647,9 @@ def _find_frequencies_and_margins(
     if not structure.n_pairs:
         return np.tile(open_modes.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(n_modes))
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
-    static_displacement, pair_forces = static_state(structure, structure.force[0], clearance)
+    static_displacement, pair_forces = static_displacement_and_forces(
+        structure, structure.force[0], clearance
+    )
     is_pressed = pair_forces > 0.0
     openings = np.where(
         is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]

@@ -50,7 +50,7 @@ from fenics_crack.model.modes import (
 )
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.receptance import ResidualFlexibility
-from fenics_crack.model.rotation import coriolis_shifts
+from fenics_crack.model.rotation import relative_coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
@@ -336,7 +336,7 @@ def _speed_slopes(modes: Modes) -> np.ndarray:
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
-    second_stiffness, third_stiffness = rotation.displaced_stiffnesses
+    second_stiffness, third_stiffness = rotation.displaced_shape_stiffness_terms
     for mode_index, shape in enumerate(modes.shapes.T):
         sector_shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
         stiffness_products = multiply(rotation.rotation_stiffness, sector_shapes) + multiply(
@@ -838,7 +838,7 @@ def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | No
         return None
     angular_velocity = structure.rotation.speed * scene.axis[1]
     modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
-    return float(np.abs(coriolis_shifts(modes, angular_velocity)).max())
+    return float(np.abs(relative_coriolis_shifts(modes, angular_velocity)).max())
 
 
 def describe_coriolis(relative_changes: np.ndarray) -> str:

@@ -25,7 +25,7 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, factor_memory
+from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, estimate_factor_bytes
 from fenics_crack.model.modes import krylov_size
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE, reduce_structure
@@ -177,13 +177,16 @@ def _find_watched_displacements(
         point_key = f"output.points.{point.key}"
         if sector.nodes is None:
             raise InputError(point_key, point.values, "left out: the structure has no positions")
-        node_position, node_dofs = sector.nodes.find_nearest(sector.comm, point_key, point.values)
+        node_position, node_dofs = sector.nodes.find_nearest_position_and_dofs(
+            sector.comm, point_key, point.values
+        )
         distance = float(np.linalg.norm(node_position - point.values).round(12))
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
                 name = f"{point.key}.u{axis}"
-                words, watched_sector = scene.point_names[name], structure.watched_sector
-                global_dof = structure.dof_of(watched_sector + 1, int(dof))
+                words = scene.point_names[name]
+                watched_sector_index = structure.watched_sector_index
+                global_dof = structure.dof_of(watched_sector_index + 1, int(dof))
                 displacements.append(WatchedDisplacement(name, words, global_dof, distance))
     return tuple(displacements)
 
@@ -359,7 +362,7 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     sector = wheel.sector
     n_real_dofs, n_dofs = 2 * len(sector.dof_numbering.own_members), sector.structure.n_dofs
     is_solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
-    solver_bytes = 2.0 * factor_memory(
+    solver_bytes = 2.0 * estimate_factor_bytes(
         n_real_dofs, solid=is_solid
     ) + 16.0 * n_real_dofs * krylov_size(n_families)
     mode_bytes = 16.0 * len(sector.nodal_diameters) * n_dofs * n_families
@@ -418,7 +421,7 @@ def _estimate_matrix_memory(structure: Structure) -> float:
 def _estimate_factor_memory(structure: Structure) -> float:
     """Estimate the memory of a factor of the stiffness [byte]."""
     is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
-    return factor_memory(structure.n_dofs, solid=is_solid)
+    return estimate_factor_bytes(structure.n_dofs, solid=is_solid)
 
 
 def release_freed_memory() -> None:

@@ -203,7 +203,10 @@ def find_load_resonance(
     InputError, ConvergenceError, LinAlgError
         There is no resonance, or it is not found.
     """
-    from fenics_crack.curves.resonance import at_small_load, resonance_at  # where one is sought
+    from fenics_crack.curves.resonance import (  # where one is sought
+        problem_at_small_load,
+        resonance_at,
+    )
 
     balance_table, friction = scene.harmonic_balance, friction_of(law)
     law = law if friction is None else friction.law
@@ -212,7 +215,7 @@ def find_load_resonance(
     rest_value = resonance.value if with_rest else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
     if with_rest and (np.any(structure.force[0]) or np.any(structure.clearance)):
-        rest_value = resonance_at(at_small_load(problem), resonance.omega, parameter).value
+        rest_value = resonance_at(problem_at_small_load(problem), resonance.omega, parameter).value
     if resonance.several:
         return LoadResonance(
             resonance.value, resonance.width, rest_value, unknown=SEVERAL_MODES_TEXT

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import (
     lacks_modes,
     slide_along_lines,
-    solve_beside,
+    solve_from_neighbour,
     solve_linear,
 )
 from fenics_crack.balance.problem import Problem, check_memory
@@ -30,7 +30,7 @@ from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import rows_of
+from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.observer import make_requested_rows
@@ -219,7 +219,7 @@ def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[Sw
 def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
     """Return rows for displacements at the load and named points, by name (collective)."""
     named_watches = [watch for watch in study.watched if watch.name]
-    displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
+    displacement_rows = dof_selection_rows(study.structure, [watch.dof for watch in named_watches])
     row_by_name = {
         watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
     }
@@ -241,7 +241,7 @@ def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.
     else:
         return {}
     dofs = np.flatnonzero(dof_weights)
-    return {"": dof_weights[dofs] @ rows_of(structure, dofs.tolist())}
+    return {"": dof_weights[dofs] @ dof_selection_rows(structure, dofs.tolist())}
 
 
 # --- a case ---------------------------------------------------------------------------------------
@@ -320,7 +320,10 @@ def solve_chunk(
             if request.with_verdicts and case.harmonic_balance.error:
                 value_by_column |= solver.assess_stability(solution)
                 value_by_column["status"] += value_by_column.pop("remark", "")
-            value_by_column |= {"gap": solution.gap_rows, "force": solution.force_rows}
+            value_by_column |= {
+                "gap": solution.row_gap_coefficients,
+                "force": solution.row_force_coefficients,
+            }
         except REFUSAL_EXCEPTIONS as error:
             solver = CaseSolver(geometry)
             value_by_column["status"] = str(error)
@@ -355,7 +358,7 @@ class CaseSolver:
         check_memory(structure, balance_table.harmonics)
         problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
         neighbour, self._last_solution = self._last_solution, None
-        self._last_solution = solve_beside(
+        self._last_solution = solve_from_neighbour(
             problem, neighbour, balance_table.tolerance, with_errors=balance_table.error
         )
         return self._last_solution

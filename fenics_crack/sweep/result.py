@@ -35,7 +35,7 @@ from mpi4py import MPI
 from fenics_crack.balance.contact_system import default_projection_weight
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linear
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR
+from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import make_temporary_folder
@@ -408,7 +408,7 @@ class SweepResult(Tabular):
             for error_part in ERROR_PARTS
         }
         if problem.has_projected_constraint:
-            value_by_field["weight"] = default_projection_weight(problem.compliance())
+            value_by_field["weight"] = default_projection_weight(problem.compliance_model())
         return rebuild_solution(value_by_field, structure, law)
 
     def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
@@ -522,7 +522,7 @@ class SweepResult(Tabular):
             clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
             clauses[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
         max_error = total_errors.max(initial=0.0)
-        n_unknown_errors = int(np.sum(total_errors >= UNKNOWN_ERROR))
+        n_unknown_errors = int(np.sum(total_errors >= ERROR_IF_UNKNOWN))
         if not self.scene.harmonic_balance.error:
             clauses.append(
                 "errors and stability are not estimated (harmonic_balance.error = false)"

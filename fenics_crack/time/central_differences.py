@@ -50,19 +50,19 @@ from fenics_crack.model.contact import (
     FrictionContactSolver,
     add_friction_pairs,
     check_law,
-    coefficient_of,
+    contact_energy,
+    friction_coefficient_of,
     friction_of,
     is_piecewise_linear,
-    potential,
     solve_complementarity,
     spring_compliances,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
 from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
-from fenics_crack.model.reduced import MASS_REMEDY, check_mass
+from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
 
 SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
 
@@ -92,7 +92,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     --------
     >>> steps = fc.stable_steps_per_period(structure, 2000.0, contact)
     """
-    check_mass(structure, MASS_REMEDY)
+    check_faces_have_mass(structure, MASS_REMEDY)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     springs = _contact_stiffnesses(structure, contact)
@@ -144,9 +144,9 @@ def integrate_central_difference(
     Parameters
     ----------
     structure, omega, contact, periods, **options
-        As in :class:`fenics_crack.time.march.March`; best with :meth:`Structure.lumped` mass. With
-        a constraint, pairs that penetrate in the initial state are moved apart by the least change
-        in the norm of M.
+        As in :class:`fenics_crack.time.march.MarchRequest`; best with :meth:`Structure.lumped`
+        mass. With a constraint, pairs that penetrate in the initial state are moved apart by the
+        least change in the norm of M.
     steps_per_period : int
         At least :func:`stable_steps_per_period`.
 
@@ -175,12 +175,12 @@ def integrate_central_difference(
     ...     structure, 2000.0, contact, periods=2, steps_per_period=steps)
     """
     arguments = structure, omega, contact, periods, steps_per_period
-    request = March.from_call(integrate_central_difference, options, *arguments)
+    request = MarchRequest.from_call(integrate_central_difference, options, *arguments)
     min_steps = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < min_steps:
         allowed = f">= {min_steps}, the stable limit of the scheme"
         raise InputError("steps_per_period", steps_per_period, allowed)
-    has_kernel = is_small(structure) and (is_piecewise_linear(contact) or request.rigid)
+    has_kernel = is_small(structure) and (is_piecewise_linear(contact) or request.is_rigid)
     return march(request, (_ModalDifferences if has_kernel else _CentralDifferences)(request))
 
 
@@ -192,7 +192,7 @@ class _EnergyAccount:
     balances kinetic and elastic energy exactly.
     """
 
-    def __init__(self, request: March, initial_energy: float) -> None:
+    def __init__(self, request: MarchRequest, initial_energy: float) -> None:
         self._request, self._created_energy, self._energy_input = request, 0.0, initial_energy
         n_gap_rows, n_loaded = request.n_gap_rows, len(request.loaded_dofs)
         column_counts = n_loaded, n_gap_rows, n_gap_rows, n_loaded
@@ -216,9 +216,9 @@ class _EnergyAccount:
         n_pairs = self._request.structure.n_pairs  # springs and friction of tangents create none
         gap, force = gap[:, :n_pairs], force[:, :n_pairs]
         self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
-        if not self._request.rigid:
+        if not self._request.is_rigid:
             first_spring_energies, last_spring_energies = (
-                potential(self._request.contact, end_gaps) for end_gaps in (gap[:2], gap[-2:])
+                contact_energy(self._request.contact, end_gaps) for end_gaps in (gap[:2], gap[-2:])
             )
             self._created_energy += 0.5 * float(
                 last_spring_energies.sum() - first_spring_energies.sum()
@@ -258,7 +258,7 @@ class _ModalDifferences(Scheme):
 
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
-    def __init__(self, request: March) -> None:
+    def __init__(self, request: MarchRequest) -> None:
         self._structure_with_friction_rows = add_friction_pairs(request.contact, request.structure)
         self._request, self._modes, dt = (
             request,
@@ -267,9 +267,9 @@ class _ModalDifferences(Scheme):
         )
         modes, (n_modes, n_rows) = self._modes, self._modes.gaps_by_mode.shape
         springs, friction_members = None, dict[str, Any]()
-        if not request.rigid:
+        if not request.is_rigid:
             springs = _contact_stiffnesses(request.structure, request.contact)
-        if (mu := coefficient_of(request.contact)) is not None:
+        if (mu := friction_coefficient_of(request.contact)) is not None:
             assert springs is not None
             self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
             self._sticking_places = np.zeros(n_rows // 2)
@@ -280,14 +280,14 @@ class _ModalDifferences(Scheme):
                 "pair_states": pair_states,
             }
         self._modal_displacement, modal_velocity = (
-            modes.inverse @ physical_part for physical_part in request.start[:2]
+            modes.shapes_inverse @ physical_part for physical_part in request.start[:2]
         )
         initial_gap = self._gap()
         if friction_members:
             self._sticking_places[:] = (
                 request.start[2] if request.start[2:] else initial_gap[n_rows // 2 :]
             )
-        if request.rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
+        if request.is_rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
             self._modal_displacement -= modes.gaps_by_mode @ solve_complementarity(
                 modes.gaps_by_mode.T @ modes.gaps_by_mode, initial_gap
             )
@@ -317,13 +317,13 @@ class _ModalDifferences(Scheme):
             load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
             work=np.empty(2 * n_modes + n_rows), **friction_members,
         )  # fmt: skip
-        self._kernel_data = Struct(
+        self._kernel_struct = Struct(
             "central_differences", vibration=vibration_struct,
             increment_factor=2.0 * inverse - identity, force_factor=dt**2 * inverse,
             increment_per_force=contiguous(increment_per_force.T),
             contact_solver=(
                 ActiveSetSolver(modes.gaps_by_mode.T @ increment_per_force).handle
-                if request.rigid else None
+                if request.is_rigid else None
             ),
             displacements=self._modal_displacement, increment=self._increment,
             is_closed=np.zeros(n_rows, bool),
@@ -346,11 +346,11 @@ class _ModalDifferences(Scheme):
         acceleration = (
             load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._modal_displacement
-        if not self._request.rigid:
-            acceleration -= modes.gaps_by_mode @ self._penalty_forces(self._gap())
+        if not self._request.is_rigid:
+            acceleration -= modes.gaps_by_mode @ self._penalty_forces_of_rows(self._gap())
         return np.asarray(acceleration - modes.damping_force(velocity))
 
-    def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:
+    def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N]."""
         if friction_of(self._request.contact) is None:
             return self._request.contact.force(gap)
@@ -363,7 +363,7 @@ class _ModalDifferences(Scheme):
             step_slice = slice(first_step, min(first_step + n_steps_in_cache, n_window_steps))
             modal_displacement = np.empty((step_slice.stop - first_step, len(modes.squares)))
             n_steps_made = kernel.march_central(
-                self._kernel_data.address, first_step, len(modal_displacement),
+                self._kernel_struct.address, first_step, len(modal_displacement),
                 pointer(window.gap[step_slice]), pointer(window.force[step_slice]),
                 pointer(modal_displacement),
             )  # fmt: skip
@@ -405,18 +405,20 @@ class _CentralDifferences(Scheme):
 
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
-    def __init__(self, request: March) -> None:
+    def __init__(self, request: MarchRequest) -> None:
         self.structure, dt = request.structure, request.step_size
         structure = self.structure
-        self.contact, self.rigid, self.step_size = request.contact, request.rigid, dt
+        self.contact, self.is_rigid, self.step_size = request.contact, request.is_rigid, dt
         self.load_samples, self.loaded_dofs = request.load_samples, request.loaded_dofs
         self.contact_force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
         structure_with_friction_rows = add_friction_pairs(request.contact, structure)
         self._contact_dofs = np.flatnonzero(np.diff(structure_with_friction_rows.gap.indptr))
-        self._gap_block = structure_with_friction_rows.gap[self._contact_dofs].toarray()
+        self._contact_dof_gap_matrix = structure_with_friction_rows.gap[
+            self._contact_dofs
+        ].toarray()
         self._clearance = structure_with_friction_rows.clearance
-        if (mu := coefficient_of(request.contact)) is not None:
+        if (mu := friction_coefficient_of(request.contact)) is not None:
             self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
@@ -439,19 +441,19 @@ class _CentralDifferences(Scheme):
             *owned_matrices,
         )
         if self._modes is not None:
-            modal_damped_mass = 1.0 + 0.5 * dt * self._modes.modal_damping
+            modal_damped_mass = 1.0 + 0.5 * dt * self._modes.damping_rates
             self._modal_inverse_correction, self._modal_decay = (
                 1.0 / modal_damped_mass - 1.0,
-                self._modes.modal_damping / modal_damped_mass,
+                self._modes.damping_rates / modal_damped_mass,
             )
-        if self.rigid:
+        if self.is_rigid:
             self._displacement_per_force, zero_velocity = (
                 dt**2 * structure.gap.toarray(),
                 np.zeros(structure.n_local),
             )
             for response_column in self._displacement_per_force.T:
-                response_column[:] = self._solve(response_column, zero_velocity)
-            self._compliance = structure.apply_bt(self._displacement_per_force.T).T
+                response_column[:] = self._solve_with_damped_mass(response_column, zero_velocity)
+            self._pair_compliance = structure.apply_bt(self._displacement_per_force.T).T
         displacement, velocity = request.start[:2]
         self.displacement = self._nearest_admissible_displacement(displacement)
         if friction_of(self.contact) is not None:
@@ -485,11 +487,13 @@ class _CentralDifferences(Scheme):
         """Integrate one step, from instant ``step_index`` of the period."""
         dt = self.step_size
         scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step_index)
-        self.increment = self.increment + self._solve(scaled_net_force, dt * self.increment)
-        if self.rigid:
+        self.increment = self.increment + self._solve_with_damped_mass(
+            scaled_net_force, dt * self.increment
+        )
+        if self.is_rigid:
             next_gap = self.gap + self._gap_change(self.increment)
             self.contact_force = solve_complementarity(
-                self._compliance, next_gap, self.contact_force > 0.0
+                self._pair_compliance, next_gap, self.contact_force > 0.0
             )
             self.increment -= self._displacement_per_force @ self.contact_force
         self.displacement = self.displacement + self.increment
@@ -503,12 +507,12 @@ class _CentralDifferences(Scheme):
         self.gap = self._gap_of(self.displacement)
         net_force = -self._apply_operator(self.structure.stiffness.mult, self.displacement)
         net_force[self.loaded_dofs] += self.load_samples[step_index]
-        if not self.rigid:
-            self.contact_force = self._penalty_forces(self.gap)
-            net_force[self._contact_dofs] -= self._gap_block @ self.contact_force
+        if not self.is_rigid:
+            self.contact_force = self._penalty_forces_of_rows(self.gap)
+            net_force[self._contact_dofs] -= self._contact_dof_gap_matrix @ self.contact_force
         return net_force
 
-    def _penalty_forces(self, gap: np.ndarray) -> np.ndarray:
+    def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N].
 
         With friction the tangential gaps at which pairs stick are updated.
@@ -523,7 +527,9 @@ class _CentralDifferences(Scheme):
 
     def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
         """Return B^T u, the gaps' change by a displacement u (n_local,): (n_rows,) [m]."""
-        return self.structure.sum_over_ranks(displacement[self._contact_dofs] @ self._gap_block)
+        return self.structure.sum_over_ranks(
+            displacement[self._contact_dofs] @ self._contact_dof_gap_matrix
+        )
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return the gaps of a displacement (n_local,): (n_rows,) [m]."""
@@ -537,7 +543,7 @@ class _CentralDifferences(Scheme):
         operator(self._input_vector, self._output_vector)
         return self._output_vector.array_r.copy()
 
-    def _solve(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def _solve_with_damped_mass(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return A^-1 (r - C v) with A = M + dt/2 C, a force r and a velocity v (n_local,)."""
         modes = self._modes
         if modes is None:
@@ -559,7 +565,7 @@ class _CentralDifferences(Scheme):
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.modal_damping * modal_velocity)
+        return self._modes.mass_shapes @ (self._modes.damping_rates * modal_velocity)
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
@@ -580,7 +586,7 @@ class _CentralDifferences(Scheme):
     def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement (n_local,) without penetration, in the norm of M."""
         gap = self._gap_of(displacement)
-        if not self.rigid or not np.any(gap > 0.0):
+        if not self.is_rigid or not np.any(gap > 0.0):
             return displacement
         with Factor(self.structure.mass, definite=True) as factored_mass:
             displacement_per_force = factored_mass.solve(self.structure.gap.T.toarray())

@@ -46,13 +46,13 @@ from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
     FrictionContactSolver,
-    coefficient_of,
+    friction_coefficient_of,
 )
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow_or_error
+from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
-from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
 
 
 def integrate_events(
@@ -75,7 +75,7 @@ def integrate_events(
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
     omega, periods, **options
-        As in :class:`fenics_crack.time.march.March`.
+        As in :class:`fenics_crack.time.march.MarchRequest`.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def integrate_events(
     >>> history = fc.integrate_events(structure, 2000.0, contact, periods=2, initial=solution)
     """
     arguments = structure, omega, contact, periods, steps_per_period
-    request = March.from_call(integrate_events, options, *arguments)
+    request = MarchRequest.from_call(integrate_events, options, *arguments)
     return march(request, _ByEvents(request))
 
 
@@ -125,7 +125,7 @@ def integrate_exponential(
     steps_per_period : int
         Steps in one load period; the error falls with their square.
     omega, periods, **options
-        As in :class:`fenics_crack.time.march.March`.
+        As in :class:`fenics_crack.time.march.MarchRequest`.
 
     Returns
     -------
@@ -147,14 +147,14 @@ def integrate_exponential(
     >>> history = fc.integrate_exponential(structure, 2000.0, contact, periods=2)
     """
     arguments = structure, omega, contact, periods, steps_per_period
-    request = March.from_call(integrate_exponential, options, *arguments)
+    request = MarchRequest.from_call(integrate_exponential, options, *arguments)
     return march(request, _ByExponentials(request))
 
 
 # --- the schemes ----------------------------------------------------------------------------------
 
 
-def _loaded_coordinate_scales(request: March) -> np.ndarray:
+def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
     """Return factors that make motions of loaded coordinates comparable: (n_loaded,).
 
     Coordinates of a structure with massless crack faces are no displacements. The factor is then
@@ -183,7 +183,7 @@ class _ByEvents(Scheme):
 
     name = "events"
 
-    def __init__(self, request: March) -> None:
+    def __init__(self, request: MarchRequest) -> None:
         self._request, self._flow = request, exact_flow_or_error(request.structure, request.contact)
         self._period = 2.0 * np.pi / request.omega
         period_fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
@@ -218,7 +218,7 @@ class ExponentialFlow(Flow):
         Number of steps in one load period.
     step_size : float [s]
         h.
-    gap_rows : (n_rows, 2 n_modes)
+    state_to_gap_matrix : (n_rows, 2 n_modes)
         Q, the matrix from modal displacements and velocities to gaps.
     steady_states : (N, 2 n_modes)
         Steady response to the load without contact, at the N = ``steps_per_period`` instants of a
@@ -230,7 +230,7 @@ class ExponentialFlow(Flow):
     def __init__(
         self, structure: Structure, omega: float, contact: ContactLaw, steps_per_period: int
     ) -> None:
-        check_exact(structure, contact)
+        check_has_exact_flow(structure, contact)
         super().__init__(structure, contact)
         self.omega, self.steps_per_period, self.step_size = (
             omega,
@@ -238,13 +238,13 @@ class ExponentialFlow(Flow):
             2.0 * np.pi / omega / steps_per_period,
         )
         modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
-        transition, force_response = modes.transition(self.step_size)
+        transition, force_response = modes.transition_and_force_response(self.step_size)
         halved_force_response = 0.5 * force_response  # Gamma
         gap_response = modes.gaps_by_mode.T @ halved_force_response[:n_modes]
-        self.gap_rows = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
+        self.state_to_gap_matrix = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
         enumerated_loads = enumerate(to_complex(self.modal_load))
         response_harmonics = [
-            modes.steady_response(harmonic_order * omega, load_harmonic)
+            modes.steady_modal_amplitudes(harmonic_order * omega, load_harmonic)
             for harmonic_order, load_harmonic in enumerated_loads
         ]
         displacement_coefficients = from_complex(np.array(response_harmonics))
@@ -259,7 +259,7 @@ class ExponentialFlow(Flow):
         )
         step_compliance = self.compliance + gap_response
         contact_struct_members: dict[str, Any]
-        if (friction_coefficient := coefficient_of(contact)) is None:
+        if (friction_coefficient := friction_coefficient_of(contact)) is None:
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
             contact_struct_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
@@ -272,7 +272,7 @@ class ExponentialFlow(Flow):
                 "friction_solver": self._friction_solver.handle,
                 "sticking_places": self._sticking_places,
             }
-        self._kernel_data = Struct(
+        self._kernel_struct = Struct(
             "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
             has_coupled_modes=modes.damping.ndim == 2, transition=transition,
             gap_rows=as_doubles(modes.gaps_by_mode.T),
@@ -309,7 +309,9 @@ class ExponentialFlow(Flow):
         contact_forces = np.empty((n_requested_steps + 1, len(self.softness)))
         pair_states = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
         modal_states[0] = state
-        initial_gap = self.gap_rows @ (state - self.steady_states[0]) + self.linear_gap[0]
+        initial_gap = (
+            self.state_to_gap_matrix @ (state - self.steady_states[0]) + self.linear_gap[0]
+        )
         if self.friction_law:
             contact_forces[:1], pair_states[:1], new_sticking_places, _ = (
                 self._initial_friction_solver.solve(initial_gap[None], sticking_places)
@@ -321,7 +323,7 @@ class ExponentialFlow(Flow):
             )
         array_pointers = map(pointer, (modal_states, contact_forces, pair_states))
         n_steps_made = kernel.march_exponential(
-            self._kernel_data.address, n_requested_steps, *array_pointers
+            self._kernel_struct.address, n_requested_steps, *array_pointers
         )
         if n_steps_made < n_requested_steps:
             raise ConvergenceError(
@@ -362,7 +364,9 @@ class ExponentialSteps:
         """Gaps at all instants: (N + 1, n_rows) [m]."""
         flow = self.flow
         instant_indices = np.arange(len(self.states)) % flow.steps_per_period
-        transient_gap = (self.states - flow.steady_states[instant_indices]) @ flow.gap_rows.T
+        transient_gap = (
+            self.states - flow.steady_states[instant_indices]
+        ) @ flow.state_to_gap_matrix.T
         return np.asarray(
             transient_gap
             + flow.linear_gap[instant_indices]
@@ -390,7 +394,7 @@ class _ByExponentials(Scheme):
     name = "exponential"
     remedy = "take more steps per period, or keep fewer modes: what they leave out softens contact"
 
-    def __init__(self, request: March) -> None:
+    def __init__(self, request: MarchRequest) -> None:
         self._request, steps_per_period = request, request.steps_per_period
         self._flow = ExponentialFlow(
             request.structure, request.omega, request.contact, steps_per_period
@@ -400,7 +404,7 @@ class _ByExponentials(Scheme):
         self._mean_load_over_step = 0.5 * (
             request.load_samples + np.roll(request.load_samples, -1, axis=0)
         )
-        self._energy_input = self._missing_energy = 0.0
+        self._energy_input = self._losses_less_energy_input = 0.0
 
     def fill_period(self, window: Window, period_number: int) -> None:
         flow, request = self._flow, self._request
@@ -418,19 +422,19 @@ class _ByExponentials(Scheme):
         )
         if period_number == 0:
             self._energy_input = self._total_energy(flow_steps, 0)
-            self._missing_energy = -self._energy_input
+            self._losses_less_energy_input = -self._energy_input
         modal_velocity = states[:, len(flow.modal_model.squares) :]
         damping_power = np.einsum(
             "nj,nj->n", flow.modal_model.damping_force(modal_velocity), modal_velocity
         )
         load_work = float(np.sum(self._mean_load_over_step * np.diff(displacement_at_load, axis=0)))
         self._energy_input += abs(load_work)
-        self._missing_energy += flow.step_size * float(
+        self._losses_less_energy_input += flow.step_size * float(
             np.sum(0.5 * (damping_power[1:] + damping_power[:-1]))
         )
-        self._missing_energy += flow_steps.friction_loss - load_work
+        self._losses_less_energy_input += flow_steps.friction_loss - load_work
         self.set_created_energy_ratio(
-            self._total_energy(flow_steps, -1) + self._missing_energy, self._energy_input
+            self._total_energy(flow_steps, -1) + self._losses_less_energy_input, self._energy_input
         )
         self._state = flow_steps.end_state
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]

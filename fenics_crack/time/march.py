@@ -27,8 +27,14 @@ from fenics_crack.basics.progress import add_progress_text, begin_stage
 from fenics_crack.basics.ranks import StopRequest, raise_first_error
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.basics.tables import Tabular, format_count
-from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, friction_of, is_rigid
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.contact import (
+    ContactLaw,
+    check_law,
+    friction_coefficient_of,
+    friction_of,
+    is_rigid,
+)
+from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import ObservedMotion, Record
@@ -48,7 +54,7 @@ Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
 
 
 @dataclass(frozen=True)
-class March:
+class MarchRequest:
     """Checked parameters of a time integration (collective).
 
     Attributes
@@ -115,7 +121,7 @@ class March:
     @classmethod
     def from_call(
         cls, function: Callable[..., Any], options: Mapping[str, Any], *arguments: Any
-    ) -> March:
+    ) -> MarchRequest:
         """Return the checked parameters of a call to a public integration function.
 
         ``options`` are the keywords that ``function`` passes on, ``arguments`` the first fields.
@@ -152,7 +158,7 @@ class March:
         own_dofs, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
         if self.dofs is None:
             return own_dofs
-        requested_dofs = whole_structure.check_dofs(self.dofs)
+        requested_dofs = whole_structure.as_dof_numbers(self.dofs)
         if whole_structure is not self.structure:
             return own_dofs
         return requested_dofs[(requested_dofs >= first_dof) & (requested_dofs < end_dof)]
@@ -182,7 +188,7 @@ class March:
         return self.structure.n_pairs * (1 if friction_of(self.contact) is None else 2)
 
     @property
-    def rigid(self) -> bool:
+    def is_rigid(self) -> bool:
         """True if the law is rigid, without penetration."""
         return is_rigid(self.contact)
 
@@ -326,7 +332,7 @@ class TimeHistory(ObservedMotion, Tabular):
         if periods >= len(records[0]):
             raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
         newest = [record[-1] for record in records]
-        return _relative_change(newest, [record[-1 - periods] for record in records])
+        return _largest_relative_change(newest, [record[-1 - periods] for record in records])
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
@@ -349,7 +355,7 @@ class TimeHistory(ObservedMotion, Tabular):
         """
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
-        dof_numbers = self.structure.check_dofs(dofs)
+        dof_numbers = self.structure.as_dof_numbers(dofs)
         selection_matrix = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
         recording_rank_counts = self.structure.sum_over_ranks(
             selection_matrix.sum(axis=0)
@@ -448,16 +454,17 @@ class Scheme(ABC):
             raise ConvergenceError(f"{reason_text} {amount_text}; {self.remedy}")
 
 
-def march(request: March, scheme: Scheme) -> TimeHistory:
+def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     """Integrate load periods by a scheme until the motion settles (collective).
 
     The scheme's PETSc objects are freed.
     """
-    structure, n_kept, steps = (request.structure, request.n_kept_periods, request.steps_per_period)
-    widths = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
-    kept_arrays: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
+    structure, n_kept_periods = request.structure, request.n_kept_periods
+    n_steps = request.steps_per_period
+    column_counts = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
+    kept_arrays: list[np.ndarray] = [np.empty((n_kept_periods * n_steps, n)) for n in column_counts]
     gap, force, recorded_displacement = kept_arrays
-    displacement_at_load = np.empty((steps, len(request.loaded_dofs)))
+    displacement_at_load = np.empty((n_steps, len(request.loaded_dofs)))
     n_periods, change = 0, np.inf
     previous_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
@@ -465,13 +472,15 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
         begin_stage("")
     from tqdm import tqdm
 
-    started = clock.perf_counter()
+    start_seconds = clock.perf_counter()
     with (
         StopRequest() as stop_request,
         add_progress_text(lambda: f"{n_periods} of {request.periods} periods"),
     ):
         for period in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
-            period_rows = slice(period % n_kept * steps, (period % n_kept + 1) * steps)
+            period_rows = slice(
+                period % n_kept_periods * n_steps, (period % n_kept_periods + 1) * n_steps
+            )
             window = Window(
                 gap[period_rows],
                 force[period_rows],
@@ -487,30 +496,29 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             # Slow modes hardly move the gaps.
             newest_arrays = gap_motion, gathered_displacement_at_load
             if previous_arrays is not None:
-                change = _relative_change(newest_arrays, previous_arrays)
+                change = _largest_relative_change(newest_arrays, previous_arrays)
             previous_arrays = newest_arrays
             if change < request.settle or stop_request.is_requested(structure.comm):
                 break
-    seconds = clock.perf_counter() - started
-
-    n_kept_rows = min(n_periods, n_kept) * steps
-    oldest_row = n_periods % n_kept * steps if n_periods > n_kept else 0
+    seconds = clock.perf_counter() - start_seconds
+    n_kept_rows = min(n_periods, n_kept_periods) * n_steps
+    oldest_row = n_periods % n_kept_periods * n_steps if n_periods > n_kept_periods else 0
     gap, force, recorded_displacement = (
         np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
     final_state = scheme.state()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
-    n_pairs, friction_coefficient = structure.n_pairs, coefficient_of(request.contact)
+    n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)
     has_friction = friction_coefficient is not None
     return TimeHistory(
-        time=np.arange(n_periods * steps - n_kept_rows, n_periods * steps) * request.step_size,
+        time=np.arange(n_periods * n_steps - n_kept_rows, n_periods * n_steps) * request.step_size,
         gap=gap[:, :n_pairs],
         settled=change,
         created_energy=scheme.created_energy_ratio,
         periods=n_periods,
         seconds=seconds,
-        steps_per_period=steps,
+        steps_per_period=n_steps,
         structure=structure,
         recorded=recorded_displacement,
         recorded_dofs=request.recorded_dofs,
@@ -522,7 +530,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     )
 
 
-def _relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
+def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change between two periods of the arrays (N, m)."""
     compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
@@ -574,7 +582,7 @@ def initial_state(
             state_parts = *state_parts, initial.sticking_places(np.zeros(1))[0]
     else:
         try:
-            state_parts = tuple(numbers(state_part) for state_part in initial)
+            state_parts = tuple(floats_or_nan(state_part) for state_part in initial)
         except TypeError:
             state_parts = ()
     expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)

@@ -81,7 +81,7 @@ def both(
     """The compliance from all modes, and from factorisations."""
     law = fc.UnilateralPenalty(1.0)
     problem = Problem(structure, base * subharmonic, law, harmonics, subharmonic=subharmonic)
-    modal_compliance = problem.compliance()
+    modal_compliance = problem.compliance_model()
     factored_compliance = FactoredCompliance(structure, base, problem.load)
     assert type(modal_compliance) is not type(factored_compliance)
     yield modal_compliance, factored_compliance
@@ -130,10 +130,12 @@ def test_compliance_beyond_the_harmonics(damping: str) -> None:
     """R_k for k > H: exact from all modes; from the 20 lowest to 5 % below a third of the 21st."""
     structure = chain(damping, n=40)
     base = 0.3 / 16.0 * fc.solve_modes(structure, 21).omega[-1]
-    exact = Problem(structure, base, fc.UnilateralPenalty(1.0), 16).compliance().matrices[6:]
+    exact = Problem(structure, base, fc.UnilateralPenalty(1.0), 16).compliance_model().matrices[6:]
     with both(structure, base, 5) as (modal_compliance, factored_compliance):
-        assert relative(modal_compliance.compliance_above(16), exact) < 1e-10
-        errors = np.linalg.norm(factored_compliance.compliance_above(16) - exact, axis=(1, 2))
+        assert relative(modal_compliance.higher_harmonics_compliance(16), exact) < 1e-10
+        errors = np.linalg.norm(
+            factored_compliance.higher_harmonics_compliance(16) - exact, axis=(1, 2)
+        )
     tolerance = 1e-9 if damping == "modal" else 0.05  # all modes are damped, and so known
     assert np.all(errors < tolerance * np.linalg.norm(exact, axis=(1, 2)))
 
@@ -154,7 +156,7 @@ def problem_of(kind: str) -> Problem:
 
 def system_of(problem: Problem) -> Any:
     """Its condensed equations."""
-    return problem.system(problem.compliance())
+    return problem.system(problem.compliance_model())
 
 
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed", "constraint", "weighted"])

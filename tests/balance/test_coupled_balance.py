@@ -48,7 +48,7 @@ def coarse_breathing_plate() -> fc.Structure:
 def system_of(structure: fc.Structure, law: Any, harmonics: int) -> Any:
     """The equations at 0.8 rad/s."""
     problem = fc.Problem(structure, 0.8, law, harmonics)
-    system = problem.system(problem.compliance())
+    system = problem.system(problem.compliance_model())
     assert system.integrals.has_coupled_pairs
     return system
 
@@ -87,7 +87,7 @@ def test_jacobian_against_finite_differences(
 def test_fewer_modes_than_pairs(coarse_breathing_plate: fc.Structure) -> None:
     """Steps and determinants found in the modes' coordinates are those of the whole Jacobian."""
     problem = fc.Problem(massless(coarse_breathing_plate, 3), 2000.0, RIGID, 4)
-    system = problem.system(problem.compliance())
+    system = problem.system(problem.compliance_model())
     assert system.reachable_gap_basis is not None
     unknown = 1e-6 * random_gaps(4, system.shape[1])
     point = system.linearise(unknown)
@@ -102,10 +102,10 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
     """J v, J^-1 r, and what follows from these."""
     unknown, vector = random_gaps(6, 3), random_gaps(6, 3, 5)
     points, hard = [], system_of(short_chain, RIGID, 6)
-    for matrix_free in (False, True):
+    for is_matrix_free in (False, True):
         system = type(hard)(hard.compliance_model, hard.integrals, 0.5)
-        assert not system.matrix_free
-        system.matrix_free = matrix_free
+        assert not system.is_matrix_free
+        system.is_matrix_free = is_matrix_free
         points.append(system.linearise(unknown, 0.4))
     dense, iterative = points
     assert relative(dense.apply(vector), (dense.jacobian @ vector.ravel()).reshape(13, 3)) < 1e-12

@@ -162,7 +162,7 @@ def test_residual_is_that_of_the_equations() -> None:
     """Stopped early, by its definition: |g - g_lin + R b(g)| over |B^T u|, and as asked for."""
     structure, law, harmonics, omega = chain(n=12), fc.UnilateralPenalty(4.0), 6, 0.3
     problem, iteration_counts = fc.Problem(structure, omega, law, harmonics), set()
-    compliance = problem.compliance()
+    compliance = problem.compliance_model()
     for tolerance in (1e-2, 1e-6, 1e-10):
         solution = fc.solve_harmonic_balance(
             structure, omega, law, harmonics=harmonics, residual_tolerance=tolerance

@@ -192,7 +192,7 @@ def test_the_report_reveals_spurious_solutions() -> None:
 def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics: int) -> int:
     """Number of collocation solutions of one pair: each of the 2^(2H+1) choices of the instants at
     which it is closed has one linear solution, which counts if it has these signs."""
-    compliance = Problem(structure, omega, fc.UnilateralPenalty(k), harmonics).compliance()
+    compliance = Problem(structure, omega, fc.UnilateralPenalty(k), harmonics).compliance_model()
     rows = 2 * harmonics + 1
     value, response = (evaluate(np.eye(rows), 1.0, instants(harmonics)), np.empty((rows, rows)))
     displacements = compliance.matrices[:, :, 0] * to_complex(np.eye(rows))
@@ -225,7 +225,7 @@ def test_contact_needs_more_than_alias_free_samples_of_a_cube(soft_plate: fc.Str
 
     def count(samples: int | None) -> int:
         problem = Problem(soft_plate, 2000.0, law, 3, samples, static_above=np.inf)
-        return len(newton_roots(problem.system(problem.compliance()), 100))
+        return len(newton_roots(problem.system(problem.compliance_model()), 100))
 
     assert count(7) == collocated_states(soft_plate, 2000.0, 1e11, 3) == 3
     assert count(13) > 1
@@ -299,7 +299,7 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
     those of the sparse block system."""
     structure, harmonics, omega = chain("matrix"), 5, 0.9
     problem = Problem(structure, omega, LAWS[law], harmonics, samples)
-    compliance = problem.compliance()
+    compliance = problem.compliance_model()
     system, linear = problem.system(compliance), compliance.displacement(np.zeros((11, 3)))
     with block_system(problem if samples else replace(problem, samples=64)) as (_, residual, slope):
         incremental = newton = linear

@@ -333,5 +333,5 @@ def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
     """A smoothed law, and rigid lips with mass: nothing is decided, and it is said why."""
     assessment = fc.solve_harmonic_balance(oscillator(), 1.0, law).assessment
     assert assessment.nearest_orbit is None and assessment.predicted_error == np.inf
-    assert not assessment.is_accepted and np.isnan(assessment.distance)
+    assert not assessment.is_accepted and np.isnan(assessment.relative_orbit_distance)
     assert assessment.rejection_reason == "there is no exact flow for its law or structure"

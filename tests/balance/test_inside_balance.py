@@ -47,8 +47,8 @@ from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
     PairIntegrals,
     SampledIntegrals,
-    contact_integrals,
-    default_samples,
+    default_n_samples,
+    integrals_with_uncoupled_pairs,
 )
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, multiply
@@ -272,13 +272,13 @@ def test_parts_above_and_below_zero_make_up_the_whole() -> None:
 def test_scaling(samples: int | None) -> None:
     """L times the gap: L times the force, the same tangent; L times the stiffness: L times both."""
     gap = random_gaps(5, 4)
-    integrals = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples)
+    integrals = integrals_with_uncoupled_pairs(UnilateralPenalty(STIFFNESS), 5, samples)
     force, tangent = linearised(integrals, gap)
     scaled_point = linearised(integrals, 1e6 * gap)
     assert np.allclose(scaled_point[0], 1e6 * force, rtol=1e-9, atol=1e-6)
     assert np.allclose(scaled_point[1], tangent, rtol=0.0, atol=1e-9)
     law = UnilateralPenalty(STIFFNESS).scaled(1e3)
-    stiffer = linearised(contact_integrals(law, 5, samples), gap)
+    stiffer = linearised(integrals_with_uncoupled_pairs(law, 5, samples), gap)
     assert np.allclose(stiffer[0], 1e3 * force) and np.allclose(stiffer[1], 1e3 * tangent)
 
 
@@ -290,9 +290,9 @@ def test_scaling(samples: int | None) -> None:
 def test_stiffness_of_each_pair(law: Callable[..., ContactLaw], samples: int | None) -> None:
     """Pairs with stiffnesses of their own give what each gives alone."""
     gap = random_gaps(5, 4)
-    force, tangent = linearised(contact_integrals(law(STIFFNESS), 5, samples), gap)
+    force, tangent = linearised(integrals_with_uncoupled_pairs(law(STIFFNESS), 5, samples), gap)
     for pair, stiffness in enumerate(STIFFNESS):
-        pair_integrals = contact_integrals(law(float(stiffness)), 5, samples)
+        pair_integrals = integrals_with_uncoupled_pairs(law(float(stiffness)), 5, samples)
         one_force, one_tangent = linearised(pair_integrals, gap[:, pair : pair + 1])
         assert np.allclose(force[:, pair], one_force[:, 0], rtol=0.0, atol=1e-12)
         assert np.allclose(tangent[pair], one_tangent[0], rtol=0.0, atol=1e-10)
@@ -317,13 +317,13 @@ def test_widened_integrals_see_the_same_wave() -> None:
 def test_choice_of_integrals() -> None:
     """Exact for the penalty law unless samples are given; the default samples grow with H."""
     penalty, smoothed_law = UnilateralPenalty(1.0), SmoothedPenalty(1.0, 1.0)
-    assert isinstance(contact_integrals(penalty, 5), ExactIntegrals)
-    integrals = contact_integrals(penalty, 5, 64)
+    assert isinstance(integrals_with_uncoupled_pairs(penalty, 5), ExactIntegrals)
+    integrals = integrals_with_uncoupled_pairs(penalty, 5, 64)
     assert isinstance(integrals, SampledIntegrals) and integrals.samples == 64
-    integrals = contact_integrals(smoothed_law, 5, n_load_periods=3)
+    integrals = integrals_with_uncoupled_pairs(smoothed_law, 5, n_load_periods=3)
     assert isinstance(integrals, SampledIntegrals) and integrals.samples == 3 * 1024
-    assert default_samples(5) == default_samples(32) == 1024
-    assert default_samples(33) == 2048
+    assert default_n_samples(5) == default_n_samples(32) == 1024
+    assert default_n_samples(33) == 2048
 
 
 # --- forces that couple the pairs -----------------------------------------------------------------
@@ -456,7 +456,7 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
             assert relative(point.force, spring.force) < 1e-12
         assert relative(forces.tangent()[:, 0], spring.tangent[0]) < 1e-11
         assert relative(pair.tangent, spring.tangent) < 1e-12
-        coupled_slope, pair_slope = (point.by_softness() for point in (forces, pair))
+        coupled_slope, pair_slope = (point.softness_derivative() for point in (forces, pair))
         assert np.allclose(coupled_slope, pair_slope, rtol=1e-10, atol=1e-12)
 
 
@@ -517,13 +517,13 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     """By central differences; a rigid law has no stiffness to depend on."""
     gap, contact = random_gaps(5, 3, 3), integrals(kind, 5, relative_softness=softness)
     forces, step = contact.linearise(gap), 1e-5
-    slope = forces.by_softness()
+    slope = forces.softness_derivative()
     shifted_forces = [
         contact.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)
     ]
     assert relative((shifted_forces[0] - shifted_forces[1]) / (2.0 * step), slope) < 1e-5
     if kind == "rigid":
-        assert not np.any(forces.by_log_stiffness())
+        assert not np.any(forces.log_stiffness_derivative())
         return
     law = contact.law
 
@@ -535,7 +535,7 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
         )
         return softened_contact.linearise(gap).force
 
-    assert relative(difference(scaled, 0.0, step) / step, forces.by_log_stiffness()) < 1e-5
+    assert relative(difference(scaled, 0.0, step) / step, forces.log_stiffness_derivative()) < 1e-5
 
 
 def test_widened_keeps_the_forces() -> None:
@@ -599,7 +599,7 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
     wave, second_wave = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
     results_by_count = []
     for limit in (10**6, 0):
-        monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_SIZE", limit)
+        monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_ENTRIES", limit)
         count = n_instants_for_products(harmonics)
         assert count > 4 * harmonics
         values = (
@@ -669,7 +669,7 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
         product_rows += 1j * omega * product(structure.damping_matrix)
     if (modes := damped_modes(structure)) is not None:
         modal_velocity = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
-        product_rows += 1j * omega * (modal_velocity * modes.modal_damping) @ modes.mass_shapes.T
+        product_rows += 1j * omega * (modal_velocity * modes.damping_rates) @ modes.mass_shapes.T
     return product_rows
 
 
@@ -724,7 +724,7 @@ def test_against_dense_matrices(damping: Any, omega: float) -> None:
                 exact_solution = np.linalg.solve(matrix, rows.T).T
                 assert relative_error(stiffness.solve(rows), exact_solution) < 1e-10
             exact_solution = gap.T @ np.linalg.solve(matrix, gap)
-            assert relative_error(stiffness.compliance(), exact_solution) < 1e-10
+            assert relative_error(stiffness.pair_compliance_matrix(), exact_solution) < 1e-10
 
 
 @pytest.mark.parametrize("damping", [None, ModalDamping(0.001), ModalDamping(0.001, 10)])
@@ -741,14 +741,14 @@ def test_paper_plate_against_dense_matrices(
         assert relative_error(solution, np.linalg.solve(matrix, structure.force.T).T) < 1e-10
         assert relative_error(applied(structure, omega, solution), solution @ matrix.T) < 1e-12
         exact_compliance = gap.T @ np.linalg.solve(matrix, gap)
-        assert relative_error(stiffness.compliance(), exact_compliance) < 1e-10
+        assert relative_error(stiffness.pair_compliance_matrix(), exact_compliance) < 1e-10
 
 
 @pytest.mark.parametrize("damping", DAMPINGS.values(), ids=DAMPINGS)
 def test_symmetry_of_the_compliance(damping: Any) -> None:
     """Reciprocity: R = R^T, but for a damping matrix that is not symmetric itself."""
     with DynamicStiffness(random_structure(damping), 7.77) as stiffness:
-        compliance = stiffness.compliance()
+        compliance = stiffness.pair_compliance_matrix()
     asymmetry = relative_error(compliance, compliance.T)
     if isinstance(damping, np.ndarray) and not np.array_equal(damping, damping.T):
         assert asymmetry > 1e-3
@@ -760,7 +760,7 @@ def test_dissipation() -> None:
     """Damping takes energy out: the imaginary part of f^T Z^-1 f is negative for every f."""
     for damping in (ModalDamping(0.02), np.eye(N)):
         with DynamicStiffness(random_structure(damping), 7.77) as stiffness:
-            work = stiffness.compliance().imag
+            work = stiffness.pair_compliance_matrix().imag
         assert np.linalg.eigvalsh((work + work.T) / 2.0).max() < 0.0
 
 
@@ -780,7 +780,7 @@ def check_near_resonance(structure: Structure, mode: int, offset: float) -> None
     force = rng.standard_normal((2, structure.n_dofs)) + 1j * rng.standard_normal(structure.n_dofs)
     with DynamicStiffness(structure, omega) as stiffness:
         assert relative_error(stiffness.solve(force), force @ inverse.T) < 1e-8
-        assert relative_error(stiffness.compliance(), gap.T @ inverse @ gap) < 1e-8
+        assert relative_error(stiffness.pair_compliance_matrix(), gap.T @ inverse @ gap) < 1e-8
 
 
 @pytest.mark.drawn(10)
@@ -925,7 +925,7 @@ def responses(scene: Scene, cases: list[Any], comm: MPI.Comm) -> list[Any]:
         with DynamicStiffness(damped_structure, omega) as stiffness:
             response = stiffness.solve(built.force.astype(complex))
             load_rows = applied(damped_structure, omega, response)
-            compliance = stiffness.compliance()
+            compliance = stiffness.pair_compliance_matrix()
         shape = gather_rows(comm, np.append(response[2], 0.0)[local])[order]
         residual = comm.allreduce(np.abs(load_rows - built.force).max(), MPI.MAX)
         results_by_case.append({"shape": shape, "compliance": compliance, "residual": residual})
@@ -967,7 +967,7 @@ def compliances(kinds: list[str], comm: MPI.Comm) -> list[np.ndarray]:
             mass, stiffness, gap=structure.gap, damping=damping, comm=comm
         )
         with DynamicStiffness(distributed_structure, 7.77) as dynamic:
-            compliance_matrices.append(dynamic.compliance())
+            compliance_matrices.append(dynamic.pair_compliance_matrix())
     return compliance_matrices
 
 
@@ -999,7 +999,10 @@ def test_reduced_chain_that_is_not_fixed() -> None:
                     DynamicStiffness(full_structure, omega) as full_stiffness,
                 ):
                     errors.append(
-                        relative(reduced_stiffness.compliance(), full_stiffness.compliance())
+                        relative(
+                            reduced_stiffness.pair_compliance_matrix(),
+                            full_stiffness.pair_compliance_matrix(),
+                        )
                     )
             assert max(errors) < previous
             previous = max(errors)
@@ -1029,7 +1032,7 @@ def test_lands_where_the_path_bends_at_its_end(
     harmonics: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Landing from the chord fails here, and the path does not come back: from its last point."""
-    prevent(monkeypatch, "_guesses_by_harmonics")
+    prevent(monkeypatch, "_yield_guesses_from_fewer_harmonics")
     structure = oscillator(0.02, 0.1)
     omega = FREQUENCIES[82]
     law = fc.UnilateralPenalty(10.0)
@@ -1052,10 +1055,22 @@ def stopped_chain(pairs: int, damping: float) -> fc.Structure:
 @pytest.mark.parametrize(
     ("start", "name", "omega", "law", "harmonics"),
     [
-        ("_guesses_by_harmonics", "full Newton steps", 0.45, fc.SmoothedPenalty(1.0, 10.0), 5),
-        ("_guesses_by_harmonics", "from fewer harmonics", 0.45, fc.SmoothedPenalty(1.0, 10.0), 40),
         (
-            "_guesses_by_continuation",
+            "_yield_guesses_from_fewer_harmonics",
+            "full Newton steps",
+            0.45,
+            fc.SmoothedPenalty(1.0, 10.0),
+            5,
+        ),
+        (
+            "_yield_guesses_from_fewer_harmonics",
+            "from fewer harmonics",
+            0.45,
+            fc.SmoothedPenalty(1.0, 10.0),
+            40,
+        ),
+        (
+            "_yield_guesses_by_continuation",
             "continuation in the contact compliance",
             0.9,
             fc.UnilateralPenalty(1e4),

@@ -51,7 +51,7 @@ from fenics_crack.numerics.fourier import evaluate_series, sample_period, to_com
 from fenics_crack.numerics.newton import (
     PathPoint,
     point_on_path,
-    solve_at,
+    solve_at_parameter,
     solve_in_plane,
     tangent_of,
     try_step,
@@ -131,12 +131,13 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
 
     Raises ConvergenceError where an instant has no forces.
     """
-    columns, pairs = len(gap), len(contact.compliance)
+    columns, pairs = len(gap), len(contact.compliance_matrix)
     gap = require_shape(gap, 2 * (columns // 2) + 1, pairs)
     count = kernel.interval_cells(columns // 2, pairs)
     closed_at_start, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
-        "pivot_table", pairs=pairs, compliance=contact.compliance, table=np.empty((pairs, pairs)),
+        "pivot_table", pairs=pairs, compliance=contact.compliance_matrix,
+        table=np.empty((pairs, pairs)),
         closed=np.empty(pairs, dtype=bool), work=np.empty(4 * pairs),
     )  # fmt: skip
     waves, places = _waves(columns // 2, count, pairs), count + 8 * pairs
@@ -204,7 +205,7 @@ WRONG = {
     "sets, a compliance not square": lambda: ActiveSetSolver(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
-    "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
+    "inverses, other pairs": lambda: TWO.invert_compliance_on_sets(np.ones((4, 3), bool)),
     "responses, other pairs": lambda: multiply_compliance_and_force(
         np.ones((2, 3, 3)), np.ones((3, 2))
     ),
@@ -292,7 +293,7 @@ def test_sets_are_those_of_every_instant(pairs: int, harmonics: int, seed: int) 
     # The forces on both sides of an event are the same: they vanish, or begin, there.
     values = evaluate_series(gap, 1.0, intervals.theta[1:])
     forces_before, forces_after = (
-        np.einsum("npq,nq->np", contact.invert_sets(sets), values)
+        np.einsum("npq,nq->np", contact.invert_compliance_on_sets(sets), values)
         for sets in (intervals.closed[:-1], intervals.closed[1:])
     )
     max_force = np.abs(contact.solve(evaluate_series(gap, 1.0, theta))[0]).max()
@@ -720,7 +721,7 @@ def test_undamped_resonance() -> None:
         fc.Problem(oscillator(None, 0.1), 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
     )
     with pytest.raises(fc.ConvergenceError, match="singular"):
-        solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9)
+        solve_at_parameter(family, np.ones((7, 1)), 0.5, tolerance=1e-9)
 
 
 def test_fold_and_value_between_two_points() -> None:
@@ -959,8 +960,8 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
         monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", 0)
     family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
     system = family.system(family.start)
-    assert system.integrals.has_coupled_pairs and system.matrix_free != formed
-    start = solve_at(Plain(family), system.linear_gap, 0.0, tolerance=1e-12)
+    assert system.integrals.has_coupled_pairs and system.is_matrix_free != formed
+    start = solve_at_parameter(Plain(family), system.linear_gap, 0.0, tolerance=1e-12)
     tolerance, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
     options = PathOptions(0.01, max_step=0.2, min_step=1e-10)
     ways = [
@@ -1011,7 +1012,10 @@ def test_an_instant_without_forces_is_no_solution() -> None:
     """BalanceEquations that are not finite: no point, and no crash."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
     for bad_number in (np.nan, np.inf, 1e300):
-        assert solve_at(family, np.full(family.shape, bad_number), 0.5, tolerance=1e-9) is None
+        assert (
+            solve_at_parameter(family, np.full(family.shape, bad_number), 0.5, tolerance=1e-9)
+            is None
+        )
     compiled = family.compiled_equations
     assert compiled is not None and compiled.linearise(np.zeros(family.shape), 0.5).residual.any()
     linearisation = compiled.linearise(

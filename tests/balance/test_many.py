@@ -53,7 +53,9 @@ def check_single(cases: fc.ManyOrbits, share: float) -> None:
             value = getattr(cases, name)[case]
             assert value == pytest.approx(getattr(indicators, name), rel=1e-4), name
         coefficients = case_orbit.coefficients(cases.harmonics)
-        error = truncated_orbit_solution(problem, case_orbit, coefficients).assessment.distance
+        error = truncated_orbit_solution(
+            problem, case_orbit, coefficients
+        ).assessment.relative_orbit_distance
         assert cases.truncation[case] == pytest.approx(error, rel=0.02, abs=1e-6)
     assert n_same >= share * len(cases.omega)
 

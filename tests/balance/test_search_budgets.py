@@ -49,7 +49,9 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     iterations as many as the budget has, besides one for each guess."""
     structure, law = rubbing_masses()
     monkeypatch.setattr("fenics_crack.balance.problem.MAX_FRICTION_SEARCH_WORK", 1.0)
-    monkeypatch.setattr("fenics_crack.balance.problem.is_affordable", lambda *given: False)
+    monkeypatch.setattr(
+        "fenics_crack.balance.problem.is_orbit_search_affordable", lambda *given: False
+    )
     solution = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
     assert not solution.converged and solution.report.unknown
     assert "no solution in" in solution.status and "try other harmonics" in solution.status
@@ -94,6 +96,6 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
                 verdicts.append(solution.stability.verdict)
                 continue
             orbit = solution.assessment.nearest_orbit
-            assert orbit is not None and solution.assessment.distance < 0.01
+            assert orbit is not None and solution.assessment.relative_orbit_distance < 0.01
             assert np.abs(orbit.multipliers).max() > 2.0
     assert set(verdicts) <= {"unstable", "irregular"}

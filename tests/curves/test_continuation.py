@@ -125,13 +125,13 @@ def test_frequency_derivative() -> None:
         force = rng.normal(size=(7, 2))
 
         def moved(omega: float, problem: fc.Problem = problem, force: np.ndarray = force) -> Any:
-            compliance = replace(problem, omega=omega).compliance()
+            compliance = replace(problem, omega=omega).compliance_model()
             waves = np.einsum("kpq,kq->kp", compliance.matrices, to_complex(force))
             return waves - to_complex(compliance.linear_gap)
 
         step = 1e-6
         slope = (moved(0.7 + step) - moved(0.7 - step)) / (2.0 * step)
-        exact = to_complex(problem.compliance().residual_derivative("omega", force))
+        exact = to_complex(problem.compliance_model().residual_derivative("omega", force))
         assert np.allclose(slope, exact, rtol=1e-6, atol=1e-7 * np.abs(exact).max())
 
 

@@ -56,7 +56,9 @@ def newton_step(curve: fc.ResponseCurve, index: int) -> float:
     """How far a point would move, relative to it, with the same modes that answer at once."""
     point = curve.solution(index)
     problem = replace(curve.problem.with_harmonics(point.harmonics), omega=point.omega)
-    linearisation = problem.system(problem.compliance()).linearise(point.slow_gap_coefficients)
+    linearisation = problem.system(problem.compliance_model()).linearise(
+        point.slow_gap_coefficients
+    )
     return float(
         np.abs(linearisation.solve(linearisation.residual)).max()
         / np.abs(linearisation.unknown).max()

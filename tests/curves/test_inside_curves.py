@@ -31,7 +31,7 @@ from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
     MultiplierStepControl,
-    count_changes,
+    changes_of_counts,
     leading_multipliers_and_counts,
 )
 from fenics_crack.curves.orbits import OrbitEquations
@@ -177,7 +177,7 @@ def test_over_the_speed_of_a_rotor() -> None:
     orbit = orbit_at(family.problem_at(600.0))
     assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
-    assert family.state(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
+    assert family.curve_points_row(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
     size = np.abs(unknown).max()
     point, step = family.linearise(unknown, 0.5), 1e-5
     assert point.residual == pytest.approx(0.0, abs=1e-9 * size)
@@ -456,7 +456,7 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
     curve = continue_frequency(structure, *map(float, span), law, harmonics=6, throw=False)
     for place, assessment in enumerate(curve.assessments(range(len(curve)))):
         problem = curve.problem_of(place)
-        linearisation = problem.system(problem.compliance()).linearise(curve.points[place])
+        linearisation = problem.system(problem.compliance_model()).linearise(curve.points[place])
         point_wave = problem.wave(linearisation)
         assert (
             assessment.wave.omega == point_wave.omega
@@ -482,7 +482,7 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
 )
 def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, ...]) -> None:
     """Of r, d and c."""
-    assert count_changes(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
+    assert changes_of_counts(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
 
 
 @pytest.mark.parametrize(
@@ -778,7 +778,7 @@ STOP = fc.UnilateralPenalty(100.0)
 
 def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that were found until then."""
-    record, count = Continuation._record, 0
+    record, count = Continuation._append_segment, 0
 
     def interrupted(path: Continuation, points: object) -> object:
         nonlocal count
@@ -787,7 +787,7 @@ def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         return record(path, points)
 
-    monkeypatch.setattr(Continuation, "_record", interrupted)
+    monkeypatch.setattr(Continuation, "_append_segment", interrupted)
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2, progress=True)
     assert curve.status == INTERRUPTED_STATUS and len(curve) == 21 and not curve.complete
 

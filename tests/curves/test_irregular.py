@@ -36,7 +36,8 @@ def test_disturbance_grows_as_two_motions_part() -> None:
     assert stability.verdict == "irregular" and "the exact motion is irregular" in stability.reason
     [motion] = fc.attractors(plate(), solution)
     assert motion.growth == stability.multipliers[0] and motion.orbit is None
-    flow, states = exact_flow_or_error(plate(), LAW), [solution.assessment.states_over_period[0]]
+    flow = exact_flow_or_error(plate(), LAW)
+    states = [solution.assessment.states_at_period_parts[0]]
     states.append(states[0] * (1.0 + 1e-10 * np.random.default_rng(2).normal(size=flow.size)))
     distances = []
     for _ in range(11):
@@ -74,7 +75,9 @@ def test_stable_motion_is_not_irregular() -> None:
     assessment = solution.assessment
     for factor in (1.0, 1.3):
         assert (
-            find_irregular_motion(assessment.flow, 0.8, factor * assessment.states_over_period[0])
+            find_irregular_motion(
+                assessment.flow, 0.8, factor * assessment.states_at_period_parts[0]
+            )
             is None
         )
 

@@ -49,7 +49,7 @@ def test_basis_of_all_speeds() -> None:
         )
         massless_structure = fc.reduce_structure(structure_at_speed, modes=6, method="massless")
         rotor_compliance, massless_compliance = (
-            fc.Problem(structure, 0.9 * ORDER * speed, law).compliance()
+            fc.Problem(structure, 0.9 * ORDER * speed, law).compliance_model()
             for structure in (at_speed, massless_structure)
         )
         for name in ("matrices", "linear_gap"):
@@ -101,7 +101,7 @@ def test_factor_of_the_damping() -> None:
         fc.run_up_structure(full_structure.varied(damping=factor), 560.0, 640.0, 3)
         for factor in (1.0, 2.0)
     )
-    assert doubled_rotor.rate == pytest.approx(2.0 * rotor.rate, rel=1e-9)
+    assert doubled_rotor.modal_damping == pytest.approx(2.0 * rotor.modal_damping, rel=1e-9)
     assert str(doubled_rotor.at_speed(600.0).damping) == "modal damping 1 %"
     assert str(doubled_rotor.varied(damping=3.0).at_speed(600.0).damping) == "modal damping 3 %"
 
@@ -114,7 +114,7 @@ def test_derivative_by_the_speed() -> None:
     solution = fc.solve_harmonic_balance(rotor, problem.omega, problem.contact, harmonics=3)
     assert solution.indicators(0).closed_share > 0.05
     family, unknown = BalanceAlongSpeed(problem, 560.0, 640.0), solution.slow_gap_coefficients
-    rate = family._residual_by_value(600.0, family.system(600.0).linearise(unknown))
+    rate = family._residual_derivative_by_value(600.0, family.system(600.0).linearise(unknown))
     lower_residual, upper_residual = (
         family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01)
     )

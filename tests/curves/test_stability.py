@@ -144,7 +144,9 @@ def test_solution_far_away_from_its_orbit() -> None:
     names = ("displacement_coefficients", "gap_coefficients", "force_coefficients")
     scaled_solution = replace(solution, **{name: 1.28 * getattr(solution, name) for name in names})
     assert scaled_solution.assessment is not solution.assessment
-    assert scaled_solution.assessment.gap_and_load_errors() == pytest.approx((0.28, 0.28), rel=1e-4)
+    assert scaled_solution.assessment.gap_and_displacement_errors() == pytest.approx(
+        (0.28, 0.28), rel=1e-4
+    )
     stability = floquet(structure, scaled_solution)
     assert floquet(structure, solution).verdict == "stable" and stability.verdict == "undecided"
     assert "which is stable, is 28 % away where 22 % was predicted" in stability.reason

@@ -42,7 +42,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
-from fenics_crack.model.rotation import coriolis_shifts, static_state
+from fenics_crack.model.rotation import relative_coriolis_shifts, static_displacement_and_forces
 from fenics_crack.monitoring.scene_timing import (
     describe_tip,
     find_probed_displacement,
@@ -385,7 +385,7 @@ def test_forces_of_a_solid_are_swept(tmp_path: Path) -> None:
             gap = solution.gap_coefficients
             assert np.abs(sweep.gap((row, column)) - gap).max() < 1e-6 * np.abs(gap).max()
             often = solution.period * np.arange(2**15) / 2**15  # 1e-8 from the extremes
-            load_motion = solution.coordinates(often) @ solution.structure.force[1]
+            load_motion = solution.displacement_of_local_dofs(often) @ solution.structure.force[1]
             response = 0.5 * np.ptp(load_motion) / np.linalg.norm(cosine)
             assert sweep["response"][row, column] == pytest.approx(response, rel=1e-6)
 
@@ -988,7 +988,7 @@ def test_two_ranks_build_the_same_solid(on_ranks: Callable[..., Any]) -> None:
 def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     """Gaps and contact forces of the static state, whose equilibrium is checked to 1e-10."""
     force = structure.force[0]
-    displacement, pairs = static_state(structure, force, structure.clearance)
+    displacement, pairs = static_displacement_and_forces(structure, force, structure.clearance)
     unbalance = (
         multiply(structure.stiffness, displacement[:, None])[:, 0] + structure.gap @ pairs - force
     )
@@ -1039,7 +1039,7 @@ def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
 def at_rest(scene: Scene, comm: MPI.Comm) -> list[float]:
     """Two frequencies, the smallest gap and the sum of the contact forces (collective)."""
     plate = fc.build_structure(scene, comm)
-    displacement, pairs = static_state(plate, plate.force[0], plate.clearance)
+    displacement, pairs = static_displacement_and_forces(plate, plate.force[0], plate.clearance)
     gap = plate.apply_bt(displacement[None])[0]
     return [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
 
@@ -1134,11 +1134,11 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     shaft = bar(rotation={"speed": speed} | place)
     [omega_at_rest, _] = fc.solve_modes(shaft.rotation.at_rest, 2).omega
     modes = fc.solve_modes(shaft, 2)
-    whirl_omegas = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
+    whirl_omegas = modes.omega * (1.0 + relative_coriolis_shifts(modes, speed * axis))
     assert whirl_omegas == pytest.approx([omega_at_rest - speed, omega_at_rest + speed], rel=2e-3)
     scene = Scene.from_mapping(BAR | PUSHED | {"rotation": {"rpm": 6000.0} | place})
     [remark] = remarks_on_scene(scene, shaft)
-    max_shift = np.abs(coriolis_shifts(fc.solve_modes(shaft, 4), speed * axis)).max()
+    max_shift = np.abs(relative_coriolis_shifts(fc.solve_modes(shaft, 4), speed * axis)).max()
     assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, left out, would move")
     assert str(remark).endswith(f"by {max_shift:.2%}")
     diagram = fc.campbell(scene, [0.0, speed], 2)
@@ -1149,10 +1149,12 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
         BAR | PUSHED | {"rotation": {"speed": 100.0, "hub_radius": 0.1}}
     )
     blade = fc.build_structure(offset_scene)
-    assert np.all(np.abs(coriolis_shifts(fc.solve_modes(blade, 4), 100.0 * axis[[1, 0, 2]])) < 1e-3)
+    assert np.all(
+        np.abs(relative_coriolis_shifts(fc.solve_modes(blade, 4), 100.0 * axis[[1, 0, 2]])) < 1e-3
+    )
     assert not remarks_on_scene(offset_scene, blade)
     plate = fc.solve_modes(fc.build_structure(rotating.strip(1, 1.0)), 2)
-    assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
+    assert not np.any(relative_coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
 
 
 def test_compiler_is_quiet(

@@ -198,7 +198,8 @@ def test_damping_matrix_couples_the_modes() -> None:
     structure = chain("matrix", 20)
     _, damping, _ = dense_matrices(structure)
     reduced_model = reduced(structure, 6)
-    assert reduced_model.rate.shape == (6, 6)
+    assert reduced_model.modal_damping.shape == (6, 6)
     assert (
-        relative(reduced_model.rate, reduced_model.basis.T @ damping @ reduced_model.basis) < 1e-9
+        relative(reduced_model.modal_damping, reduced_model.basis.T @ damping @ reduced_model.basis)
+        < 1e-9
     )

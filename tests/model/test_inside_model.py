@@ -26,12 +26,12 @@ from fenics_crack.model import contact as contact_module
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model.contact import (
     ActiveSetSolver,
-    smooth_forces_and_slopes,
-    solve_by_least_squares,
+    forces_and_slopes_of_smooth_law,
     solve_complementarity,
+    solve_complementarity_by_least_squares,
     solve_forces,
 )
-from fenics_crack.model.factor import Factor, distribute_rows
+from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.model.matrices import read_labels
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_count_and_max_omega, damped_modes, largest_frequency
@@ -117,9 +117,9 @@ def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.Mon
 
     def counted(matrix: np.ndarray, row: np.ndarray) -> np.ndarray:
         nnls_rows.append(row)
-        return solve_by_least_squares(matrix, row)
+        return solve_complementarity_by_least_squares(matrix, row)
 
-    monkeypatch.setattr(contact_module, "solve_by_least_squares", counted)
+    monkeypatch.setattr(contact_module, "solve_complementarity_by_least_squares", counted)
     force, closed_sets = ActiveSetSolver(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
     assert len(nnls_rows) > 5 and np.array_equal(closed_sets, force > 0.0)
     assert relative(force[:, ::2] + force[:, 1::2], single_force) < 1e-9
@@ -148,7 +148,7 @@ def test_no_instants_and_no_pairs() -> None:
     """Arrays without rows, and laws of pairs that are not there, come back as they are."""
     sets = ActiveSetSolver(np.eye(2))
     assert [part.shape for part in sets.solve(np.zeros((0, 2)))] == [(0, 2), (0, 2)]
-    assert sets.invert_sets(np.zeros((0, 2), bool)).shape == (0, 2, 2)
+    assert sets.invert_compliance_on_sets(np.zeros((0, 2), bool)).shape == (0, 2, 2)
 
 
 def test_slope_is_that_of_the_set() -> None:
@@ -157,7 +157,7 @@ def test_slope_is_that_of_the_set() -> None:
     compliance = np.linalg.inv(random_stiffness(rng, 4))
     sets, gap, step = ActiveSetSolver(compliance), rng.normal(size=(20, 4)), 1e-7
     _, closed_sets = sets.solve(gap)
-    slopes = sets.invert_sets(closed_sets)
+    slopes = sets.invert_compliance_on_sets(closed_sets)
     for pair in range(4):
         change = step * np.eye(4)[pair]
         upper_force, lower_force = (sets.solve(gap + sign * change)[0] for sign in (1.0, -1.0))
@@ -189,7 +189,7 @@ def test_smoothed_law_against_a_root_finder(stiffness: float, sharpness: float) 
     law = fc.SmoothedPenalty(stiffness, sharpness)
     compliance = np.linalg.inv(random_stiffness(rng, 3))
     gap = rng.normal(size=(25, 3))
-    force, _ = smooth_forces_and_slopes(law, compliance, gap)
+    force, _ = forces_and_slopes_of_smooth_law(law, compliance, gap)
     for row, force_row in zip(gap, force, strict=True):
         result = scipy.optimize.root(
             lambda g, s=row: g + compliance @ law.force(g) - s,
@@ -205,7 +205,7 @@ def test_smoothed_law_alone_against_bisection() -> None:
     """One pair: the only root of g + R h(g) = s, bracketed."""
     law = fc.SmoothedPenalty(200.0, 40.0)
     gap = np.linspace(-2.0, 2.0, 41)[:, None]
-    force, _ = smooth_forces_and_slopes(law, np.full((1, 1), 0.3), gap)
+    force, _ = forces_and_slopes_of_smooth_law(law, np.full((1, 1), 0.3), gap)
     for s, pair_force in zip(gap[:, 0], force[:, 0], strict=True):
         root = scipy.optimize.brentq(
             lambda g, s=s: g + 0.3 * float(law.force(np.array(g))) - s, -10.0, 10.0, xtol=1e-15
@@ -219,11 +219,12 @@ def test_slope_of_a_smoothed_law(sharpness: float) -> None:
     rng = np.random.default_rng(8)
     law, step = fc.SmoothedPenalty(50.0, sharpness), 1e-6
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(15, 3))
-    _, slope = smooth_forces_and_slopes(law, compliance, gap)
+    _, slope = forces_and_slopes_of_smooth_law(law, compliance, gap)
     for pair in range(3):
         change = step * np.eye(3)[pair]
         upper_force, lower_force = (
-            smooth_forces_and_slopes(law, compliance, gap + s * change)[0] for s in (1.0, -1.0)
+            forces_and_slopes_of_smooth_law(law, compliance, gap + s * change)[0]
+            for s in (1.0, -1.0)
         )
         assert relative((upper_force - lower_force) / (2.0 * step), slope[:, :, pair]) < 1e-5
 
@@ -251,7 +252,7 @@ def test_hertz_law_is_solved_at_all_instants_together() -> None:
     counts = []
     for instants in (gap, np.tile(gap, (100, 1))):
         Hertz.calls = 0
-        force, _ = smooth_forces_and_slopes(law, compliance, instants)
+        force, _ = forces_and_slopes_of_smooth_law(law, compliance, instants)
         counts.append(Hertz.calls)
         assert relative(law.force(instants - force @ compliance), force) < 1e-9
     assert counts[1] <= 2 * counts[0]
@@ -264,7 +265,8 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
     penalty_force = ActiveSetSolver(compliance + np.eye(3) / 10.0).solve(gap)[0]
     soft_error, sharp_error = (
         relative(
-            smooth_forces_and_slopes(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], penalty_force
+            forces_and_slopes_of_smooth_law(fc.SmoothedPenalty(10.0, s), compliance, gap)[0],
+            penalty_force,
         )
         for s in (1e3, 1e5)
     )
@@ -274,7 +276,7 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
 def test_without_compliance_the_law_itself() -> None:
     """D = 0: h(s) and h'(s)."""
     law, gap = fc.SmoothedPenalty(7.0, 3.0), np.linspace(-1.0, 1.0, 20).reshape(10, 2)
-    force, slope = smooth_forces_and_slopes(law, np.zeros((2, 2)), gap)
+    force, slope = forces_and_slopes_of_smooth_law(law, np.zeros((2, 2)), gap)
     assert np.allclose(force, law.force(gap), rtol=1e-14)
     assert np.allclose(np.einsum("npp->np", slope), law.tangent(gap), rtol=1e-14)
     assert not np.any(slope[:, 0, 1])
@@ -304,7 +306,7 @@ def test_complementarity_against_enumeration(seed: int) -> None:
     exact = by_enumeration(matrix, gap)
     for guess in (None, np.zeros(6, dtype=bool), np.ones(6, dtype=bool), rng.normal(size=6) > 0.0):
         assert np.allclose(solve_complementarity(matrix, gap, guess), exact, atol=1e-9)
-    assert np.allclose(solve_by_least_squares(matrix, gap), exact, atol=1e-9)
+    assert np.allclose(solve_complementarity_by_least_squares(matrix, gap), exact, atol=1e-9)
 
 
 def test_complementarity_where_active_sets_cycle() -> None:
@@ -388,7 +390,7 @@ def test_a_diverging_structure_is_refused() -> None:
         with pytest.raises(InputError, match="1 negative eigenvalue"):
             Structure.from_matrices(np.eye(39), stiffness, gap=None)
         unstable_structure = structure._plain_structure_with_changes(
-            stiffness=distribute_rows(stiffness, structure.comm)
+            stiffness=make_matrix_from_local_rows(stiffness, structure.comm)
         )
         with pytest.raises(InputError, match="positive semidefinite") as caught:
             solve_modes(unstable_structure, 2)
@@ -403,7 +405,7 @@ def test_damped_modes() -> None:
     mode_set = damped_modes(structure)
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
     np.testing.assert_allclose(
-        mode_set.modal_damping, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
+        mode_set.damping_rates, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
     )
     np.testing.assert_allclose(mode_set.mass_shapes, mass @ mode_set.shapes, rtol=1e-12, atol=1e-14)
     assert damped_modes(structure) is mode_set
@@ -501,7 +503,7 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
         if damped_mode_set is not None:
             ratio = np.asarray(copy.damping.ratio)
             np.testing.assert_allclose(
-                damped_mode_set.modal_damping, 2.0 * ratio * damped_mode_set.omega, rtol=1e-14
+                damped_mode_set.damping_rates, 2.0 * ratio * damped_mode_set.omega, rtol=1e-14
             )
     assert eigensolutions == []
 
@@ -517,7 +519,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
     )):  # fmt: skip
         del eigensolutions[:]
         compliance = FactoredCompliance(copy, 0.2, load_coefficients(copy, 3, 1))
-        compliances.append(compliance.compliance_above(6))
+        compliances.append(compliance.higher_harmonics_compliance(6))
         compliance.destroy()
         assert (eigensolutions == []) == (copy is half_damped)
     np.testing.assert_allclose(compliances[1], compliances[2], rtol=1e-7, atol=1e-12)
@@ -647,7 +649,10 @@ def test_motions_as_a_rigid_body() -> None:
         rate = rate if rate.ndim == 2 else np.diag(rate)
         assert relative(rate, 0.1 * reduced_model.basis.T @ reduced_model.basis) < 1e-8
         gap = structure.gap.toarray()
-        assert relative(reduced_model.residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-9
+        assert (
+            relative(reduced_model.residual_compliance, gap.T @ flexibility(structure, modes) @ gap)
+            < 1e-9
+        )
         for reduced_part, full_part in zip(
             (row[1:] for row in made_seen(reduced_model)),
             (row[1:] for row in made_seen(structure)), strict=True,
@@ -671,9 +676,9 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
         )
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))
-    matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
+    matrix = modes.compliance_of_pairs(receptance)[0] + structure.residual_compliance  # type: ignore[attr-defined]
     load = structure.force[1] @ modes.shapes
-    shape = modes.respond(receptance[0], load + 0j)
+    shape = modes.modal_response(receptance[0], load + 0j)
     linear = shape @ modes.gaps_by_mode + structure.force[1] @ modes.massless_pair_responses
     return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
 
@@ -695,6 +700,6 @@ def test_what_petsc_lacks_gives_way_to_mumps(monkeypatch: pytest.MonkeyPatch) ->
         lambda self, solver: factorise(self, renamed_solvers.get(solver, solver)),
     )
     stiffness = random_stiffness(np.random.default_rng(3), 6)
-    with Factor(distribute_rows(stiffness, MPI.COMM_SELF), definite=True) as factor:
+    with Factor(make_matrix_from_local_rows(stiffness, MPI.COMM_SELF), definite=True) as factor:
         assert relative(factor.solve(stiffness), np.eye(6)) < 1e-10
         assert factor.n_negative_pivots == 0

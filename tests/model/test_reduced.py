@@ -22,7 +22,7 @@ def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
 
 def compliance_of(structure: fc.Structure, base: float, harmonics: int) -> Any:
     """R_k, k = 0 to H, and what follows from contact forces."""
-    return fc.Problem(structure, base, fc.UnilateralConstraint(), harmonics).compliance()
+    return fc.Problem(structure, base, fc.UnilateralConstraint(), harmonics).compliance_model()
 
 
 def seen(structure: fc.Structure, base: float, harmonics: int) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +47,7 @@ def flexibility(structure: fc.Structure, modes: int) -> np.ndarray:
 def test_residual_is_what_the_modes_leave_out(modes: int, unconstrained: bool) -> None:
     """R_inf = B^T G B of dense matrices; symmetric, and positive definite."""
     structure = chain("none", 24, unconstrained=unconstrained)
-    residual = reduced(structure, modes).residual
+    residual = reduced(structure, modes).residual_compliance
     gap = structure.gap.toarray()
     assert relative(residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-8
     assert np.array_equal(residual, residual.T) and np.linalg.eigvalsh(residual)[0] > 0.0
@@ -62,7 +62,7 @@ def test_residual_beside_a_load_like_a_pair() -> None:
     structure = fc.Structure.from_matrices(mass, stiffness, gap=gap, force_cos=load)
     model = reduced(structure, 9)
     exact_residual = gap.T @ flexibility(structure, 9) @ gap
-    assert relative(model.residual, exact_residual) < 1e-11
+    assert relative(model.residual_compliance, exact_residual) < 1e-11
     assert (
         relative(
             fc.Problem(model, 1.0, fc.UnilateralConstraint(), 3).residual_compliance, exact_residual
@@ -87,7 +87,7 @@ def test_residual_of_what_is_hardly_held() -> None:
     structure = fc.Structure.from_matrices(mass, stiffness, gap=free_chain.gap)
     model, gap = reduced(structure, 9), structure.gap.toarray()
     assert 0.0 < model.omega[0] < 1e-6
-    assert relative(model.residual, gap.T @ flexibility(structure, 9) @ gap) < 1e-8
+    assert relative(model.residual_compliance, gap.T @ flexibility(structure, 9) @ gap) < 1e-8
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
@@ -99,7 +99,7 @@ def test_with_all_modes_nothing_is_left_out(damping: str) -> None:
         ratios = (0.05, 0.02, 0.08, *[0.08] * 17)
         damped_structure = structure.damped(fc.ModalDamping(ratios))
     model = reduced(structure, 20)
-    assert not np.any(model.residual)
+    assert not np.any(model.residual_compliance)
     base = 0.41 * fc.solve_modes(structure, 1).omega[0]
     for part, exact_part in zip(seen(model, base, 6), seen(damped_structure, base, 6), strict=True):
         assert relative(part, exact_part) < 1e-9
@@ -269,12 +269,14 @@ def test_ratios_of_the_kept_modes() -> None:
         isinstance(damped_model.reference, MasslessStructure)
         and damped_model.reference.n_modes == 15
     )
-    assert np.allclose(damped_model.rate, 2.0 * np.array(mode_ratios) * model.omega)
-    assert np.allclose(damped_model.reference.rate[5:], 0.06 * damped_model.reference.omega[5:])
-    assert np.allclose(model.damped(fc.ModalDamping([0.1] * 9)).rate, 0.2 * model.omega)
+    assert np.allclose(damped_model.modal_damping, 2.0 * np.array(mode_ratios) * model.omega)
+    assert np.allclose(
+        damped_model.reference.modal_damping[5:], 0.06 * damped_model.reference.omega[5:]
+    )
+    assert np.allclose(model.damped(fc.ModalDamping([0.1] * 9)).modal_damping, 0.2 * model.omega)
     rule = fc.RayleighDamping(0.2, 0.1)
-    assert np.allclose(model.damped(rule).rate, 0.2 + 0.1 * model.omega**2)
-    assert not np.any(damped_model.damped(None).rate)
+    assert np.allclose(model.damped(rule).modal_damping, 0.2 + 0.1 * model.omega**2)
+    assert not np.any(damped_model.damped(None).modal_damping)
     with pytest.raises(fc.InputError, match="damping"):
         model.damped(0.1)  # type: ignore[arg-type]
 
@@ -292,7 +294,7 @@ def test_load_among_the_contact_forces() -> None:
         damping=fc.ModalDamping(0.03),
     )  # fmt: skip
     model, omega = reduced(structure, 5), 0.41 * fc.solve_modes(structure, 1).omega[0]
-    assert relative(model.residual, gap.T @ flexibility(structure, 5) @ gap) < 1e-9
+    assert relative(model.residual_compliance, gap.T @ flexibility(structure, 5) @ gap) < 1e-9
     compliance, force = compliance_of(model, omega, 2), np.ones((5, 3))
     displacement = model.expand(compliance.displacement(force))
     assert relative(structure.apply_bt(displacement)[1:], made_gap(compliance, force)[1:]) < 1e-9
@@ -320,7 +322,7 @@ def test_without_a_load_and_without_pairs() -> None:
     assert unloaded_model.n_dofs == 6 and not np.any(unloaded_model.force)
     linear = fc.Structure.from_matrices(np.eye(12), stiffness, gap=None, force_cos=gap[:, 0])
     model = reduced(linear, 4)
-    assert model.n_dofs == 5 and model.residual.shape == (0, 0)
+    assert model.n_dofs == 5 and model.residual_compliance.shape == (0, 0)
 
 
 def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> None:
@@ -358,8 +360,14 @@ def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: 
             field = version.expand(coordinates)
             dofs = [0, 7, structure.n_dofs - 1]
             assert relative(version.values_at(coordinates, dofs), field[:, dofs]) < 1e-8
-            motion += [version.omega, version.residual, version.force, version.clearance, field]
-            motion += [np.asarray(version.damping_factor * version.rate)]
+            motion += [
+                version.omega,
+                version.residual_compliance,
+                version.force,
+                version.clearance,
+                field,
+            ]
+            motion += [np.asarray(version.damping_factor * version.modal_damping)]
         return motion
 
     base_chain = chain(damping, 40, unconstrained=unconstrained)
@@ -387,7 +395,7 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
         base_chain.with_harmonics(harmonics).damped(fresh_model.whole.damping), 6
     )
     assert not factorisations
-    for name in ("omega", "force", "compliance", "rate", "residual"):
+    for name in ("omega", "force", "compliance", "modal_damping", "residual_compliance"):
         assert relative(getattr(changed_model, name), getattr(fresh_model, name)) < 1e-9
     dofs, motion = [changed_model.watched_dof], np.cos(np.arange(1.0 * fresh_model.n_dofs))[None]
     assert (
@@ -414,7 +422,7 @@ def test_from_arrays_alone() -> None:
     receptances[:] = [Receptance(**parts, force=bare_chain.force)]
     object.__setattr__(bare_chain.body, "stiffness", AbsentMatrix(bare_chain.n_dofs, 0))
     array_model = reduced(bare_chain, 6)
-    assert relative(array_model.residual, full_model.residual) < 1e-14
+    assert relative(array_model.residual_compliance, full_model.residual_compliance) < 1e-14
     dof = [full_model.watched_dof]
     motion = np.cos(np.arange(1.0 * array_model.n_dofs))[None]
     assert relative(array_model.values_at(motion, dof), full_model.values_at(motion, dof)) < 1e-12
@@ -470,7 +478,13 @@ def massless_numbers(scene: fc.Scene, comm: MPI.Comm) -> list[np.ndarray]:
     corner = model.find_dof((0.1, 0.1), "x")
     gap = plate.apply_bt(solution.displacement_field(time))
     matrices = np.abs(compliance_of(model, 1500.0, 3).matrices)
-    return [model.omega, model.residual, matrices, gap, solution.displacement(time, [corner])]
+    return [
+        model.omega,
+        model.residual_compliance,
+        matrices,
+        gap,
+        solution.displacement(time, [corner]),
+    ]
 
 
 @pytest.mark.mpi

@@ -28,7 +28,7 @@ def march_cone(
     give = static_rows @ structure.flexibility @ static_rows.T
     load = structure.force[:, :count]
     residual_load = structure.force[:, count:] @ structure.flexibility @ static_rows.T
-    squares, rate, dt = structure.omega**2, structure.rate, 2.0 * np.pi / omega / steps
+    squares, rate, dt = structure.omega**2, structure.modal_damping, 2.0 * np.pi / omega / steps
     system = np.zeros((count, 4, 4))  # q, q', force at the start, its slope
     system[:, 0, 1] = system[:, 1, 2] = system[:, 2, 3] = 1.0
     system[:, 1, 0], system[:, 1, 1] = -squares, -rate

@@ -100,8 +100,10 @@ def test_harmonic_balance_within_its_stated_error() -> None:
     exact = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-4).orbit
     for harmonics in (5, 10, 20):
         solution = fc.solve_harmonic_balance(structure, omega, LAW, harmonics=harmonics)
-        gap = exact.sampled.gap + structure.clearance
-        error = relative(solution.gap(exact.sampled.time) - exact.sampled.gap + gap, gap)
+        gap = exact.period_samples.gap + structure.clearance
+        error = relative(
+            solution.gap(exact.period_samples.time) - exact.period_samples.gap + gap, gap
+        )
         assert error <= 2.0 * solution.report.total + 1e-6
     with pytest.raises(fc.InputError, match=r"harmonics = 4: must be .*5"):
         fc.solve_harmonic_balance(structure, omega, LAW, harmonics=4)

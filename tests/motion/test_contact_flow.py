@@ -451,8 +451,8 @@ def test_motion_in_arcs(light: bool) -> None:
     step, orbit = next_to(fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10))
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
     motion = predict_motion(flow, 0.5, step, 1)
-    assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
-    prediction = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
+    assert relative(motion.period_samples.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
+    prediction = predict_orbit(flow, 0.5, orbit.period_samples.whole_states[::16])
     assert prediction is not None and prediction.relative_gap_error < 1e-8
     one_period_motion = predict_motion(flow, 0.5, prediction, 1)
     assert (
@@ -481,8 +481,10 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
-    prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period)
-    second_orbit = find_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period[0])
+    prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_at_period_parts)
+    second_orbit = find_orbit(
+        orbit.flow, orbit.omega, solution.assessment.states_at_period_parts[0]
+    )
     assert prediction is not None and prediction.relative_gap_error == pytest.approx(
         factor_prediction.relative_gap_error, rel=0.05
     )
@@ -497,7 +499,7 @@ def test_by_omega() -> None:
     middle_orbit, upper_orbit, lower_orbit = (orbit for orbit in orbits if orbit is not None)
     system = FlowOrbitEquations(flow, omega, middle_orbit.state)
     point = system.linearise(system.start_unknown, 1.0)
-    slope = -point.solve(point.by_parameter) / (system.scale * omega)
+    slope = -point.solve(point.by_parameter) / (system.state_factors * omega)
     assert relative(slope, (upper_orbit.state - lower_orbit.state) / (2.0 * step)) < 1e-5
 
 

@@ -94,7 +94,8 @@ def test_orbits(
     solution = solved(name, ratio, omega, mu)
     orbit, (structure, full_plate) = solution.orbit, plate(name, ratio)
     tip_motion = (
-        orbit.sampled.states[:, : orbit.flow.n_modes] @ structure.basis[full_plate.watched_dof]
+        orbit.period_samples.states[:, : orbit.flow.n_modes]
+        @ structure.basis[full_plate.watched_dof]
     )
     assert np.ptp(tip_motion) / 2e-6 == pytest.approx(tip, rel=3e-4)
     work = orbit.work
@@ -115,7 +116,7 @@ def test_laws_kept_by_harmonic_balance() -> None:
     assert normal.min() >= 0.0 and gap.max() <= 1e-12 * np.abs(gap).max() + 1e-18
     assert np.all(np.abs(drag) <= 0.3 * normal * (1.0 + 1e-9) + 1e-12)
     exact = solved("inclined_crack", 0.005, 3183.0 * HERTZ, 0.3)
-    exact_sliding, indicators = exact.orbit.sliding, solution.indicators()
+    exact_sliding, indicators = exact.orbit.friction_number_by_name, solution.indicators()
     assert indicators.friction_loss == pytest.approx(exact_sliding["friction_loss"], rel=0.01)
     assert indicators.slip_share == pytest.approx(exact_sliding["slip_share"], abs=0.01)
     assert indicators.stick_share + indicators.slip_share == pytest.approx(

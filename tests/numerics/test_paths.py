@@ -23,7 +23,7 @@ from fenics_crack.numerics.newton import (
     SystemSnes,
     gmres,
     point_on_path,
-    solve_at,
+    solve_at_parameter,
     solve_in_plane,
 )
 from fenics_crack.numerics.path import (
@@ -167,7 +167,7 @@ def test_once_round_a_circle() -> None:
     assert path.end_reason is EndReason.REACHED and path.event is events[2]
     assert (
         np.allclose(path.last_point.unknown, start.unknown)
-        and path.run_to_terminal_event() is path.last_point
+        and path.find_terminal_point_or_none() is path.last_point
     )
 
 
@@ -185,9 +185,9 @@ def test_target(end: float) -> None:
 def test_path_ends_where_it_leaves_its_range_and_after_its_steps() -> None:
     """Points outside are not yielded."""
     plane, start = circle()
-    path = Path(plane, start, PathOptions(0.05, max_step=0.3, span=(-0.5, 2.0)))
+    path = Path(plane, start, PathOptions(0.05, max_step=0.3, parameter_range=(-0.5, 2.0)))
     assert min(point.parameter for point in path.points()) > -0.5
-    assert path.end_reason is EndReason.RANGE_LEFT and path.run_to_terminal_event() is None
+    assert path.end_reason is EndReason.RANGE_LEFT and path.find_terminal_point_or_none() is None
     path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=7))
     assert len(list(path.points())) == 7 and path.end_reason is EndReason.TOO_MANY_POINTS
 
@@ -208,7 +208,7 @@ def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> N
     for n_failures in (2, 99):
         step_sizes.clear()
         path = Path(plane, start, PathOptions(0.1, max_step=0.3), [Target(0.7)])
-        end_point = path.run_to_terminal_event()
+        end_point = path.find_terminal_point_or_none()
         assert all(next_size < size for size, next_size in pairwise(step_sizes))
         if n_failures == 2:
             assert end_point is not None and end_point.parameter == 0.7 and len(step_sizes) == 3
@@ -251,20 +251,20 @@ def test_equations_of_a_path(light: bool) -> None:
     system, step = FlowOrbitEquations(flow, 0.6, settled_state), 1e-6
     x = 1.05 * system.start_unknown
     linearisation = system.linearise(x, 1.02)
-    end_state = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
-    assert relative(linearisation.residual, system.scale * end_state - x) < 1e-12
+    end_state = flow.advance(x / system.state_factors, 0.612, 2.0 * np.pi / 0.612).state
+    assert relative(linearisation.residual, system.state_factors * end_state - x) < 1e-12
     ends = [system.linearise(x, 1.02 + h).residual for h in (step, -step)]
     assert relative(linearisation.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     change = np.random.default_rng(0).normal(size=flow.size)
     ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
     assert relative(linearisation.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     solution = solve_in_plane(system, system.start_unknown, 1.0, None, tolerance=1e-11)
-    options = PathOptions(0.01, max_step=0.05, max_steps=6, span=(0.9, 1.1))
+    options = PathOptions(0.01, max_step=0.05, max_steps=6, parameter_range=(0.9, 1.1))
     points = list(Path(system, point_on_path(system, solution.unknown, 1.0), options).points())
     assert len(points) > 4
     for point in points:
-        orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
-        assert relative(point.unknown, system.scale * orbit.state) < 1e-6
+        orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.state_factors)
+        assert relative(point.unknown, system.state_factors * orbit.state) < 1e-6
 
 
 class Narrow:
@@ -325,22 +325,22 @@ def equations(kind: str) -> Any:
     if kind == "coupled":
         structure = fc.reduce_structure(structure, modes=6, method="massless")
         rigid = fc.Problem(structure, 0.6, fc.UnilateralConstraint(), 8)
-        system: Any = rigid.system(rigid.compliance())
+        system: Any = rigid.system(rigid.compliance_model())
         return system.system_along_softness()
     law = fc.SmoothedPenalty(5.0, 20.0) if kind == "smooth" else PENALTY
     problem = fc.Problem(structure, 0.6, law, 6, samples=128 if kind == "sampled" else None)
-    return problem.system(problem.compliance()).system_along_softness()
+    return problem.system(problem.compliance_model()).system_along_softness()
 
 
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smooth", "coupled"])
 def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     """Full steps of SNES from near the path's end, and that end, in the kernel and called back."""
     system = equations(kind)
-    start_solution = solve_at(system, system.linear_gap, 0.0, tolerance=1e-12)
+    start_solution = solve_at_parameter(system, system.linear_gap, 0.0, tolerance=1e-12)
     start = point_on_path(system, start_solution.unknown, 0.0)
     end_point = Path(
         system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]
-    ).run_to_terminal_event()
+    ).find_terminal_point_or_none()
     assert end_point is not None and end_point.parameter == 1.0
     disturbed_unknown = end_point.unknown * (
         1.0 + 1e-3 * np.random.default_rng(0).normal(size=end_point.unknown.shape)

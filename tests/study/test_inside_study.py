@@ -25,7 +25,7 @@ from fenics_crack.balance.solution import Solver
 from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
-from fenics_crack.model.factor import Factor, distribute_rows
+from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.study import prepare
 from fenics_crack.study.meshes import refine_scene
 from fenics_crack.study.observer import compute_tip_histories
@@ -374,7 +374,7 @@ def ordered_by(sides: int, dimension: int, dofs: int) -> int:
     coupled to all that are next to it."""
     line = sparse.diags([-1.0, 2.5, -1.0], [-1, 0, 1], (sides, sides))
     nodes = functools.reduce(sparse.kron, [line] * dimension)
-    matrix = distribute_rows(sparse.kron(nodes, np.eye(dofs) + 0.1), MPI.COMM_SELF)
+    matrix = make_matrix_from_local_rows(sparse.kron(nodes, np.eye(dofs) + 0.1), MPI.COMM_SELF)
     with Factor(matrix) as factor:
         return int(factor._factor.getMumpsInfog(7))
 

@@ -330,7 +330,7 @@ def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> 
     modes_deviation = np.std(other - own_motion) / share
     assert abs(many_orbit.amplitude(dof) - few_orbit.amplitude(dof)) / share < 0.7 * modes_deviation
     assert errors.contributions("amplitude")["modes"] == pytest.approx(modes_deviation, rel=1e-2)
-    gaps, other = few_orbit.sampled.gaps, many_orbit.sampled.gaps
+    gaps, other = few_orbit.period_samples.gaps, many_orbit.period_samples.gaps
     size = size_of_motion(gaps + solution.structure.clearance)
     assert solution.report.reduction == pytest.approx(np.linalg.norm(other - gaps) / size / share)
 

@@ -116,7 +116,7 @@ def test_claims_of_a_blade() -> None:
     state = flow.state(*(shapes @ part for part in np.split(orbit.state, 2)))
     passage = flow.advance(state, solution.omega, 0.0, solution.period, len(orbit.gap))
     assert relative(passage.state, state) < 1e-8
-    gap, time = passage.gap, orbit.sampled.time
+    gap, time = passage.gap, orbit.period_samples.time
     gap_error = np.linalg.norm(solution.gap(time) - gap) / np.linalg.norm(gap)
     assert gap_error == pytest.approx(solution.report.truncation, rel=1e-3)
 
@@ -165,7 +165,7 @@ def test_the_fewest_harmonics() -> None:
     scene = fc.Scene.load(BLADE).replace(tolerance_settings | {"curve": None})
     for count in (5, 12):
         run = fc.solve(scene.replace({"harmonic_balance.harmonics": count}), MPI.COMM_SELF)
-        assert run.result.harmonics == count and run.result.assessment.distance < 0.1
+        assert run.result.harmonics == count and run.result.assessment.relative_orbit_distance < 0.1
         assert run.result.indicators().ratio_3_1 > 0.0
         assert run.errors is not None and run.errors.stated("ratio_3_1")[0] < 1.0
     solution = fc.solve_harmonic_balance(

@@ -17,7 +17,7 @@ from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import all_modes
 from fenics_crack.time import central_differences
 from fenics_crack.time.flows import ExponentialFlow
-from fenics_crack.time.march import March, march
+from fenics_crack.time.march import MarchRequest, march
 
 SEEDS = st.integers(0, 2**32 - 1)
 KINDS = st.sampled_from(["none", "Rayleigh", "modal", "matrix"])
@@ -83,7 +83,7 @@ def test_central_differences(dofs: int, pairs: int, damping: str, rigid: bool, s
     law: Any = fc.UnilateralConstraint() if rigid else fc.UnilateralPenalty(20.0)
     steps = int(1.5 * fc.stable_steps_per_period(structure, 1.1, law))
     start = 0.3 * rng.normal(size=(2, dofs))
-    march_options = March(structure, 1.1, law, 2, steps, initial=(start[0], start[1]))
+    march_options = MarchRequest(structure, 1.1, law, 2, steps, initial=(start[0], start[1]))
     makers: tuple[Any, ...] = (
         central_differences._ModalDifferences, central_differences._CentralDifferences
     )  # fmt: skip
@@ -108,7 +108,8 @@ def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tup
         exponential[: 2 * count, : 2 * count],
         0.5 * exponential[: 2 * count, 2 * count :],
     )
-    rows, static_compliance = flow.gap_rows, flow.residual_flexibility + np.diag(flow.softness)
+    rows = flow.state_to_gap_matrix
+    static_compliance = flow.residual_flexibility + np.diag(flow.softness)
     compliance = static_compliance + rows @ force_transition
 
     state = start - flow.steady_states[0]

@@ -27,7 +27,11 @@ def by_runge_kutta(
     """Gaps from rest by DOP853, contact at each instant by Lawson and Hanson's method."""
     rows, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     pairs, count, modal_rows = structure.n_pairs, len(squares), shapes.T @ rows
-    damping = np.diag(structure.rate) if structure.rate.ndim == 1 else structure.rate
+    damping = (
+        np.diag(structure.modal_damping)
+        if structure.modal_damping.ndim == 1
+        else structure.modal_damping
+    )
     residual = rows.T @ structure.residual_flexibility @ rows
     root = np.linalg.cholesky(residual + springs * np.eye(pairs))
     load, static_motion = structure.force @ shapes, structure.force @ structure.residual_flexibility

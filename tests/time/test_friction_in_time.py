@@ -68,7 +68,7 @@ def test_pairs_with_mass() -> None:
     structure = chain()
     solution = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-2, throw=False)
     orbit = solution.orbit
-    assert orbit is not None and orbit.sliding["slip_share"] > 0.02
+    assert orbit is not None and orbit.friction_number_by_name["slip_share"] > 0.02
     for steps in (256, 2048):
         history = fc.integrate_central_difference(
             structure, omega, law, periods=60, steps_per_period=steps, initial=solution

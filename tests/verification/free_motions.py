@@ -12,7 +12,7 @@ of the contact stiffness kc.
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.contact_integrals import integrals_with_uncoupled_pairs
 from fenics_crack.model.modal import AllModes, all_modes
 
 SOFT, STEPS = 1e-3, 20
@@ -54,7 +54,7 @@ def _newton(
     """The motion next to one, and its frequency; None where it is not found, or is another
     mode's."""
     n_orders, count = motion.shape
-    integrals, size = contact_integrals(law, n_orders - 1), n_orders * count
+    integrals, size = integrals_with_uncoupled_pairs(law, n_orders - 1), n_orders * count
     orders, rows = np.arange(n_orders)[:, None], np.maximum(2 * np.arange(n_orders) - 1, 0)
     scale = 1.0 / (modes.squares + (orders * omega) ** 2)
     for _ in range(STEPS):
