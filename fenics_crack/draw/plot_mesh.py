@@ -249,7 +249,7 @@ def draw_displaced_mesh(
         surface = vtk.make_surface(displaced_points, mesh.boundary)
         surface["amplitude"] = values
         plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-        sharp_edges = vtk.find_sharp_edges(mesh)
+        sharp_edges = vtk.find_sharp_edge_nodes(mesh)
         plotter.add_mesh(vtk.make_lines(displaced_points, sharp_edges), color="black", line_width=2)
         if not is_wheel:
             plotter.add_mesh(
@@ -325,7 +325,7 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
         free_surface, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a"
     )
     plotter.add_mesh(
-        vtk.make_lines(points, vtk.find_sharp_edges(mesh)), color="black", line_width=3
+        vtk.make_lines(points, vtk.find_sharp_edge_nodes(mesh)), color="black", line_width=3
     )
     legend_patches = []
     for part_facets, colour, label in (
