@@ -147,9 +147,11 @@ class _MovingMesh:
         mesh = fields.mesh
         self.line_height = 1e-3 * mesh.size
         is_solid = mesh.dimension == 3
-        boundary_edges = vtk.find_sharp_edge_nodes(mesh) if is_solid else mesh.boundary
+        boundary_edges = vtk.find_sharp_edge_nodes(mesh) if is_solid else mesh.boundary_sides
         self._draw_edges(boundary_edges, "rest", 2)
-        self.surface = vtk.make_surface(mesh.points, mesh.boundary if is_solid else mesh.triangles)
+        self.surface = vtk.make_surface(
+            mesh.points, mesh.boundary_sides if is_solid else mesh.triangles
+        )
         self.surface["shown"] = colour_scale.unit_factor * fields.colour_values[0]
         plotter.add_mesh(
             self.surface, scalars="shown", cmap=colour_scale.colour_map,

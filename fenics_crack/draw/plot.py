@@ -269,7 +269,7 @@ def _draw_crack_surfaces(
         nodes, corner_node_indices = np.unique(
             triangles[triangle_crack_indices == crack_index], return_inverse=True
         )
-        nodal_values = mesh.pair_centre_and_pressure_functions[1][nodes] @ values_by_label[label]
+        nodal_values = mesh.pair_centre_and_pressure_matrices[1][nodes] @ values_by_label[label]
         _draw_crack_surface(
             panel, mesh.points[nodes], corner_node_indices.reshape(-1, 3), nodal_values, label
         )

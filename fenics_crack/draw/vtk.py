@@ -129,7 +129,7 @@ def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
 
 def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
     """Find the edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    boundary_surface = make_surface(mesh.points, mesh.boundary)
+    boundary_surface = make_surface(mesh.points, mesh.boundary_sides)
     boundary_surface["node"] = np.arange(len(mesh.points))
     other_kinds = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
     sharp_edges = boundary_surface.extract_feature_edges(feature_angle=25.0, **other_kinds)
@@ -456,7 +456,7 @@ class PeriodFields:
         )
         if self.mesh.dimension == 3 and structure.n_pairs:
             self.nodal_force_per_pair_force, self.pressure_weights = (
-                self.mesh.pair_centre_and_pressure_functions
+                self.mesh.pair_centre_and_pressure_matrices
             )
         else:
             self.nodal_force_per_pair_force = _find_nodal_force_per_pair_force(structure)

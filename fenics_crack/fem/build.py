@@ -51,10 +51,10 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
-    POSITION_TOLERANCE,
+    RELATIVE_POSITION_TOLERANCE,
     Cracks,
-    distribute_front_pressures,
     locate_on_cracks,
+    make_front_pressure_matrix,
 )
 from fenics_crack.fem.elasticity import (
     assemble_rotation,
@@ -62,7 +62,7 @@ from fenics_crack.fem.elasticity import (
     stress_expression,
     thickness_constant,
 )
-from fenics_crack.fem.loads import assemble_loads, clamp_of
+from fenics_crack.fem.loads import assemble_loads, make_clamp
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
@@ -107,14 +107,14 @@ def pair_crack_faces(
     InputError
         The two faces have different nodes.
     """
-    dimension, plate = dofs.dimension, dofs.plate
-    if not plate.has_cracks:
+    dimension, part_mesh = dofs.dimension, dofs.part_mesh
+    if not part_mesh.has_cracks:
         empty_fields = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*empty_fields)
     assemble_columns = (
         _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
     )
-    both_faces_measure = plate.measure_on(*CRACK_FACE_NAMES)
+    both_faces_measure = part_mesh.measure_on(*CRACK_FACE_NAMES)
     pressure_space, node_areas, pressure_gap_columns = assemble_columns(dofs, t, both_faces_measure)
     first_node = pressure_space.dofmap.index_map.local_range[0]
     points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
@@ -124,7 +124,7 @@ def pair_crack_faces(
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
     lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
-        plate.crack_paths_or_surfaces, *node_table_by_face
+        part_mesh.crack_paths_or_surfaces, *node_table_by_face
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
@@ -153,7 +153,8 @@ def pair_crack_faces(
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
-                plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
+                part_mesh.crack_paths_or_surfaces,
+                crack_index[:n_inside], distances_on_crack[:n_inside],
             ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
@@ -166,7 +167,7 @@ def pair_crack_faces(
         )
     pairs = Pairs(
         points, areas, crack_index, distances_on_crack,
-        _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
+        _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_index, distances_on_crack),
         **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
@@ -197,7 +198,7 @@ def _front_pressure_shares(
         (overlap_triplets[:, 2], overlap_triplets[:, :2].astype(int).T),
         (n_global_nodes, n_global_nodes),
     )
-    return distribute_front_pressures(
+    return make_front_pressure_matrix(
         overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
     )
 
@@ -429,9 +430,10 @@ def _match_faces(
         ]
         nearest_distances = np.min(distances_to_upper_nodes, axis=1)
         partners = np.argmin(distances_to_upper_nodes, axis=1)
-        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * crack_extent and len(
-            np.unique(partners)
-        ) == len(partners)
+        has_matching_faces = (
+            nearest_distances.max() <= RELATIVE_POSITION_TOLERANCE * crack_extent
+            and len(np.unique(partners)) == len(partners)
+        )
         position_text = ", ".join(
             f"{coordinate:g}"
             for coordinate in lower_node_table[int(np.argmax(nearest_distances)), 2:]
@@ -494,7 +496,7 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     return structure
 
 
-def assemble_load_fields(scene: Scene, structure: Structure) -> dict[str, Any]:
+def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str, Any]:
     """Assemble a scene's loads on a structure's mesh, at rest (collective).
 
     Returns
@@ -507,7 +509,7 @@ def assemble_load_fields(scene: Scene, structure: Structure) -> dict[str, Any]:
     _, mass_form = _matrix_forms(scene, dofs.space)
     mass_matrix = compat.assembled_petsc_matrix(mass_form)
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_matrix)
-    clamp = clamp_of(dofs, mass_matrix, nodal_force_harmonics)
+    clamp = make_clamp(dofs, mass_matrix, nodal_force_harmonics)
     mass_matrix.destroy()
     return {
         "force": dofs.restrict_to_free(nodal_force_harmonics),
@@ -522,17 +524,21 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     Of a bladed disk it is one sector, whose sides are free.
     """
     begin_stage("mesh")
-    plate = build_mesh(scene, comm)
+    part_mesh = build_mesh(scene, comm)
     begin_stage("matrices")
-    if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+    if (
+        not part_mesh.has_cracks
+        and scene.mesh.layout == "file"
+        and (scene.contact or scene.all_cracks)
+    ):
         group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
         requirement = (
             f"a mesh with {group_kind_words} named 'crack', or 'lower_lip' and 'upper_lip'"
         )
         requirement += ", as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, requirement)
-    space = compat.function_space(plate.mesh, scene.mesh.order)
-    dofs = Dofs(plate, space, comm)
+    space = compat.function_space(part_mesh.mesh, scene.mesh.order)
+    dofs = Dofs(part_mesh, space, comm)
     if scene.disk is not None:
         from fenics_crack.disk.sector import match_sides
 
@@ -546,7 +552,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         dofs, t, mouth_only=mouth_only, max_patches=max_patches
     )
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
-    clamp = clamp_of(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
+    clamp = make_clamp(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
     body_with_loads = Body(
         dofs.restrict_matrix(mass_with_clamped_dofs),
         dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,

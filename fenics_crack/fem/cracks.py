@@ -28,7 +28,7 @@ from fenics_crack.basics.errors import InputError
 
 CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 """Names of the lower and upper faces of all cracks in a mesh."""
-POSITION_TOLERANCE = 1e-6
+RELATIVE_POSITION_TOLERANCE = 1e-6
 """Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
 digits or more."""
 COINCIDENCE_TOLERANCE = 1e-3
@@ -128,14 +128,14 @@ class CrackSurface:
     ----------
     triangles : (n, 3, 3) [m]
         Corners of the facets. Each quadrilateral is cut into two triangles.
-    front_edges : (m, 2, 3) [m]
-        Ends of the front's edges. Empty if the crack separates two bodies.
+    front_edge_end_positions : (m, 2, 3) [m]
+        Positions of the ends of the front's edges. Empty if the crack separates two bodies.
     has_mouth : bool
         True if the rim reaches the surface of the solid.
     """
 
     triangles: np.ndarray
-    front_edges: np.ndarray
+    front_edge_end_positions: np.ndarray
     has_mouth: bool
 
     @property
@@ -164,7 +164,9 @@ class CrackSurface:
         """
         surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
-        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_edges)))
+        block_size = max(
+            1, 2_000_000 // max(len(self.triangles), len(self.front_edge_end_positions))
+        )
         for block_start in range(0, len(points), block_size):
             point_block = slice(block_start, block_start + block_size)
             surface_distances[point_block] = np.linalg.norm(
@@ -173,7 +175,7 @@ class CrackSurface:
             # Larger than any distance between the surface and its front.
             front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[point_block], self.front_edges)[0], axis=2
+                offsets_from_edges(points[point_block], self.front_edge_end_positions)[0], axis=2
             )
             front_distances[point_block] = edge_distances.min(axis=1, initial=front_distance_bound)
         return surface_distances, front_distances
@@ -270,15 +272,15 @@ def points_on_both_sides(
         None for both together if the point is too far from the crack, or too near to the front.
     """
     if (
-        distance_to_crack > POSITION_TOLERANCE * crack_size
-        or front_distance <= POSITION_TOLERANCE * crack_size
+        distance_to_crack > RELATIVE_POSITION_TOLERANCE * crack_size
+        or front_distance <= RELATIVE_POSITION_TOLERANCE * crack_size
     ):
         return None
     offset = 1e-3 * crack_size * upward_sign(normal) * normal / np.linalg.norm(normal)
     return np.round(point - offset, 9).tolist(), np.round(point + offset, 9).tolist()
 
 
-def distribute_front_pressures(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
+def make_front_pressure_matrix(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
     """Return the matrix that assigns pressures at fronts to their neighbours.
 
     The share of each neighbour is proportional to the overlap of basis functions.
@@ -358,7 +360,7 @@ def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return first_rows, unique_index.ravel(), counts
 
 
-def rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
+def are_rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
     """Return True for rows of nodes among the reference rows: (n,) bool.
 
     The order of nodes in a row does not matter.
@@ -500,13 +502,13 @@ class Cells:
         Nodes in gmsh's order: corners first.
     facet_corner_columns : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
-    is_supporting_corner : (k, n_corners) bool
-        True for the corners between which a node of a cell lies.
+    is_supporting_corner_of_node : (k, n_corners) bool
+        True for the corners between which a node of a cell lies: a row for each node.
     """
 
     cell_nodes: np.ndarray
     facet_corner_columns: np.ndarray
-    is_supporting_corner: np.ndarray
+    is_supporting_corner_of_node: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -542,15 +544,15 @@ class Cells:
         )
 
     @cached_property
-    def is_shared(self) -> np.ndarray:
+    def is_same_as_next_facet(self) -> np.ndarray:
         """Return True for each sorted facet that equals the next: (n - 1,) bool."""
         facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
-    def is_boundary(self) -> np.ndarray:
+    def is_boundary_facet(self) -> np.ndarray:
         """Return True for sorted facets that belong to one cell: (n,) bool."""
-        is_shared = np.concatenate([[False], self.is_shared, [False]])
+        is_shared = np.concatenate([[False], self.is_same_as_next_facet, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
 
 
@@ -618,23 +620,26 @@ def split_cracks(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
     crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
-    (facets, owner, local_corners), is_shared = (cells.sorted_facets_and_owners, cells.is_shared)
+    facets, owner, local_corners = cells.sorted_facets_and_owners
+    is_shared = cells.is_same_as_next_facet
     is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
     is_crack_facet = is_crack_node[facets].all(axis=1)
-    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
+    is_crack_facet[is_crack_facet] = are_rows_in(facets[is_crack_facet], crack_corners)
     inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
-    require(
+    require_of_mesh(
         len(inner_facets) == len(crack_facets),
         f"{len(crack_facets) - len(inner_facets)} of the {len(crack_facets)} {facet_word}"
         " of cracks not between cells",
         f"inside the structure, with a cell on either side of {facet_word}",
     )
-    outer_facets = facets[cells.is_boundary & is_crack_node[facets].any(axis=1)]
+    outer_facets = facets[cells.is_boundary_facet & is_crack_node[facets].any(axis=1)]
     is_split = is_crack_node.copy()
     is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
     facet_labels = label_connected_rows(crack_corners)
     unsplit_labels = np.setdiff1d(facet_labels, facet_labels[is_split[crack_corners].any(axis=1)])
-    require(not len(unsplit_labels), "all nodes of a crack on its front", "meshed more finely")
+    require_of_mesh(
+        not len(unsplit_labels), "all nodes of a crack on its front", "meshed more finely"
+    )
 
     # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
     # around a node that is not cut by the crack.
@@ -648,7 +653,7 @@ def split_cracks(
     side_labels = label_connected_rows(side_corner_stars)
     opposite_labels = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
     is_split_corner = is_split[cells.cell_nodes[:, : cells.n_corners]]
-    require(
+    require_of_mesh(
         opposite_labels.size == side_labels.max() + 1
         and np.all(opposite_labels[0] != opposite_labels[1])
         and np.all(np.isin(star_labels[is_split_corner], side_corner_stars)),
@@ -672,7 +677,7 @@ def split_cracks(
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_near_upper_corner = is_upper_corner @ cells.is_supporting_corner.T
+    is_near_upper_corner = is_upper_corner @ cells.is_supporting_corner_of_node.T
     is_node_above = is_crack_node[cells.cell_nodes] & is_near_upper_corner
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
@@ -681,7 +686,7 @@ def split_cracks(
     return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
-def require(condition: object, problem: str, requirement: str) -> None:
+def require_of_mesh(condition: object, problem: str, requirement: str) -> None:
     """Raise InputError for the mesh unless a condition holds."""
     if not condition:
         raise InputError("mesh", problem, requirement)
@@ -705,7 +710,9 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
     )
     edges_or_nodes, facet_counts = np.unique(edges_or_nodes, axis=0, return_counts=True)
     requirement = "cracks that neither branch nor cross"
-    require(np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement)
+    require_of_mesh(
+        np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement
+    )
     rim_edges_or_nodes = edges_or_nodes[facet_counts == 1]
     # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.
     boundary_edges_or_nodes = [
@@ -713,7 +720,9 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
         for corner_columns in combinations(range(n_corners), edges_or_nodes.shape[1])
     ]
     return np.asarray(
-        rim_edges_or_nodes[~rows_in(rim_edges_or_nodes, np.concatenate(boundary_edges_or_nodes))]
+        rim_edges_or_nodes[
+            ~are_rows_in(rim_edges_or_nodes, np.concatenate(boundary_edges_or_nodes))
+        ]
     )
 
 

@@ -205,7 +205,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
-    plate = PartMesh(
+    part_mesh = PartMesh(
         mesh,
         facet_tags,
         {CRACK_FACE_NAMES[0]: (lower_tag,), CRACK_FACE_NAMES[1]: (upper_tag,)},
@@ -213,7 +213,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
         (),
     )
     face_numbers_and_positions = [
-        _face_corners(plate, face_name, comm) for face_name in CRACK_FACE_NAMES
+        _face_corners(part_mesh, face_name, comm) for face_name in CRACK_FACE_NAMES
     ]
     face_node_numbers, face_node_positions = (
         np.concatenate(face_arrays) for face_arrays in zip(*face_numbers_and_positions, strict=True)
@@ -226,7 +226,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     )
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
-        plate,
+        part_mesh,
         crack_paths_or_surfaces=find_cracks(
             *face_corner_nodes,
             face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
@@ -234,7 +234,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     )
 
 
-def _face_corners(plate: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+def _face_corners(part_mesh: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of all facets on a face (collective).
 
     Returns
@@ -244,14 +244,15 @@ def _face_corners(plate: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarra
     positions : (n, k, d) [m]
         Node positions.
     """
-    mesh, topology, facets = plate.mesh, plate.mesh.topology, plate.facets(name)
+    mesh, topology, facets = part_mesh.mesh, part_mesh.mesh.topology, part_mesh.facets(name)
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]
-    corners = compat.facet_corners(mesh, facets)
+    corners = compat.facet_corner_nodes(mesh, facets)
     inner_facets = np.setdiff1d(facets, dolfinx.mesh.exterior_facet_indices(topology))
     n_facets, n_inner = comm.allreduce(np.array([len(facets), len(inner_facets)]))
     if n_facets == 0 or n_inner:
         problem = (
-            f"{n_facets} facets of tag {plate.groups[name][0]}, {n_inner} of them inside the mesh"
+            f"{n_facets} facets of tag {part_mesh.tags_by_group[name][0]}, {n_inner} of them"
+            " inside the mesh"
         )
         raise InputError("crack", problem, "two faces of exterior facets, with a cell on one side")
     numbers = mesh.geometry.index_map().local_to_global(corners.ravel().astype(np.int32))

@@ -52,7 +52,7 @@ from scipy.special import roots_jacobi
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.fem.cracks import POSITION_TOLERANCE, CrackSurface, upward_sign
+from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface, upward_sign
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
@@ -93,38 +93,38 @@ class Front:
     ----------
     name : str
         "the crack front", or "the crack front 2" if there are several.
-    crack : int
+    crack_index : int
         Index of the crack.
     node_positions : (n, 3) [m]
         Corners of elements along the front, in order. If the front is closed, the last node
         equals the first.
-    normals : (n, 3)
+    node_normals : (n, 3)
         Normals of the crack at the nodes, from the lower to the upper face.
-    parameters : (n,)
+    node_parameters : (n,)
         Parameter t of each node: the angle on an ellipse [rad], or the distance along the front
         [m].
-    curve : callable
+    curve_function : callable
         Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
     is_closed : bool
         True if the front has no ends.
     ends_at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
-    allowed_radius : float [m]
+    allowed_domain_radius : float [m]
         Upper bound for the domain's radius.
     """
 
     name: str
-    crack: int
+    crack_index: int
     node_positions: np.ndarray
-    normals: np.ndarray
-    parameters: np.ndarray
-    curve: Callable[[np.ndarray, int], np.ndarray]
+    node_normals: np.ndarray
+    node_parameters: np.ndarray
+    curve_function: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
     ends_at_surface: tuple[bool, bool]
-    allowed_radius: float
+    allowed_domain_radius: float
 
     @cached_property
-    def peak_parameters(self) -> np.ndarray:
+    def hat_peak_parameters(self) -> np.ndarray:
         """Return the curve parameters t at which the hat functions are 1, equally spaced.
 
         A closed front has the first peak also at its end. An open front has a peak in the middle,
@@ -141,8 +141,8 @@ class Front:
             n_station_intervals % 2 if n_station_intervals > 1 and not self.is_closed else 0
         )
         return np.linspace(
-            self.parameters[0],
-            self.parameters[-1],
+            self.node_parameters[0],
+            self.node_parameters[-1],
             max(n_station_intervals, 3 if self.is_closed else 1) + 1,
         )
 
@@ -152,10 +152,10 @@ class Front:
 
         A station is a point on the front at which K is computed (:class:`Station`).
         """
-        return self.peak_parameters[:-1] if self.is_closed else self.peak_parameters
+        return self.hat_peak_parameters[:-1] if self.is_closed else self.hat_peak_parameters
 
     @property
-    def corner_stations(self) -> list[int]:
+    def corner_station_indices(self) -> list[int]:
         """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
         end_flags_and_stations = zip(self.ends_at_surface, (0, n_stations - 1), strict=True)
@@ -175,7 +175,7 @@ class Front:
         hat_values, hat_slopes : (..., n_stations)
             Hats and their derivatives with respect to t.
         """
-        spacing = self.peak_parameters[1] - self.peak_parameters[0]
+        spacing = self.hat_peak_parameters[1] - self.hat_peak_parameters[0]
         distances = (t[..., None] - self.station_parameters) / spacing
         if self.is_closed:
             distances -= len(self.station_parameters) * np.round(
@@ -187,10 +187,10 @@ class Front:
     def hat_lengths(self) -> np.ndarray:
         """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
-        half_spacing = 0.5 * (self.peak_parameters[1] - self.peak_parameters[0])
-        t = (self.peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
-        length_weights = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(
-            half_spacing * w, len(self.peak_parameters) - 1
+        half_spacing = 0.5 * (self.hat_peak_parameters[1] - self.hat_peak_parameters[0])
+        t = (self.hat_peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
+        length_weights = np.linalg.norm(self.curve_function(t, 1), axis=1) * np.tile(
+            half_spacing * w, len(self.hat_peak_parameters) - 1
         )
         return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
@@ -208,13 +208,13 @@ class Front:
         curvature, curvature_slope : (...,) [1/m], [1/m^2]
             Curvature, and its derivative with respect to the length s along the front.
         """
-        c_1, c_2, c_3 = (self.curve(t, order) for order in (1, 2, 3))
+        c_1, c_2, c_3 = (self.curve_function(t, order) for order in (1, 2, 3))
         speed = np.linalg.norm(c_1, axis=-1)
         e_3 = c_1 / speed[..., None]
         e_2 = np.stack(
             [
-                np.interp(t, self.parameters, normal_components)
-                for normal_components in self.normals.T
+                np.interp(t, self.node_parameters, normal_components)
+                for normal_components in self.node_normals.T
             ],
             axis=-1,
         )
@@ -227,22 +227,22 @@ class Front:
         return np.stack([e_1, e_2, e_3], axis=-2), speed, curvature, curvature_slope
 
     @cached_property
-    def straight_radius(self) -> float:
+    def straight_domain_radius(self) -> float:
         """Return the integration domain's radius where the front is straight [m]."""
         max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
-        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_radius))
+        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_domain_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
         """Return True where the curvature [1/m] limits the integration domain's radius."""
-        return np.asarray(np.abs(curvature) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
+        return np.asarray(np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_BY_CURVATURE)
 
-    def radius(self, curvature: np.ndarray) -> np.ndarray:
+    def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
         """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
             is_limited,
             MAX_RADIUS_BY_CURVATURE / np.where(is_limited, np.abs(curvature), 1.0),
-            self.straight_radius,
+            self.straight_domain_radius,
         )
 
     @cached_property
@@ -252,25 +252,25 @@ class Front:
         There are eight points for each node.
         """
         t = np.interp(
-            np.linspace(0, len(self.parameters) - 1, 8 * len(self.parameters)),
-            range(len(self.parameters)),
-            self.parameters,
+            np.linspace(0, len(self.node_parameters) - 1, 8 * len(self.node_parameters)),
+            range(len(self.node_parameters)),
+            self.node_parameters,
         )
-        return t, cKDTree(self.curve(t, 0))
+        return t, cKDTree(self.curve_function(t, 0))
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
         """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
         sample_parameters, sample_tree = self._curve_samples
         t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
-            c_0, c_1, c_2 = (self.curve(t, order) for order in range(3))
+            c_0, c_1, c_2 = (self.curve_function(t, order) for order in range(3))
             offsets = points - c_0
             t = t + (offsets * c_1).sum(-1) / ((c_1 * c_1).sum(-1) - (offsets * c_2).sum(-1))
             if not self.is_closed:
-                t = np.clip(t, self.parameters[0], self.parameters[-1])
+                t = np.clip(t, self.node_parameters[0], self.node_parameters[-1])
         if self.is_closed:
-            t = self.parameters[0] + np.mod(
-                t - self.parameters[0], self.parameters[-1] - self.parameters[0]
+            t = self.node_parameters[0] + np.mod(
+                t - self.node_parameters[0], self.node_parameters[-1] - self.node_parameters[0]
             )
         return np.asarray(t)
 
@@ -283,7 +283,7 @@ class Station:
     ----------
     name : str
         "the crack front at 3.2 mm".
-    crack : int
+    crack_index : int
         Index of the crack.
     point, growth_direction : (3,) [m], (3,)
         Position, and direction of straight growth.
@@ -295,7 +295,7 @@ class Station:
     """
 
     name: str
-    crack: int
+    crack_index: int
     point: np.ndarray
     growth_direction: np.ndarray
     arc_length: float
@@ -309,7 +309,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
     structure_nodes = structure.nodes
     assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_paths_or_surfaces
+    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
     clamped_points = gather_rows(
         structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
     )
@@ -349,7 +349,7 @@ def _front_chains(
     ------
     points : (n, 3) [m]
         Nodes in order.
-    normals : (n, 3)
+    node_normals : (n, 3)
         Normals of the crack.
     is_closed : bool
         True if the front has neither ends nor corners.
@@ -357,8 +357,10 @@ def _front_chains(
         True for each end at the surface of the solid.
     """
     corner_positions = crack.triangles.reshape(-1, 3)
-    corner_tree, tolerance = cKDTree(corner_positions), POSITION_TOLERANCE * crack.size
-    edges = np.sort(corner_tree.query(crack.front_edges.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
+    corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
+    edges = np.sort(
+        corner_tree.query(crack.front_edge_end_positions.reshape(-1, 3))[1].reshape(-1, 2), axis=1
+    )
     links: dict[int, list[int]] = {}
     edge_end_nodes = np.array(
         [
@@ -434,9 +436,9 @@ def _fit_curve(
 
     Returns
     -------
-    parameters : (n,)
+    node_parameters : (n,)
         Parameter t of each node.
-    curve : callable
+    curve_function : callable
         Returns c(t) or its derivatives of a given order.
     """
     centroid = node_positions.mean(axis=0)
@@ -444,8 +446,8 @@ def _fit_curve(
     x, y = ((node_positions - centroid) @ axes[:2].T / extents[0]).T
     if (
         len(node_positions) > 5
-        and extents[1] > POSITION_TOLERANCE * extents[0]
-        and extents[2] <= POSITION_TOLERANCE * extents[0]
+        and extents[1] > RELATIVE_POSITION_TOLERANCE * extents[0]
+        and extents[2] <= RELATIVE_POSITION_TOLERANCE * extents[0]
     ):
         conic_terms = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
         a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(x)), rcond=None)[0]
@@ -552,7 +554,7 @@ def front_functionals(
         valid_station_indices = [
             station_index
             for station_index in range(len(front.station_parameters))
-            if station_index not in front.corner_stations
+            if station_index not in front.corner_station_indices
         ]
         for row_list, factors in (
             (displacement_rows, displacement_factors),
@@ -595,7 +597,8 @@ def _values_at_free_dofs(
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return a front's stations, with positions, directions and touching pairs."""
-    pairs, is_node_in_hats = (structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0)
+    pairs = structure.pairs
+    is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.pressure_matrix is not None:
         nearest_crack_nodes = cKDTree(pairs.nodes).query(front.node_positions)[1]
@@ -604,18 +607,19 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
             for is_node_in_hat in is_node_in_hats.T
         ]
     fine_parameters = np.linspace(
-        front.parameters[0], front.parameters[-1], 50 * len(front.peak_parameters)
+        front.node_parameters[0], front.node_parameters[-1], 50 * len(front.hat_peak_parameters)
     )
     arc_lengths = np.append(
-        0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
+        0.0,
+        np.linalg.norm(np.diff(front.curve_function(fine_parameters, 0), axis=0), axis=1).cumsum(),
     )
     station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
-    station_points = front.curve(front.station_parameters, 0)
+    station_points = front.curve_function(front.station_parameters, 0)
     growth_directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
     return [
         Station(
             f"{front.name} at {format_quantity(float(station_arc_length), 'm')}",
-            front.crack,
+            front.crack_index,
             station_point,
             growth_direction,
             float(station_arc_length),
@@ -630,8 +634,8 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
 def _check_resolved(front: Front) -> None:
     """Raise InputError if elements along a front exceed the domain."""
     edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
-    radii = front.radius(
-        front.frame_and_curvature(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2]
+    radii = front.domain_radius(
+        front.frame_and_curvature(0.5 * (front.node_parameters[1:] + front.node_parameters[:-1]))[2]
     )
     worst_edge = (edge_lengths / radii).argmax()
     if edge_lengths[worst_edge] > MAX_ELEMENT_LENGTH_TO_RADIUS * radii[worst_edge]:
@@ -749,7 +753,7 @@ class _IntegrationDomain:
         self.intensity_per_integral = mode_moduli / np.tile(front.hat_lengths(), 3)
         front_distances = front._curve_samples[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
-        is_near = front_distances.min(axis=1) < front.straight_radius
+        is_near = front_distances.min(axis=1) < front.straight_domain_radius
         self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
         self.points, self.cells = points[self.nodes], local_nodes.reshape(-1, cells.shape[1])
         corner_positions = self.points[self.cells[:, :4]]
@@ -757,7 +761,8 @@ class _IntegrationDomain:
         # on all ranks, and the rule for an edge on the front takes its ends in a fixed order.
         sort_keys = np.dstack([corner_positions, front_distances[is_near, :4]]).transpose(2, 0, 1)
         self.corner_order = corner_order = np.lexsort(
-            np.round(sort_keys / (POSITION_TOLERANCE * front.straight_radius)), axis=-1
+            np.round(sort_keys / (RELATIVE_POSITION_TOLERANCE * front.straight_domain_radius)),
+            axis=-1,
         )
         self.corners = np.take_along_axis(corner_positions, corner_order[..., None], axis=1)
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
@@ -782,7 +787,7 @@ class _IntegrationDomain:
         centre_parameters = front.nearest_parameters(centres)
         self.side_signs = np.sign(
             (
-                (centres - front.curve(centre_parameters, 0))
+                (centres - front.curve_function(centre_parameters, 0))
                 * front.frame_and_curvature(centre_parameters)[0][:, 1]
             ).sum(-1)
         )
@@ -831,7 +836,7 @@ class _IntegrationDomain:
             nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
         is_at_front = (
             cKDTree(self.front.node_positions).query(self.corners[:, 0])[0]
-            < POSITION_TOLERANCE * self.front.straight_radius
+            < RELATIVE_POSITION_TOLERANCE * self.front.straight_domain_radius
         )
         cells_and_gauss_numbers = (
             (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
@@ -916,15 +921,15 @@ class _IntegrationDomain:
             Hats, and their derivatives with respect to the length along the front.
         curvature, curvature_slope : (n, m) [1/m], [1/m^2]
             Front curvature, and its derivative.
-        radius : (n, m) [m]
+        domain_radius : (n, m) [m]
             Integration domain's radius.
         """
         front = self.front
         t = front.nearest_parameters(positions)
         frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
-        offsets = positions - front.curve(t, 0)
+        offsets = positions - front.curve_function(t, 0)
         xi, y = ((offsets * frame_vectors[..., axis_index, :]).sum(-1) for axis_index in range(2))
-        domain_radius = front.radius(curvature)
+        domain_radius = front.domain_radius(curvature)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
@@ -1177,13 +1182,17 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         and structure_pairs.pressure_matrix is not None
         and structure_pairs.areas is not None
     )
-    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_paths_or_surfaces[front.crack]  # type: ignore[union-attr]
+    crack: CrackSurface = structure.nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces[  # type: ignore[union-attr]
+        front.crack_index
+    ]
     crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
         crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
     ).max(axis=1)
-    is_near = corner_front_distances.min(axis=1) < front.straight_radius + 2.0 * triangle_radii
+    is_near = (
+        corner_front_distances.min(axis=1) < front.straight_domain_radius + 2.0 * triangle_radii
+    )
     factors = np.zeros((len(front.station_parameters), len(structure_pairs.nodes)))
     rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
@@ -1204,24 +1213,24 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         strict=True,
     ):
         corner_order = corner_distances.argsort()
-        is_on_front = corner_distances < POSITION_TOLERANCE * crack.size
+        is_on_front = corner_distances < RELATIVE_POSITION_TOLERANCE * crack.size
         if is_on_front.sum() == 2:
             corner_order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
-            t_start, t_stop = front.parameters[corner_front_nodes[corner_order[1:]]]
+            t_start, t_stop = front.node_parameters[corner_front_nodes[corner_order[1:]]]
             if front.is_closed and abs(t_stop - t_start) > 0.5 * (
-                front.parameters[-1] - front.parameters[0]
+                front.node_parameters[-1] - front.node_parameters[0]
             ):
-                parameter_period = front.parameters[-1] - front.parameters[0]
+                parameter_period = front.node_parameters[-1] - front.node_parameters[0]
                 t_start, t_stop = (
                     t_start + parameter_period * (t_start < t_stop),
                     t_stop + parameter_period * (t_stop < t_start),
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
-            corner_offsets = triangle[corner_order[0]] - front.curve(t, 0)
-            points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
+            corner_offsets = triangle[corner_order[0]] - front.curve_function(t, 0)
+            points = front.curve_function(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
                 corner_offsets,
-                (1.0 - corner_fractions)[:, None] * front.curve(t, 1) * (t_stop - t_start),
+                (1.0 - corner_fractions)[:, None] * front.curve_function(t, 1) * (t_stop - t_start),
             )
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
@@ -1230,8 +1239,8 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             triangle_sides = triangle[1:] - triangle[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
         t = front.nearest_parameters(points)
-        r = np.linalg.norm(points - front.curve(t, 0), axis=1)
-        domain_radii = front.radius(front.frame_and_curvature(t)[2])
+        r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
+        domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
         kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
         crack_node_index = crack_node_tree.query(triangle[corner_order])[1]
         factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (

@@ -60,31 +60,31 @@ class Tip:
     name : str
         "the crack tip"; for a crack inside "the left crack tip"; with several cracks "the crack
         tip of crack 1".
-    crack : int
+    crack_index : int
         Index of the crack.
     point, growth_direction : (2,) [m], (2,)
         Position, and direction of straight growth.
     arc_length : float [m]
         Distance along the crack.
-    radius : float [m]
+    domain_radius : float [m]
         Radius of the domain.
     adjacent_pairs : (0,) int
         Contact pairs that touch the tip: none, for a plate has no element on it.
     """
 
     name: str
-    crack: int
+    crack_index: int
     point: np.ndarray
     growth_direction: np.ndarray
     arc_length: float
-    radius: float
+    domain_radius: float
     adjacent_pairs: ClassVar[tuple[int, ...]] = ()
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
     """Find all crack tips of a plate (collective)."""
     tips: list[Tip] = []
-    cracks = dofs.plate.crack_paths_or_surfaces
+    cracks = dofs.part_mesh.crack_paths_or_surfaces
     boundary_points = gather_rows(dofs.comm, _outer_points(dofs))
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
@@ -130,10 +130,10 @@ def find_tips(dofs: Dofs) -> list[Tip]:
 
 def _outer_points(dofs: Dofs) -> np.ndarray:
     """Return this rank's nodes on edges without crack faces: (n, 2) [m]."""
-    plate = dofs.plate
-    topology = plate.mesh.topology
+    part_mesh = dofs.part_mesh
+    topology = part_mesh.mesh.topology
     topology.create_connectivity(1, 2)
-    face_facets = np.concatenate([plate.facets(name) for name in CRACK_FACE_NAMES])
+    face_facets = np.concatenate([part_mesh.facets(name) for name in CRACK_FACE_NAMES])
     outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
         np.int32
     )
@@ -148,10 +148,10 @@ def _check_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> N
     """
     for tip in tips:
         distances = np.linalg.norm(face_points - tip.point, axis=1)
-        element_length = scene.mesh.order * distances[distances > 1e-9 * tip.radius].min()
-        if tip.radius >= element_length:
+        element_length = scene.mesh.order * distances[distances > 1e-9 * tip.domain_radius].min()
+        if tip.domain_radius >= element_length:
             continue
-        clearance = tip.radius / MAX_RADIUS_FRACTION
+        clearance = tip.domain_radius / MAX_RADIUS_FRACTION
         problem = f"{tip.name}, {clearance:.3g} m from an edge, a bend or another crack"
         required_clearance = element_length / MAX_RADIUS_FRACTION
         requirement = f"further away than {required_clearance:.3g} m where stress intensities are"
@@ -209,8 +209,8 @@ def _face_normals(dofs: Dofs) -> np.ndarray:
 
     They are zero away from the crack faces.
     """
-    normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    form = ufl.inner(normal, test) * dofs.plate.measure_on(*CRACK_FACE_NAMES)
+    normal, test = ufl.FacetNormal(dofs.part_mesh.mesh), ufl.TestFunction(dofs.space)
+    form = ufl.inner(normal, test) * dofs.part_mesh.measure_on(*CRACK_FACE_NAMES)
     return compat.assembled_vector(form).reshape(-1, 2)
 
 
@@ -275,7 +275,7 @@ def _weighted_singular_field(
     """
     offsets = points - tip.point
     r = np.linalg.norm(offsets, axis=1)
-    is_near = (r < tip.radius) & (r > 1e-9 * tip.radius)
+    is_near = (r < tip.domain_radius) & (r > 1e-9 * tip.domain_radius)
     e_2 = np.array([-tip.growth_direction[1], tip.growth_direction[0]])
     weighted_field = np.zeros_like(points)
     r, x, y = r[is_near], offsets[is_near] @ tip.growth_direction, offsets[is_near] @ e_2
@@ -290,7 +290,7 @@ def _weighted_singular_field(
     derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
-    scaled_weights = field_scale * _weight_function(r, tip.radius)
+    scaled_weights = field_scale * _weight_function(r, tip.domain_radius)
     weighted_field[is_near] = (scaled_weights * derivative_1)[:, None] * tip.growth_direction + (
         scaled_weights * derivative_2
     )[:, None] * e_2
@@ -345,7 +345,9 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
         nodal_function.x.array[: nodal_field.size] = nodal_field.ravel()
         nodal_function.x.scatter_forward()
         for constant, value in zip(
-            tip_constants, (*tip.point, *tip.growth_direction, tip.radius, mode), strict=False
+            tip_constants,
+            (*tip.point, *tip.growth_direction, tip.domain_radius, mode),
+            strict=False,
         ):
             constant.value = value
         return dofs.restrict_to_free(compat.assembled_vector(compiled_form))
@@ -368,18 +370,18 @@ def _pressure_row(
     pairs, thickness = structure.pairs, scene.geometry.thickness or 1.0
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
     force_factors -= structure.apply_bt(nodal_field[None])[0]
-    crack_pair_index = np.flatnonzero(pairs.cracks == tip.crack)
+    crack_pair_index = np.flatnonzero(pairs.cracks == tip.crack_index)
     crack_pair_index = crack_pair_index[
         np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pair_index]))
     ]
     pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pair_index])
-    quadrature_distances, rule_weights = _singular_rule(pair_distances, tip.radius)
+    quadrature_distances, rule_weights = _singular_rule(pair_distances, tip.domain_radius)
     kolosov, field_scale = _kolosov_and_field_scale(scene)
     point_weights = (
         2.0
         * (kolosov + 1.0)
         * field_scale
-        * _weight_function(quadrature_distances, tip.radius)
+        * _weight_function(quadrature_distances, tip.domain_radius)
         * rule_weights
     )
     hat_values = np.array(

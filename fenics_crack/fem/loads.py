@@ -30,7 +30,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness_constant
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import force_vector_by_part
+from fenics_crack.fem.setting import list_force_harmonic_vectors
 from fenics_crack.model.nodes import (
     MAX_NODE_DISTANCE_RATIO,
     Clamp,
@@ -71,9 +71,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
     watched_vector = None
     excitation = scene.excitation
-    point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
+    point = excitation.point if excitation.point is not None else dofs.part_mesh.points.get("load")
     if point is not None:
-        force_vectors = force_vector_by_part(scene)
+        force_vectors = list_force_harmonic_vectors(scene)
         added_force_harmonics, displacement_weights = _point_load(
             scene, dofs, "excitation", point, force_vectors
         )
@@ -144,7 +144,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     """
     if face_point_pairs := [
         lower_and_upper_point
-        for crack in dofs.plate.crack_paths_or_surfaces
+        for crack in dofs.part_mesh.crack_paths_or_surfaces
         if (lower_and_upper_point := crack.points_beside(point)) is not None
     ]:
         (lower_point, upper_point), *_ = face_point_pairs
@@ -244,8 +244,8 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     ``key`` names the load in errors, as "loads.1".
     """
     edge_name = load.given("edge")
-    check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
-    edge_measure = dofs.plate.measure_on(edge_name)
+    check_choice(f"{key}.edge", edge_name, sorted(set(dofs.part_mesh.tags_by_group) - {"clamp"}))
+    edge_measure = dofs.part_mesh.measure_on(edge_name)
     test_function, t = ufl.TestFunction(dofs.space), thickness_constant(scene, dofs.space)
     x_direction = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     test_function_integrals = compat.assembled_vector(
@@ -288,7 +288,7 @@ def _watch_edge_middle(dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray)
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-def clamp_of(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
+def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
     """Return the data for reactions at a mesh's clamp (collective).
 
     The mass matrix and the forces (2K+1, n_dofs) include the clamped dofs.

@@ -37,9 +37,9 @@ from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.ranks import call_on_each_rank, on_root
 from fenics_crack.fem.cracks import (
     FACET_CORNERS_BY_CORNER_COUNT,
-    POSITION_TOLERANCE,
-    distribute_front_pressures,
+    RELATIVE_POSITION_TOLERANCE,
     find_unique_rows,
+    make_front_pressure_matrix,
 )
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distribute_rows, local_rows
@@ -118,7 +118,7 @@ def _make_structure(
             structure_fields[name] = structure_fields[name][row_order][:, row_order]
         if scene.contact is not None and table.gap is None:
             has_rotations = bool(np.any(row_labels[:, 1] > 3))
-            structure_fields["gap"], pairs = find_pairs_and_gaps(
+            structure_fields["gap"], pairs = find_gap_matrix_and_pairs(
                 model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
         first_row, end_row = _own_row_range(node_starts, comm)
@@ -310,7 +310,7 @@ def table_pair_upper_bound(table: StructureTable) -> int:
         with report_read_errors("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
                 return read_matrix_market_shape(Path(table.gap))[1]
-            return len(find_coincident_nodes(read_model(Path(path)).points))
+            return len(find_coincident_node_pairs(read_model(Path(path)).points))
     except InputError:  # the reader reports the reason
         return 0
 
@@ -452,11 +452,11 @@ CELL_EDGES_BY_CORNER_COUNT = {
 """Edges between a cell's corners, in VTK's order of middle nodes."""
 
 
-def find_coincident_nodes(points: np.ndarray) -> np.ndarray:
+def find_coincident_node_pairs(points: np.ndarray) -> np.ndarray:
     """Return pairs of coincident nodes: (n, 2) int."""
     from scipy.spatial import cKDTree  # slow to import, and only foreign models need it
 
-    tolerance = POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
+    tolerance = RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
     node_pairs = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
     return np.asarray(node_pairs[np.lexsort(node_pairs.T[::-1])])
 
@@ -486,7 +486,7 @@ class _TwinNodes:
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
-        n_model_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
+        n_model_nodes, node_pairs = len(dofs), find_coincident_node_pairs(model.points)
         self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
         node_of_row = np.full(self.n_dofs, n_model_nodes)
         node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
@@ -532,7 +532,7 @@ class _TwinNodes:
         )
 
 
-def find_pairs_and_gaps(
+def find_gap_matrix_and_pairs(
     model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
     """Find a model's contact pairs, crack by crack, from front to mouth.
@@ -808,7 +808,7 @@ def _patch_gaps(
     gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
     integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
     overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
-    front_shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
+    front_shares = make_front_pressure_matrix(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)
     gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])
@@ -853,7 +853,7 @@ def _gap_matrix_and_front_nodes(
             axis=0
         )
         pair_normal -= tangents.T @ (tangents @ pair_normal)
-        if np.linalg.norm(pair_normal) <= POSITION_TOLERANCE * model_extent:
+        if np.linalg.norm(pair_normal) <= RELATIVE_POSITION_TOLERANCE * model_extent:
             place_text = format_point(model_points[a], "g")
             requirement = "a crack with a side below and one above, or a model with its elements"
             raise InputError(
@@ -864,6 +864,6 @@ def _gap_matrix_and_front_nodes(
             for dof, normal_component in zip(
                 twins.dofs[pair_node], face_sign * pair_normal, strict=True
             ):
-                if dof >= 0 and abs(normal_component) > POSITION_TOLERANCE:
+                if dof >= 0 and abs(normal_component) > RELATIVE_POSITION_TOLERANCE:
                     gap_matrix[dof, pair_column] = normal_component
     return gap_matrix.tocsr(), np.unique(np.concatenate(front_nodes))

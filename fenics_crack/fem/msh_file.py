@@ -40,17 +40,17 @@ from fenics_crack.basics.untrusted_files import (
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
     FACET_CORNERS_BY_CORNER_COUNT,
-    POSITION_TOLERANCE,
+    RELATIVE_POSITION_TOLERANCE,
     Cells,
     Cracks,
     NamedParts,
+    are_rows_in,
     find_crack_paths,
     find_crack_surfaces,
     find_unique_rows,
     label_connected_rows,
     merge_crack_nodes,
-    require,
-    rows_in,
+    require_of_mesh,
     split_cracks,
 )
 
@@ -149,7 +149,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         if name in facets_by_name
     ]
     requirement = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
-    require(len(face_corners) != 1, "one lip", requirement)
+    require_of_mesh(len(face_corners) != 1, "one lip", requirement)
     crack_paths_or_surfaces: Cracks = ()
     if face_corners and dimension == 2:
         crack_paths_or_surfaces = find_crack_paths(face_corners[0], face_corners[1], mesh_positions)
@@ -158,8 +158,8 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         crack_paths_or_surfaces = find_crack_surfaces(
             face_corners[0], face_corners[1], mesh_positions
         )
-    check_parts(cells, mesh_positions, facets_by_name["clamp"], face_corners)
-    check_boundary(kind, cells, mesh_positions, face_corners)
+    check_parts_are_clamped(cells, mesh_positions, facets_by_name["clamp"], face_corners)
+    check_parts_do_not_overlap(kind, cells, mesh_positions, face_corners)
     tags_by_name, facet_groups = _tag_combinations(facets_by_name)
     cell_and_facet_groups = [
         (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
@@ -255,15 +255,15 @@ def _select_cells(
     cells_requirement, facet_name = _GROUP_TEXTS_BY_DIMENSION[dimension]
     if dimension == 2:
         is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-        require(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
+        require_of_mesh(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
     cell_kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
     requirement = "one of tetrahedra, or of hexahedra with 27 nodes"
     requirement += ": the load of a unit pressure is negative at corners of these"
-    require(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
+    require_of_mesh(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
     is_one_cell_kind = (
         len(cell_kinds) == 1 and cell_kinds <= _FACET_KIND_BY_CELL_KIND[dimension].keys()
     )
-    require(
+    require_of_mesh(
         is_one_cell_kind,
         f"{len(cell_kinds)} kinds of cells",
         f"one whose physical {cells_requirement}",
@@ -274,7 +274,7 @@ def _select_cells(
         [nodes for group_dimension, *_, nodes in groups if group_dimension == dimension]
     )
     used_numbers, cell_node_index = np.unique(cell_node_numbers, return_inverse=True)
-    require(
+    require_of_mesh(
         np.isin(used_numbers, node_numbers).all(),
         "cells with nodes that do not exist",
         "a whole file",
@@ -283,7 +283,7 @@ def _select_cells(
     nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
     sorted_nodes = np.sort(nodes, axis=1)
     has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
-    require(
+    require_of_mesh(
         not has_repeated_node, "a cell with a node twice", "one whose cells have different nodes"
     )
     facets_by_name, point_groups = _select_named_groups(
@@ -297,7 +297,7 @@ def _select_cells(
         else f"no {facet_name} has a name"
     )
     requirement = f"one with a physical {facet_name} named 'clamp'"
-    require("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
+    require_of_mesh("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
     used_positions = positions[first_number_index][np.searchsorted(node_numbers, used_numbers)]
     return kind, cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
 
@@ -325,7 +325,7 @@ def _select_named_groups(
                 kind == kind_by_dimension[dimension] and np.isin(nodes, used_numbers).all()
             )
             requirement = "one whose named groups hold facets, and corners, of its cells"
-            require(is_right_kind, f"other elements in the group {name!r}", requirement)
+            require_of_mesh(is_right_kind, f"other elements in the group {name!r}", requirement)
             n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
             row_lists_by_group.setdefault((dimension, name), []).append(rows)
@@ -333,7 +333,9 @@ def _select_named_groups(
         group_key: np.concatenate(rows) for group_key, rows in row_lists_by_group.items()
     }
     n_load_points = len(rows_by_group.get((0, "load"), [0]))
-    require(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
+    require_of_mesh(
+        n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one"
+    )
     facets_by_name = {name: rows for (dimension, name), rows in rows_by_group.items() if dimension}
     point_nodes_by_name = {
         name: rows[:, 0] for (dimension, name), rows in rows_by_group.items() if not dimension
@@ -411,8 +413,8 @@ def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.nda
     At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
     corners of the lower and upper face's edges, (n, 2) each.
     """
-    boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary]
-    boundary_edges = boundary_edges[~rows_in(boundary_edges, np.concatenate(face_edges))]
+    boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary_facet]
+    boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]
     closed_mouth_nodes = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
     if len(closed_mouth_nodes):
         position_text = "({:g}, {:g})".format(*positions[closed_mouth_nodes[0]])
@@ -539,7 +541,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         np.append(facet_corner_positions[:, 1:dimension], cell_centres[owner, None], axis=1)
         - facet_corner_positions[:, :1]
     )
-    side_signs, is_shared = np.sign(np.linalg.det(corner_vectors)), cells.is_shared
+    side_signs, is_shared = np.sign(np.linalg.det(corner_vectors)), cells.is_same_as_next_facet
     side_requirement = (
         f"one of cells beside each other: these lie on one side of {facet_word} of both"
     )
@@ -565,7 +567,8 @@ def _check_inner_surfaces(
     ``facets_by_name`` are the nodes of facets by name. Such a surface would not separate anything.
     """
     sorted_facets, _, _ = cells.sorted_facets_and_owners
-    shared_facets, n_corners = sorted_facets[1:][cells.is_shared], sorted_facets.shape[1]
+    shared_facets = sorted_facets[1:][cells.is_same_as_next_facet]
+    n_corners = sorted_facets.shape[1]
     corners_by_name = {
         name: np.sort(facet_rows[:, :n_corners], axis=1)
         for name, facet_rows in facets_by_name.items()
@@ -574,7 +577,9 @@ def _check_inner_surfaces(
         [sorted_facets[:0], *(corners_by_name[name] for name in crack_names)]
     )
     for name, facet_rows in corners_by_name.items():
-        is_inner_facet = rows_in(facet_rows, shared_facets) & ~rows_in(facet_rows, crack_facets)
+        is_inner_facet = are_rows_in(facet_rows, shared_facets) & ~are_rows_in(
+            facet_rows, crack_facets
+        )
         if name != "clamp" and np.any(is_inner_facet):
             requirement = (
                 "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
@@ -582,7 +587,7 @@ def _check_inner_surfaces(
             raise InputError("mesh", f"a surface {name!r} inside the solid", requirement)
 
 
-def check_parts(
+def check_parts_are_clamped(
     cells: Cells,
     positions: np.ndarray,
     clamped_nodes: np.ndarray,
@@ -625,7 +630,7 @@ def check_parts(
         )
 
 
-def check_boundary(
+def check_parts_do_not_overlap(
     kind: int, cells: Cells, positions: np.ndarray, face_facets: Sequence[np.ndarray]
 ) -> None:
     """Raise InputError if parts overlap, or touch without common nodes.
@@ -648,9 +653,9 @@ def check_boundary(
     from scipy.spatial import cKDTree
 
     boundary_facets, owner, local_corners = (
-        rows[cells.is_boundary] for rows in cells.sorted_facets_and_owners
+        rows[cells.is_boundary_facet] for rows in cells.sorted_facets_and_owners
     )
-    is_outer = ~rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
+    is_outer = ~are_rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
     owner, local_corners = owner[is_outer], local_corners[is_outer]
     reference_corners = _reference_nodes(kind)[local_corners]
     reference_centre = reference_corners.mean(axis=1, keepdims=True)
@@ -704,9 +709,9 @@ def _are_in_cells(
     lower_bounds, upper_bounds = cell_positions.min(axis=1), cell_positions.max(axis=1)
     cell_sizes = (upper_bounds - lower_bounds).max(axis=1)
     # Lebesgue's constant of cells of order 2 is at most 1.63^2.
-    margin = (POSITION_TOLERANCE * cell_sizes + 3.0 * np.abs(curvature_offsets).max(axis=(1, 2)))[
-        :, None
-    ]
+    margin = (
+        RELATIVE_POSITION_TOLERANCE * cell_sizes + 3.0 * np.abs(curvature_offsets).max(axis=(1, 2))
+    )[:, None]
     is_inside = np.all((points > lower_bounds - margin) & (points < upper_bounds + margin), axis=1)
     if not np.any(is_inside):
         return is_inside
@@ -741,10 +746,10 @@ def _are_in_cells(
     )
     is_in_reference_cell = (
         _basis_functions(_LINEAR_KIND_BY_SHAPE[dimension, n_corners], reference_points).min(axis=1)
-        >= -POSITION_TOLERANCE
+        >= -RELATIVE_POSITION_TOLERANCE
     )
     is_inside[is_inside] = is_in_reference_cell & (
-        np.abs(residuals).max(axis=1) <= POSITION_TOLERANCE * cell_sizes
+        np.abs(residuals).max(axis=1) <= RELATIVE_POSITION_TOLERANCE * cell_sizes
     )
     return is_inside
 

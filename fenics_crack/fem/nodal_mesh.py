@@ -81,7 +81,7 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def pair_centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
+    def pair_centre_and_pressure_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns
@@ -171,7 +171,7 @@ class NodalMesh:
         return self._sides[0]
 
     @cached_property
-    def boundary(self) -> np.ndarray:
+    def boundary_sides(self) -> np.ndarray:
         """Return sides that belong to one cell only, as nodes (n, k).
 
         A plate has edges, as in ``edges``. A solid has facets with 3 or 4 corners, anticlockwise
@@ -197,8 +197,8 @@ class NodalMesh:
         """Return the boundary sides that coincide with another side: (n, k) nodes."""
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
-        side_centres = self.points[self.boundary].mean(axis=1)
+        side_centres = self.points[self.boundary_sides].mean(axis=1)
         coincident_side_pairs = cKDTree(side_centres).query_pairs(
             1e-6 * self.size, output_type="ndarray"
         )
-        return np.asarray(self.boundary[np.unique(coincident_side_pairs)])
+        return np.asarray(self.boundary_sides[np.unique(coincident_side_pairs)])

@@ -42,7 +42,7 @@ class PartMesh:
     ----------
     mesh, facet_tags : dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags
         Mesh, and tags of its facets.
-    groups : dict of str to tuple of int
+    tags_by_group : dict of str to tuple of int
         Facet tags of each named curve or surface: ``clamp``, and with a crack ``lower_lip`` and
         ``upper_lip``. A plate made here also has ``left``, ``right``, ``top`` and ``bottom``. A
         mesh file may name others. A facet in several groups has a tag of its own.
@@ -54,22 +54,24 @@ class PartMesh:
 
     mesh: Any
     facet_tags: Any
-    groups: dict[str, tuple[int, ...]]
+    tags_by_group: dict[str, tuple[int, ...]]
     points: dict[str, tuple[float, ...]]
     crack_paths_or_surfaces: Cracks
 
     @property
     def has_cracks(self) -> bool:
         """Return True if there are crack faces."""
-        return "lower_lip" in self.groups
+        return "lower_lip" in self.tags_by_group
 
     def facets(self, group: str) -> np.ndarray:
         """Return this rank's facets of a named curve or surface."""
-        return np.sort(np.concatenate([self.facet_tags.find(tag) for tag in self.groups[group]]))
+        return np.sort(
+            np.concatenate([self.facet_tags.find(tag) for tag in self.tags_by_group[group]])
+        )
 
     def measure_on(self, *groups: str) -> Any:
         """Return the measure ds for integrals over named curves or surfaces."""
-        tags = tuple(tag for group in groups for tag in self.groups[group])
+        tags = tuple(tag for group in groups for tag in self.tags_by_group[group])
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
 
 
@@ -178,14 +180,18 @@ class Dofs:
     _rotation: sparse.csr_matrix | None = None
 
     def __init__(
-        self, plate: PartMesh, space: Any, comm: MPI.Comm, is_constrained: np.ndarray | None = None
+        self,
+        part_mesh: PartMesh,
+        space: Any,
+        comm: MPI.Comm,
+        is_constrained: np.ndarray | None = None,
     ) -> None:
         """Number the free dofs.
 
         ``is_constrained`` (n_dofs,) is True for this rank's dofs that are held at zero; by default
         the dofs at the clamp.
         """
-        self.comm, self.plate, self.space = comm, plate, space
+        self.comm, self.part_mesh, self.space = comm, part_mesh, space
         self.dimension = space.mesh.geometry.dim
         self.n_own_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
@@ -213,7 +219,7 @@ class Dofs:
 
         They are nodes of another function space if ``space`` is given.
         """
-        facets, topology = self.plate.facets(group), self.plate.mesh.topology
+        facets, topology = self.part_mesh.facets(group), self.part_mesh.mesh.topology
         facet_dimension = topology.dim - 1
         topology.create_connectivity(facet_dimension, facet_dimension + 1)
         space = self.space if space is None else space

@@ -34,7 +34,7 @@ from fenics_crack.fem.blocks import (
     scale_to_mesh_unit,
 )
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import CRACK_FACE_NAMES, Cracks, NamedParts, rows_in
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, Cracks, NamedParts, are_rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
@@ -119,11 +119,11 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
     assert structure.nodes is not None
-    plate, comm, text_by_name = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
-    scalar_space = compat.function_space(plate.mesh, 1, vectors=False)
-    for face_name in sorted(set(plate.groups) - {*CRACK_FACE_NAMES}):
+    part_mesh, comm, text_by_name = structure.nodes.mesh_dofs.part_mesh, structure.comm, {}  # type: ignore[union-attr]
+    scalar_space = compat.function_space(part_mesh.mesh, 1, vectors=False)
+    for face_name in sorted(set(part_mesh.tags_by_group) - {*CRACK_FACE_NAMES}):
         node_areas = compat.assembled_vector(
-            ufl.TestFunction(scalar_space) * plate.measure_on(face_name)
+            ufl.TestFunction(scalar_space) * part_mesh.measure_on(face_name)
         )
         node_positions = scalar_space.tabulate_dof_coordinates()[: len(node_areas)]
         face_area = comm.allreduce(node_areas.sum())
@@ -134,7 +134,9 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             f"{1e6 * face_area:.4g} mm^2 around {face_centre_text} m"
         )
     nodal_mesh = NodalMesh(structure)
-    surface_facets = nodal_mesh.boundary[~rows_in(nodal_mesh.boundary, nodal_mesh.crack_face_sides)]
+    surface_facets = nodal_mesh.boundary_sides[
+        ~are_rows_in(nodal_mesh.boundary_sides, nodal_mesh.crack_face_sides)
+    ]
     surface_triangles = nodal_mesh.points[surface_facets]
     text_by_name |= {
         f"{crack_key}.point": (
@@ -145,25 +147,25 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             np.reshape(crack.point or (), (-1, 3)), surface_triangles
         )
     }
-    for crack_front in find_fronts(structure):
+    for front in find_fronts(structure):
         front_node_arc_lengths = np.append(
-            0.0, np.linalg.norm(np.diff(crack_front.node_positions, axis=0), axis=1).cumsum()
+            0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
         )
-        is_inner = crack_front.is_closed | (
+        is_inner = front.is_closed | (
             np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
             <= INNER_FRONT_DISTANCE_RATIO
         )
-        inner_nodes = crack_front.node_positions[is_inner]
-        inner_frames = crack_front.frame_and_curvature(crack_front.parameters[is_inner])[0]
+        inner_nodes = front.node_positions[is_inner]
+        inner_frames = front.frame_and_curvature(front.node_parameters[is_inner])[0]
         ligament = min(
             (
-                ray_length(node, frame[0], surface_triangles)
+                find_ray_hit_distance(node, frame[0], surface_triangles)
                 for node, frame in zip(inner_nodes, inner_frames, strict=True)
             ),
             default=np.nan,
         )
         are_corners_in_crack_plane = (
-            np.abs((surface_triangles - crack_front.node_positions[0]) @ crack_front.normals[0])
+            np.abs((surface_triangles - front.node_positions[0]) @ front.node_normals[0])
             < 1e-6 * nodal_mesh.size
         )
         mouth_triangles = surface_triangles[
@@ -175,14 +177,14 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
         depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{format_quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
-        text_by_name[crack_front.name] = (
+        text_by_name[front.name] = (
             f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
             f"{format_quantity(ligament, 'm')} from the surface straight ahead at least"
         )
     return text_by_name
 
 
-def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
+def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
     """Return the distance to the first triangle along a ray.
 
     The ray begins at a point, and its direction has the length 1. Triangles are (n, 3, 3). Without
@@ -202,7 +204,7 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     return float(distances[is_hit].min(initial=extent))
 
 
-def find_section_reaches(scene: Scene) -> tuple[float, float]:
+def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
     """Find how far a solid reaches along its first crack, backwards and ahead [m].
 
     Both lengths are measured in the crack's plane from its middle.

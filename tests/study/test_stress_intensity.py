@@ -415,7 +415,7 @@ def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) ->
     plate = SimpleNamespace(crack_paths_or_surfaces=[CrackPath(corners, has_mouth=False)])
     dofs: Any = SimpleNamespace(plate=plate, comm=MPI.COMM_SELF)
     right, left = interaction_integral.find_tips(dofs)
-    assert (right.radius, left.radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
+    assert (right.domain_radius, left.domain_radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
     assert right.growth_direction == pytest.approx(
         [0.6, 0.8]
     ) and left.growth_direction == pytest.approx([-1.0, 0.0])
