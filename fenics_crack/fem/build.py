@@ -112,7 +112,9 @@ def pair_crack_faces(
         empty_fields = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*empty_fields)
     assemble_columns = (
-        _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
+        _assemble_nodal_gap_columns
+        if dimension == 2 and max_patches is None
+        else _assemble_pressure_gap_columns
     )
     both_faces_measure = part_mesh.measure_on(*CRACK_FACE_NAMES)
     pressure_space, node_areas, pressure_gap_columns = assemble_columns(dofs, t, both_faces_measure)
@@ -123,8 +125,8 @@ def pair_crack_faces(
         nodes = dofs.nodes_on(face_name, pressure_space)
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
-    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
-        part_mesh.crack_paths_or_surfaces, *node_table_by_face
+    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = (
+        _match_face_nodes(part_mesh.crack_paths_or_surfaces, *node_table_by_face)
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
@@ -135,11 +137,11 @@ def pair_crack_faces(
     fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
-            shares = _front_pressure_shares(
+            shares = _front_pressure_share_matrix(
                 dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
             )
         else:
-            pair_node_index, shares = _patch_shares(
+            pair_node_index, shares = _find_patch_nodes_and_shares(
                 points, crack_index, distances_on_crack, n_inside, max_patches
             )
         nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
@@ -163,7 +165,7 @@ def pair_crack_faces(
     )
     if dimension == 3:
         fields["tangential_gap_matrix"] = _free_rows(
-            _tangential_gaps(gap, lower_gap, dofs.comm), dofs
+            _make_tangential_gap_matrix(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
         points, areas, crack_index, distances_on_crack,
@@ -174,7 +176,7 @@ def pair_crack_faces(
     return _free_rows(gap, dofs), tangential, pairs
 
 
-def _front_pressure_shares(
+def _front_pressure_share_matrix(
     dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
     """Return the matrix S that moves pressures at front nodes to neighbours: (n, n_inside).
@@ -203,7 +205,7 @@ def _front_pressure_shares(
     )
 
 
-def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
+def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
     """Return tangential gaps of a solid's pairs: (3 n_nodes, 2 m) (collective).
 
     Parameters
@@ -235,7 +237,7 @@ def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_mat
     ]).tocsr()  # fmt: skip
 
 
-def _patch_shares(
+def _find_patch_nodes_and_shares(
     points: np.ndarray,
     crack_index: np.ndarray,
     distances_on_crack: np.ndarray,
@@ -273,14 +275,14 @@ def _patch_shares(
             crack_nodes = crack_nodes[
                 np.arange(n_patches) * (len(crack_nodes) - 1) // max(n_patches - 1, 1)
             ]
-            patch_functions = [
-                np.interp(distances_on_crack, distances_on_crack[crack_nodes], patch_indicator)
-                for patch_indicator in np.eye(n_patches)
+            patch_value_arrays = [
+                np.interp(distances_on_crack, distances_on_crack[crack_nodes], unit_patch_values)
+                for unit_patch_values in np.eye(n_patches)
             ]
         else:
             crack_nodes = crack_nodes[_select_distant_points(points[crack_nodes], n_patches)]
             distances_to_patch_nodes = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
-            patch_functions = [
+            patch_value_arrays = [
                 distances_to_patch_nodes.argmin(axis=1) == patch for patch in range(n_patches)
             ]
         patch_nodes = np.append(patch_nodes, crack_nodes)
@@ -288,8 +290,8 @@ def _patch_shares(
             [
                 pressure_shares,
                 *(
-                    patch_function * (crack_index == crack_number)
-                    for patch_function in patch_functions
+                    patch_values * (crack_index == crack_number)
+                    for patch_values in patch_value_arrays
                 ),
             ]
         )
@@ -323,7 +325,7 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
     return free_rows_matrix
 
 
-def _columns_of_nodes(
+def _assemble_nodal_gap_columns(
     dofs: Dofs, t: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors b, one for each displacement node.
@@ -358,12 +360,12 @@ def _columns_of_nodes(
     )
 
 
-def _columns_of_pressures(
+def _assemble_pressure_gap_columns(
     dofs: Dofs, t: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors with pressures linear between corners of facets.
 
-    The results are as in :func:`_columns_of_nodes`.
+    The results are as in :func:`_assemble_nodal_gap_columns`.
     """
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
@@ -379,7 +381,7 @@ def _columns_of_pressures(
     return space, node_areas, sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas))
 
 
-def _match_faces(
+def _match_face_nodes(
     cracks: Cracks, lower_node_table: np.ndarray, upper_node_table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """Match the nodes of both crack faces one to one.
@@ -487,9 +489,11 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     if scene.disk is not None:  # every rank has the sector
         from fenics_crack.disk.sector import assemble_wheel
 
-        structure, dofs = call_on_each_rank(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
+        structure, dofs = call_on_each_rank(
+            comm, lambda: _assemble_structure_at_rest(scene, MPI.COMM_SELF)
+        )
         return assemble_wheel(scene, dofs, structure, comm)
-    structure, dofs = _assemble_at_rest(scene, comm)
+    structure, dofs = _assemble_structure_at_rest(scene, comm)
     if scene.speed > 0.0:
         begin_stage("rotation")
         structure = assemble_rotation(scene, dofs, structure).at(scene.speed)
@@ -506,7 +510,7 @@ def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str
         printed; "clamp", which gives the reaction to the load.
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
-    _, mass_form = _matrix_forms(scene, dofs.space)
+    _, mass_form = _make_stiffness_and_mass_forms(scene, dofs.space)
     mass_matrix = compat.assembled_petsc_matrix(mass_form)
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_matrix)
     clamp = make_clamp(dofs, mass_matrix, nodal_force_harmonics)
@@ -518,7 +522,7 @@ def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str
     }
 
 
-def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
+def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     """Assemble the structure without rotation, and number its dofs (collective).
 
     Of a bladed disk it is one sector, whose sides are free.
@@ -544,7 +548,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 
         match_sides(scene, dofs)
     stiffness_with_clamped_dofs, mass_with_clamped_dofs = map(
-        compat.assembled_petsc_matrix, _matrix_forms(scene, space)
+        compat.assembled_petsc_matrix, _make_stiffness_and_mass_forms(scene, space)
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, max_patches = thickness_constant(scene, space), scene.mesh.patches
@@ -553,20 +557,20 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     )
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
     clamp = make_clamp(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
-    body_with_loads = Body(
+    body = Body(
         dofs.restrict_matrix(mass_with_clamped_dofs),
         dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,
         dofs.restrict_to_free(nodal_force_harmonics), clearance_of(scene, pairs),
         damping=damping_rule_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
-    return Structure(body_with_loads), dofs
+    return Structure(body), dofs
 
 
 # --- matrices -------------------------------------------------------------------------------------
 
 
-def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
+def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass."""
     (density,), t = form_constants(space, scene.material.density), thickness_constant(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -616,7 +620,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     ``crack.first_omega`` asks for it; without it the scene is returned as it is."""
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
-    return _set_crack_length(scene, find_crack_length(scene, comm))
+    return _replace_crack_length(scene, find_crack_length(scene, comm))
 
 
 _LAST_TABLES_AND_LENGTH: list[tuple[str, float]] = []
@@ -664,7 +668,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     @cache
     def excess_frequency(length: float) -> float:
         """Return the first natural frequency less the target [rad/s]."""
-        trial_structure = assemble_structure(_set_crack_length(scene_at_rest, length), comm)
+        trial_structure = assemble_structure(_replace_crack_length(scene_at_rest, length), comm)
         return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 
     available_width, width_words = width, "width"
@@ -687,6 +691,6 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     return crack_length_at_target
 
 
-def _set_crack_length(scene: Scene, length: float) -> Scene:
+def _replace_crack_length(scene: Scene, length: float) -> Scene:
     """Return the scene with a crack length instead of a frequency."""
     return scene.replace({"crack.length": length, "crack.first_omega": None})

@@ -113,7 +113,7 @@ def _assemble_parts_and_places(
         Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the
         matrices.
     nodes : Nodes
-    pair_places : Pairs
+    pairs : Pairs
     """
     _check_space(space)
     check_number("thickness", thickness, 0.0, excludes_bound=True)
@@ -127,29 +127,32 @@ def _assemble_parts_and_places(
     for key, form in forms_by_key.items():
         _check_form(space, key, form, 2 if key in bilinear_forms else 1)
     comm = space.mesh.comm  # it ends with the mesh, so use an equivalent one that lasts
-    equal_comm_results, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
+    equal_comm_codes, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
     comm = next(
         (
             lasting_comm
             for lasting_comm in lasting_comms
-            if MPI.Comm.Compare(lasting_comm, comm) in equal_comm_results
+            if MPI.Comm.Compare(lasting_comm, comm) in equal_comm_codes
         ),
         comm,
     )
     collect_garbage(comm)  # free the matrices of earlier structures
     is_constrained = call_on_each_rank(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
-        dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
-        gap_matrix, tangential_matrix, pair_places = pair_crack_faces(
+        dofs = Dofs(_wrap_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
+        gap_matrix, tangential_matrix, pairs = pair_crack_faces(
             dofs, form_constants(space, thickness)[0]
         )
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None
     parts_by_name: dict[str, Any] = {
-        matrix_name: sparse.vstack(comm.allgather(rank_rows))
-        if gap_matrix.shape[1] and rank_rows is not None
+        matrix_name: sparse.vstack(comm.allgather(rank_matrix_rows))
+        if gap_matrix.shape[1] and rank_matrix_rows is not None
         else None
-        for matrix_name, rank_rows in (("gap", gap_matrix), ("tangential", tangential_matrix))
+        for matrix_name, rank_matrix_rows in (
+            ("gap", gap_matrix),
+            ("tangential", tangential_matrix),
+        )
     }
     for key, form in forms_by_key.items():
         with report_read_errors(key, "a form", "one that DOLFINx can assemble"):
@@ -158,7 +161,7 @@ def _assemble_parts_and_places(
             else:
                 load_values = dofs.restrict_to_free(compat.assembled_vector(form))
                 parts_by_name[key.replace("loads.", "force_")] = gather_rows(comm, load_values)
-    return parts_by_name, dofs.make_node_data(), pair_places
+    return parts_by_name, dofs.make_node_data(), pairs
 
 
 def _check_space(space: Any) -> None:
@@ -192,7 +195,7 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
             )
 
 
-def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
+def _wrap_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     """Return a user's mesh with its crack faces (collective).
 
     ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
@@ -213,10 +216,12 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
         (),
     )
     face_numbers_and_positions = [
-        _face_corners(part_mesh, face_name, comm) for face_name in CRACK_FACE_NAMES
+        _find_corner_numbers_and_positions(part_mesh, face_name, comm)
+        for face_name in CRACK_FACE_NAMES
     ]
     face_node_numbers, face_node_positions = (
-        np.concatenate(face_arrays) for face_arrays in zip(*face_numbers_and_positions, strict=True)
+        np.concatenate(arrays_of_both_faces)
+        for arrays_of_both_faces in zip(*face_numbers_and_positions, strict=True)
     )
     _, first_positions, node_index = np.unique(
         face_node_numbers, return_index=True, return_inverse=True
@@ -234,7 +239,9 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     )
 
 
-def _face_corners(part_mesh: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+def _find_corner_numbers_and_positions(
+    part_mesh: PartMesh, name: str, comm: MPI.Comm
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of all facets on a face (collective).
 
     Returns

@@ -61,25 +61,25 @@ from fenics_crack.scene.scene import Scene
 RADIUS_IN_ELEMENTS = 2.0
 """Radius of the domain, in elements along the front. A smaller radius gives noise, a larger one
 averages over more of the front."""
-MAX_RADIUS_BY_CURVATURE = 0.6
+MAX_RADIUS_TO_CURVATURE_RADIUS = 0.6
 """Maximum radius of the domain, relative to the front's radius of curvature. At 1 the normals meet.
 """
-MAX_RADIUS_BY_CLEARANCE = 0.8
+MAX_RADIUS_TO_CLEARANCE = 0.8
 """Maximum radius of the domain, relative to the distance from the clamp or another crack."""
 MAX_ELEMENT_LENGTH_TO_RADIUS = 1.25
 """Maximum element length along the front, relative to the radius. K is then off by up to 20 %, as
 it may be on the coarser mesh of a stated error."""
 PLATEAU_FRACTION = 0.2
 """Fraction of the radius up to which q is 1."""
-GAUSS_AT_FRONT, GAUSS_ELSEWHERE = 6, 5
+GAUSS_POINTS_AT_FRONT, GAUSS_POINTS_ELSEWHERE = 6, 5
 """Gauss points in each direction of cells at the front, and of other cells. At the front, 4 points
 give 1 to 3 % of noise. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
 MIN_EDGES_PER_STATION = 3
 """Minimum number of edges between two stations. So each hat has four nodes or more."""
-MAX_INTERVALS = 12
+MAX_STATION_INTERVALS = 12
 """Maximum number of intervals between stations on an open front; twice as many on a closed front.
 """
-CORNER_ANGLE = np.pi / 4.0
+MIN_CORNER_ANGLE = np.pi / 4.0
 """Minimum angle between neighbouring edges at a corner of the front [rad]."""
 MAX_POINTS_IN_MEMORY = 100_000
 """Maximum number of quadrature points held in memory."""
@@ -133,7 +133,7 @@ class Front:
         n_station_intervals = max(
             1,
             min(
-                MAX_INTERVALS * (1 + self.is_closed),
+                MAX_STATION_INTERVALS * (1 + self.is_closed),
                 (len(self.node_positions) - 1) // MIN_EDGES_PER_STATION,
             ),
         )
@@ -234,19 +234,21 @@ class Front:
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
         """Return True where the curvature [1/m] limits the integration domain's radius."""
-        return np.asarray(np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_BY_CURVATURE)
+        return np.asarray(
+            np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_TO_CURVATURE_RADIUS
+        )
 
     def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
         """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
             is_limited,
-            MAX_RADIUS_BY_CURVATURE / np.where(is_limited, np.abs(curvature), 1.0),
+            MAX_RADIUS_TO_CURVATURE_RADIUS / np.where(is_limited, np.abs(curvature), 1.0),
             self.straight_domain_radius,
         )
 
     @cached_property
-    def _curve_samples(self) -> tuple[np.ndarray, cKDTree]:
+    def _sample_parameters_and_tree(self) -> tuple[np.ndarray, cKDTree]:
         """Return sample points on the curve: parameters t, and a search tree with positions.
 
         There are eight points for each node.
@@ -260,7 +262,7 @@ class Front:
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
         """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
-        sample_parameters, sample_tree = self._curve_samples
+        sample_parameters, sample_tree = self._sample_parameters_and_tree
         t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
             c_0, c_1, c_2 = (self.curve_function(t, order) for order in range(3))
@@ -307,11 +309,11 @@ class Station:
 
 def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
-    structure_nodes = structure.nodes
-    assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
+    rank_nodes = structure.nodes
+    assert rank_nodes is not None
+    cracks: tuple[CrackSurface, ...] = rank_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
     clamped_points = gather_rows(
-        structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
+        structure.comm, rank_nodes.points[np.all(rank_nodes.dofs < 0, axis=1)]
     )
     front_arguments = []
     for crack_index, crack in enumerate(cracks):
@@ -321,14 +323,14 @@ def find_fronts(structure: Structure) -> list[Front]:
             if other_crack is not crack
         ]
         obstacle_tree = cKDTree(np.concatenate([clamped_points, *other_corners]))
-        for chain_points, normals, is_closed, ends_at_surface in _front_chains(crack):
-            allowed_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
+        for chain_points, normals, is_closed, ends_at_surface in _yield_smooth_front_parts(crack):
+            allowed_radius = MAX_RADIUS_TO_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
             front_arguments.append(
                 (
                     crack_index,
                     chain_points,
                     normals,
-                    *_fit_curve(chain_points, is_closed),
+                    *_fit_parameters_and_curve(chain_points, is_closed),
                     is_closed,
                     ends_at_surface,
                     allowed_radius,
@@ -340,7 +342,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     ]
 
 
-def _front_chains(
+def _yield_smooth_front_parts(
     crack: CrackSurface,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
     """Yield the smooth parts of a crack's front.
@@ -358,9 +360,7 @@ def _front_chains(
     """
     corner_positions = crack.triangles.reshape(-1, 3)
     corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
-    edges = np.sort(
-        corner_tree.query(crack.front_edge_end_positions.reshape(-1, 3))[1].reshape(-1, 2), axis=1
-    )
+    edges = np.sort(corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
     edge_end_nodes = np.array(
         [
@@ -378,7 +378,7 @@ def _front_chains(
     triangle_centres = crack.triangles.mean(axis=1)
     while links:
         first_node = min(
-            (node for node, node_links in links.items() if len(node_links) == 1), default=min(links)
+            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
         )
         chain, is_closed = [first_node], len(links[first_node]) == 2
         while links.get(chain[-1]):
@@ -405,7 +405,7 @@ def _front_chains(
         edge_vectors /= np.linalg.norm(edge_vectors, axis=1)[:, None]
         previous_vectors = np.roll(edge_vectors, 1, axis=0)
         corner_indices = np.flatnonzero(
-            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(CORNER_ANGLE)
+            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(MIN_CORNER_ANGLE)
         ).tolist()
         if is_closed and corner_indices:
             start_index = corner_indices[0]
@@ -427,7 +427,7 @@ def _front_chains(
             )
 
 
-def _fit_curve(
+def _fit_parameters_and_curve(
     node_positions: np.ndarray, is_closed: bool
 ) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
     """Fit a curve through node positions (n, 3) [m].
@@ -539,18 +539,20 @@ def front_functionals(
     displacement_rows: list[np.ndarray] = []
     force_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
-        _check_resolved(front)
+        _check_front_is_resolved(front)
         domain = _IntegrationDomain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
             _values_at_free_dofs(nodes, domain.nodes, node_values)
-            for node_values in domain.integrate_factors_and_fields(comm)
+            for node_values in domain.find_factors_and_nodal_fields(comm)
         )
         force_factors = np.zeros((len(displacement_factors), structure.n_pairs))
         if structure.pairs.nodes is not None:
             force_factors -= domain.intensity_per_integral[:, None] * structure.apply_bt(
                 nodal_fields
             )
-            force_factors[: len(front.station_parameters)] += _pressure_factors(structure, front)
+            force_factors[: len(front.station_parameters)] += _contact_force_factors(
+                structure, front
+            )
         valid_station_indices = [
             station_index
             for station_index in range(len(front.station_parameters))
@@ -631,7 +633,7 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     ]
 
 
-def _check_resolved(front: Front) -> None:
+def _check_front_is_resolved(front: Front) -> None:
     """Raise InputError if elements along a front exceed the domain."""
     edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
     radii = front.domain_radius(
@@ -728,7 +730,7 @@ class _IntegrationDomain:
         Nodes of each cell, as rows of ``points``.
     corner_order : (n_cells, 4) int
         Corners of each cell, nearest to the front first.
-    corners : (n_cells, 4, 3) [m]
+    corner_positions : (n_cells, 4, 3) [m]
         Positions of corners, in this order.
     is_outer_facet : (n_cells, 4) bool
         True for facets, opposite each corner, that belong to one cell only.
@@ -751,7 +753,7 @@ class _IntegrationDomain:
             len(front.station_parameters),
         )
         self.intensity_per_integral = mode_moduli / np.tile(front.hat_lengths(), 3)
-        front_distances = front._curve_samples[1].query(points)[0][cells]
+        front_distances = front._sample_parameters_and_tree[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
         is_near = front_distances.min(axis=1) < front.straight_domain_radius
         self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
@@ -764,7 +766,9 @@ class _IntegrationDomain:
             np.round(sort_keys / (RELATIVE_POSITION_TOLERANCE * front.straight_domain_radius)),
             axis=-1,
         )
-        self.corners = np.take_along_axis(corner_positions, corner_order[..., None], axis=1)
+        self.corner_positions = np.take_along_axis(
+            corner_positions, corner_order[..., None], axis=1
+        )
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
         facets = [
             np.sort(np.delete(corner_nodes, corner_index, axis=1), axis=1)
@@ -775,7 +779,7 @@ class _IntegrationDomain:
         self.is_outer_facet = (
             np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
         )
-        edge_vectors = self.corners[:, 1:] - self.corners[:, :1]
+        edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
         self.volumes = np.abs(np.linalg.det(edge_vectors)) / 6.0
         inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
             1, 2
@@ -783,7 +787,7 @@ class _IntegrationDomain:
         self.barycentric_gradients = np.concatenate(
             [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
         )
-        centres = self.corners.mean(axis=1)
+        centres = self.corner_positions.mean(axis=1)
         centre_parameters = front.nearest_parameters(centres)
         self.side_signs = np.sign(
             (
@@ -796,30 +800,28 @@ class _IntegrationDomain:
         """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
 
         The result D has grad N_a = sum_b D_ab lambda_b. The N_a are in the order of the cell's
-        nodes, the barycentric coordinates lambda_b in the order of ``corners``.
+        nodes, the barycentric coordinates lambda_b in the order of ``corner_positions``.
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
         gradients = np.take_along_axis(
             self.barycentric_gradients[cell_index], inverse_order[..., None], axis=1
         )
-        barycentric_coefficients = np.zeros((len(cell_index), 10, 4, 3))
+        gradient_coefficients = np.zeros((len(cell_index), 10, 4, 3))
         for corner_index in range(4):
-            barycentric_coefficients[:, corner_index] = -gradients[:, corner_index, None]
-            barycentric_coefficients[:, corner_index, corner_index] += (
-                4.0 * gradients[:, corner_index]
-            )
+            gradient_coefficients[:, corner_index] = -gradients[:, corner_index, None]
+            gradient_coefficients[:, corner_index, corner_index] += 4.0 * gradients[:, corner_index]
         for edge_index, (corner_index, other_corner_index) in enumerate(TETRAHEDRON_EDGES):
-            barycentric_coefficients[:, 4 + edge_index, corner_index] = (
+            gradient_coefficients[:, 4 + edge_index, corner_index] = (
                 4.0 * gradients[:, other_corner_index]
             )
-            barycentric_coefficients[:, 4 + edge_index, other_corner_index] = (
+            gradient_coefficients[:, 4 + edge_index, other_corner_index] = (
                 4.0 * gradients[:, corner_index]
             )
         return np.take_along_axis(
-            barycentric_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
+            gradient_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
         )
 
-    def integrate_factors_and_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    def find_factors_and_nodal_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Integrate the functionals at nodes, each rank over a share of cells (collective).
 
         Returns
@@ -833,14 +835,14 @@ class _IntegrationDomain:
         n_rows = 3 * len(self.front.station_parameters)
         factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
         for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
-            nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
+            nodal_fields[self.cells[chunk_cells]] = self._weighted_nodal_fields(chunk_cells)
         is_at_front = (
-            cKDTree(self.front.node_positions).query(self.corners[:, 0])[0]
+            cKDTree(self.front.node_positions).query(self.corner_positions[:, 0])[0]
             < RELATIVE_POSITION_TOLERANCE * self.front.straight_domain_radius
         )
         cells_and_gauss_numbers = (
-            (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
-            (np.flatnonzero(~is_at_front), GAUSS_ELSEWHERE),
+            (np.flatnonzero(is_at_front), GAUSS_POINTS_AT_FRONT),
+            (np.flatnonzero(~is_at_front), GAUSS_POINTS_ELSEWHERE),
         )
         for chunk_cells, n_gauss in (
             (cell_chunk, n_side_points)
@@ -883,8 +885,8 @@ class _IntegrationDomain:
                 .reshape(len(chunk_cells), -1, 3, 4, 3)
                 .swapaxes(2, 3)
             )
-            product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
-            tensor_integrals -= product_integrals * (
+            barycentric_product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
+            tensor_integrals -= barycentric_product_integrals * (
                 corner_stress + corner_stress.sum(axis=2, keepdims=True)
             )
             tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
@@ -945,7 +947,7 @@ class _IntegrationDomain:
             domain_radius,
         )
 
-    def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
+    def _weighted_nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
         q is the weight, h the hat, and a_,1 the derivative of the unit K field along e_1. On the
@@ -962,12 +964,14 @@ class _IntegrationDomain:
         q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
-            _, a_by_xi, _ = self._plane_field(mode, xi, y, r)
+            _, a_by_xi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
             weighted_field = np.einsum("icp,cpij->cpj", a_by_xi, frame_vectors) * q[..., None]
             mode_fields.append(hat[..., None] * weighted_field[..., None, :])
         return np.concatenate(mode_fields, axis=2)
 
-    def _plane_field(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
+    def _plane_field_and_derivatives(
+        self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray
+    ) -> Any:
         """Return the displacement with K = 1 in one mode, and derivatives.
 
         Parameters
@@ -1047,7 +1051,7 @@ class _IntegrationDomain:
         (n, 3 n_stations, 4, 3, 3)
             Integrals for each cell, row, corner b, and component of T.
         """
-        positions = rule_points @ self.corners[cell_index]
+        positions = rule_points @ self.corner_positions[cell_index]
         frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, radius = (
             self._front_coordinates(positions, cell_index)
         )
@@ -1064,10 +1068,10 @@ class _IntegrationDomain:
         q_gradient = np.stack(
             [q_slope * xi / r, q_slope * y / r, -q_slope * r * radius_log_slope / metric], axis=-1
         )
-        weighted_rule_points = weights[..., None] * rule_points
+        weights_times_coordinates = weights[..., None] * rule_points
         mode_integrals = []
         for mode in range(3):
-            a, a_by_xi, a_by_y = self._plane_field(mode, xi, y, r)
+            a, a_by_xi, a_by_y = self._plane_field_and_derivatives(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
             gradient[..., 0], gradient[..., 1] = (
                 np.moveaxis(a_by_xi, 0, -1),
@@ -1088,7 +1092,7 @@ class _IntegrationDomain:
                 )
                 hats_and_tensors = [(hat, surface_tensor)]
             else:
-                hats_and_tensors = self._volume_tensors(
+                hats_and_tensors = self._hats_and_volume_tensors(
                     a,
                     a_by_xi,
                     a_by_y,
@@ -1099,7 +1103,7 @@ class _IntegrationDomain:
             total: Any = 0.0
             for hat_values, tensor in hats_and_tensors:
                 rotated_tensor = frame_vectors.swapaxes(-1, -2) @ tensor @ frame_vectors
-                weighted_tensors = weighted_rule_points[..., None] * rotated_tensor.reshape(
+                weighted_tensors = weights_times_coordinates[..., None] * rotated_tensor.reshape(
                     *r.shape, 1, 9
                 )
                 weighted_tensors = weighted_tensors.reshape(*r.shape, 36)
@@ -1107,7 +1111,7 @@ class _IntegrationDomain:
             mode_integrals.append(total.reshape(len(cell_index), -1, 4, 3, 3))
         return np.concatenate(mode_integrals, axis=1)
 
-    def _volume_tensors(
+    def _hats_and_volume_tensors(
         self, a: np.ndarray, a_by_xi: np.ndarray, a_by_y: np.ndarray,
         gradient: np.ndarray, auxiliary_stress: np.ndarray,
         weights_and_geometry: tuple[np.ndarray, ...],
@@ -1119,7 +1123,7 @@ class _IntegrationDomain:
         Parameters
         ----------
         a, a_by_xi, a_by_y : (3, ...)
-            From :meth:`_plane_field`.
+            From :meth:`_plane_field_and_derivatives`.
         gradient, auxiliary_stress : (..., 3, 3)
             Gradient and stress of that field in the frame e_1, e_2, e_3.
         weights_and_geometry : tuple of arrays
@@ -1142,13 +1146,13 @@ class _IntegrationDomain:
         )
         hat_tensor[..., 0] += (auxiliary_stress @ q_gradient[..., None])[..., 0]
         hat_tensor[..., 2] += auxiliary_stress[..., 2] * q_times_curvature
-        gradient_by_curvature = np.zeros_like(gradient)
-        gradient_by_curvature[..., 0, 2], gradient_by_curvature[..., 2, 2] = (
+        gradient_slope_by_curvature = np.zeros_like(gradient)
+        gradient_slope_by_curvature[..., 0, 2], gradient_slope_by_curvature[..., 2, 2] = (
             -a[2] / metric**2,
             a[0] / metric**2,
         )
         stress_divergence = (curvature_slope / metric)[..., None] * self._stress(
-            gradient_by_curvature
+            gradient_slope_by_curvature
         )[..., 2]
         stress_divergence[..., 0] += local_curvature * (
             auxiliary_stress[..., 0, 0] - auxiliary_stress[..., 2, 2]
@@ -1170,22 +1174,18 @@ class _IntegrationDomain:
         return [(hat, hat_tensor), (hat_slope, slope_tensor)]
 
 
-def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
+def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs).
 
     They come from the integral of the contact pressure p in the interaction integral. A pair's
     force acts as a pressure shaped as the pair's pressure function.
     """
-    structure_pairs = structure.pairs
-    assert (
-        structure_pairs.nodes is not None
-        and structure_pairs.pressure_matrix is not None
-        and structure_pairs.areas is not None
-    )
+    pairs = structure.pairs
+    assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None
     crack: CrackSurface = structure.nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces[  # type: ignore[union-attr]
         front.crack_index
     ]
-    crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
+    crack_node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
         crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
@@ -1193,9 +1193,9 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     is_near = (
         corner_front_distances.min(axis=1) < front.straight_domain_radius + 2.0 * triangle_radii
     )
-    factors = np.zeros((len(front.station_parameters), len(structure_pairs.nodes)))
-    rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
-    x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
+    factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
+    rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_POINTS_AT_FRONT)
+    x, w = np.polynomial.legendre.leggauss(2 * GAUSS_POINTS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
     sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
     map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
@@ -1226,10 +1226,10 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
                     t_stop + parameter_period * (t_stop < t_start),
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
-            corner_offsets = triangle[corner_order[0]] - front.curve_function(t, 0)
-            points = front.curve_function(t, 0) + corner_fractions[:, None] * corner_offsets
+            offsets_to_corner = triangle[corner_order[0]] - front.curve_function(t, 0)
+            points = front.curve_function(t, 0) + corner_fractions[:, None] * offsets_to_corner
             area_vectors = np.cross(
-                corner_offsets,
+                offsets_to_corner,
                 (1.0 - corner_fractions)[:, None] * front.curve_function(t, 1) * (t_stop - t_start),
             )
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
@@ -1242,9 +1242,9 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
         domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
         kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
-        crack_node_index = crack_node_tree.query(triangle[corner_order])[1]
-        factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
+        corner_crack_nodes = crack_node_tree.query(triangle[corner_order])[1]
+        factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
-    return np.asarray((structure_pairs.pressure_matrix.T @ factors.T).T / structure_pairs.areas)
+    return np.asarray((pairs.pressure_matrix.T @ factors.T).T / pairs.areas)

@@ -90,8 +90,8 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     except InputError as error:
         if error.key not in table.field_by_key():
             raise
-        file_setting, problem = getattr(table, error.key), error.value
-        path_text = file_setting if problem == file_setting else f"{file_setting} ({problem})"
+        given_value, problem = getattr(table, error.key), error.value
+        path_text = given_value if problem == given_value else f"{given_value} ({problem})"
         raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 
 
@@ -100,7 +100,7 @@ def _make_structure(
 ) -> Structure:
     """Make the structure of a table ``[structure]`` from the table's files."""
     labelled_matrices, gaps_and_forces_by_name, model = call_on_each_rank(
-        comm, lambda: _read_files(table)
+        comm, lambda: _read_matrices_columns_and_model(table)
     )
     stiffness_matrix = labelled_matrices["stiffness"].matrix
     structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
@@ -113,7 +113,7 @@ def _make_structure(
         if row_labels is None:
             requirement = "given with structure.model: the file of each row's node and direction"
             raise InputError("structure.dofs", None, requirement)
-        row_order, node_dofs, node_starts = _order_by_nodes(model, row_labels, table)
+        row_order, node_dofs, node_starts = _order_rows_by_nodes(model, row_labels, table)
         for name in labelled_matrices:
             structure_fields[name] = structure_fields[name][row_order][:, row_order]
         if scene.contact is not None and table.gap is None:
@@ -131,9 +131,11 @@ def _make_structure(
         name: gap_or_force[row_order] for name, gap_or_force in gaps_and_forces_by_name.items()
     }
     n_pairs = 0 if structure_fields["gap"] is None else structure_fields["gap"].shape[1]
-    structure_fields["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
+    structure_fields["clearance"] = _read_number_or_pair_values(
+        "clearance", table.clearance, n_pairs
+    )
     if table.areas is not None:
-        pairs = replace(pairs, areas=_read_per_pair("areas", table.areas, n_pairs))
+        pairs = replace(pairs, areas=_read_number_or_pair_values("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert own_nodes is not None
         _, point_dofs = own_nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
@@ -154,7 +156,7 @@ def _make_structure(
     return Structure.from_matrices(**structure_fields, comm=comm).with_places(own_nodes, pairs)
 
 
-def _read_files(
+def _read_matrices_columns_and_model(
     table: StructureTable,
 ) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
     """Read the files of a table.
@@ -212,7 +214,7 @@ def _read_files(
     )
 
 
-def _order_by_nodes(
+def _order_rows_by_nodes(
     model: Model, labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Order the matrices' rows by nodes.
@@ -291,7 +293,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     return Nodes(model.points[own_nodes], node_dofs[own_nodes], renumbered_cells, vtk_type)
 
 
-def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
+def _read_number_or_pair_values(name: str, setting: float | str, n_pairs: int) -> Any:
     """Return a number, or a file's numbers (n_pairs,) for the pairs."""
     if not isinstance(setting, str):
         return setting
@@ -564,13 +566,13 @@ def find_gap_matrix_and_pairs(
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
     if facets:
-        gap, areas, twin_pair_index, front_nodes = _patch_gaps(twins, facets)
+        gap, areas, twin_pair_index, front_nodes = _assemble_patch_gap_matrix(twins, facets)
     else:
         has_surface_cracks = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
-        gap, front_nodes = _gap_matrix_and_front_nodes(twins, 2 if has_surface_cracks else 1)
+        gap, front_nodes = _assemble_normal_gap_matrix(twins, 2 if has_surface_cracks else 1)
         areas, twin_pair_index = None, np.arange(len(twins.first_nodes))
     points = model.points[twins.first_nodes[twin_pair_index]]
-    crack_index = _number_cracks(twins, twin_pair_index)
+    crack_index = _find_crack_of_each_pair(twins, twin_pair_index)
     front_distances = np.zeros(len(twin_pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
@@ -590,7 +592,7 @@ def find_gap_matrix_and_pairs(
     return gap[:, order], contact_pairs
 
 
-def _number_cracks(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
+def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
     """Return the crack of each pair, numbered from bottom to top: (n_pairs,) int.
 
     Pairs with connected nodes are on one crack.
@@ -598,17 +600,17 @@ def _number_cracks(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray
     from scipy.sparse.csgraph import connected_components
 
     # A first node may be on either face.
-    first_nodes = twins.first_nodes[twin_pair_index]
-    second_nodes = twins.second_nodes[twin_pair_index]
-    same_order_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
-        twins.connectivity[second_nodes][:, second_nodes]
+    first_node_of_pair = twins.first_nodes[twin_pair_index]
+    second_node_of_pair = twins.second_nodes[twin_pair_index]
+    links_in_same_order = twins.connectivity[first_node_of_pair][:, first_node_of_pair].multiply(
+        twins.connectivity[second_node_of_pair][:, second_node_of_pair]
     )
-    links = same_order_links + twins.connectivity[first_nodes][:, second_nodes].multiply(
-        twins.connectivity[second_nodes][:, first_nodes]
-    )
+    links = links_in_same_order + twins.connectivity[first_node_of_pair][
+        :, second_node_of_pair
+    ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
     n_cracks, crack_labels = connected_components(links)
     centres = [
-        twins.points[first_nodes[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
+        twins.points[first_node_of_pair[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
         for crack in range(n_cracks)
     ]
     sorted_crack_number = np.empty(n_cracks, dtype=int)
@@ -738,7 +740,7 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-def _patch_gaps(
+def _assemble_patch_gap_matrix(
     twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
     """Assemble the normal gaps of crack faces with facets, averaged over patches.
@@ -818,12 +820,12 @@ def _patch_gaps(
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _gap_matrix_and_front_nodes(
-    twins: _TwinNodes, n_tangents: int
+def _assemble_normal_gap_matrix(
+    twins: _TwinNodes, crack_dimension: int
 ) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Assemble the normal gaps between coincident nodes, without cells.
 
-    ``n_tangents`` is 2 for crack faces that are surfaces, 1 for lines.
+    ``crack_dimension`` is 2 for crack faces that are surfaces, 1 for lines.
 
     Returns
     -------
@@ -843,12 +845,12 @@ def _gap_matrix_and_front_nodes(
         nearby_crack_nodes = np.append(
             nearby_crack_nodes[twins.pair_index[nearby_crack_nodes] >= 0], front_nodes[-1]
         )
-        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= n_tangents:
+        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= crack_dimension:
             nearby_crack_nodes = twins.first_nodes
         centred_points = model_points[nearby_crack_nodes] - model_points[nearby_crack_nodes].mean(
             axis=0
         )
-        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:n_tangents]
+        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:crack_dimension]
         pair_normal = model_points[neighbours[1]].mean(axis=0) - model_points[neighbours[0]].mean(
             axis=0
         )

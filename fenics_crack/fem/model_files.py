@@ -69,7 +69,7 @@ def read_model(path: Path) -> Model:
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}
     try:
-        READERS_BY_ENDING.get(path.suffix.lower(), _read_table)(path, nodes, cells)
+        READERS_BY_ENDING.get(path.suffix.lower(), _read_node_table)(path, nodes, cells)
     except RecursionError:
         raise ValueError("its files include each other") from None
     if not nodes:
@@ -139,7 +139,7 @@ def _add_node(
         raise ValueError(f"line {line_number}: two places of node {label}")
 
 
-def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
+def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read nodes from a table with lines "node, x, y, z", into ``nodes``."""
     for row_number, (label, *coordinates) in enumerate(
         read_number_rows(path, 4, "#", ",").tolist(), 1

@@ -86,9 +86,9 @@ class NodalMesh:
 
         Returns
         -------
-        centre_functions : (n_nodes, n_pairs)
+        centre_matrix : (n_nodes, n_pairs)
             1 at the two nodes in the centre of each patch.
-        pressure_functions : (n_nodes, n_pairs)
+        nodal_pressure_matrix : (n_nodes, n_pairs)
             Pressure functions on the crack faces, linear between corners of facets. If the
             pairs' shares are unknown, each corner has the nearest pair, and fronts have none.
         """
@@ -102,16 +102,16 @@ class NodalMesh:
             cKDTree(corner_points).query_ball_point(corner_points, tolerance, return_length=True)
             > 1
         )
-        centre_functions, pressure_functions = np.zeros((2, len(points), self.structure.n_pairs))
-        centre_functions[
+        centre_matrix, nodal_pressure_matrix = np.zeros((2, len(points), self.structure.n_pairs))
+        centre_matrix[
             corners[distances <= tolerance], nearest_pair_index[distances <= tolerance]
         ] = 1.0
         if structure_pairs.nodes is not None and structure_pairs.pressure_matrix is not None:
-            pressure_functions[corners] = structure_pairs.pressure_matrix[
+            nodal_pressure_matrix[corners] = structure_pairs.pressure_matrix[
                 cKDTree(structure_pairs.nodes).query(corner_points)[1]
             ].toarray()
         else:
-            pressure_functions[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
+            nodal_pressure_matrix[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
         edge_end_nodes = np.stack(
             [crack_facets, np.roll(crack_facets, -1, axis=1)], axis=2
         ).reshape(-1, 2)
@@ -125,10 +125,10 @@ class NodalMesh:
             points[non_corner_nodes]
         )
         is_on_edge = distances <= tolerance
-        pressure_functions[non_corner_nodes[is_on_edge]] = pressure_functions[
+        nodal_pressure_matrix[non_corner_nodes[is_on_edge]] = nodal_pressure_matrix[
             edge_end_nodes[nearest_edge_index[is_on_edge]]
         ].mean(axis=1)
-        return centre_functions, pressure_functions
+        return centre_matrix, nodal_pressure_matrix
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,5 +11,5 @@ double element_length_at(const grading *tips, double x, double y)
         const double distance_squared = x_distance * x_distance + y_distance * y_distance;
         if (distance_squared < min_square) min_square = distance_squared;
     }
-    return tips->min_length + tips->growth * sqrt(min_square);
+    return tips->min_length + tips->length_per_distance * sqrt(min_square);
 }

@@ -175,9 +175,7 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     (crack,) = find_crack_surfaces(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
-    assert (
-        not len(crack.front_edge_end_positions) and crack.points_beside((0.5, 1.0, 0.5)) is not None
-    )
+    assert not len(crack.front_chords) and crack.points_beside((0.5, 1.0, 0.5)) is not None
 
 
 def test_plates_cells_are_refused() -> None:
