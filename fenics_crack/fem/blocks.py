@@ -933,7 +933,7 @@ class _Grading:
 
     Attributes
     ----------
-    x_positions, height : (n,), () [m]
+    x_positions, y_position : (n,), () [m]
         x and y of the points.
     min_length : float [m]
         Element length at a point.
@@ -942,7 +942,7 @@ class _Grading:
     """
 
     x_positions: np.ndarray
-    height: float
+    y_position: float
     min_length: float
     length_per_distance: float
 

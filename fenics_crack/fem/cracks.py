@@ -31,7 +31,7 @@ CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 RELATIVE_POSITION_TOLERANCE = 1e-6
 """Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
 digits or more."""
-COINCIDENCE_TOLERANCE = 1e-3
+RELATIVE_COINCIDENCE_TOLERANCE = 1e-3
 """Distance between coincident nodes, relative to the shortest edge."""
 FACET_CORNERS_BY_CORNER_COUNT = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
@@ -303,7 +303,7 @@ def upward_sign(normal: np.ndarray) -> float:
     Up is along y; a level normal is judged along x, then along z.
     """
     for axis_index in (1, 0, 2)[: len(normal)]:
-        if abs(normal[axis_index]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
+        if abs(normal[axis_index]) > RELATIVE_COINCIDENCE_TOLERANCE * np.abs(normal).max():
             return float(np.sign(normal[axis_index]))
     return 1.0
 
@@ -577,7 +577,7 @@ def merge_crack_nodes(
     node_map = np.arange(len(positions))
     crack_positions = positions[np.unique(crack_facets)]
     for coincident_nodes in cKDTree(positions).query_ball_point(
-        crack_positions, COINCIDENCE_TOLERANCE * float(edge_lengths.min())
+        crack_positions, RELATIVE_COINCIDENCE_TOLERANCE * float(edge_lengths.min())
     ):
         node_map[coincident_nodes] = min(coincident_nodes)
     return np.unique(node_map, return_inverse=True)

@@ -180,16 +180,16 @@ def _check_space(space: Any) -> None:
             raise ValueError(str(element))
 
 
-def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
+def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
     """Raise InputError unless a form is linear, or bilinear, on a space.
 
-    A linear form has the rank 1, a bilinear form 2.
+    A linear form has one argument, a bilinear form two.
     """
     with report_read_errors(
-        key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"
+        key, type(form).__name__, f"a {'bi' * (n_arguments - 1)}linear form of UFL on the space"
     ):
         is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
-        if len(is_on_space) != rank or not all(is_on_space):
+        if len(is_on_space) != n_arguments or not all(is_on_space):
             raise ValueError(
                 f"it has {len(is_on_space)} arguments, {sum(is_on_space)} of them on the space"
             )
@@ -240,7 +240,7 @@ def _wrap_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
 
 
 def _find_corner_numbers_and_positions(
-    part_mesh: PartMesh, name: str, comm: MPI.Comm
+    part_mesh: PartMesh, face_name: str, comm: MPI.Comm
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of all facets on a face (collective).
 
@@ -251,14 +251,14 @@ def _find_corner_numbers_and_positions(
     positions : (n, k, d) [m]
         Node positions.
     """
-    mesh, topology, facets = part_mesh.mesh, part_mesh.mesh.topology, part_mesh.facets(name)
+    mesh, topology, facets = part_mesh.mesh, part_mesh.mesh.topology, part_mesh.facets(face_name)
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]
     corners = compat.facet_corner_nodes(mesh, facets)
     inner_facets = np.setdiff1d(facets, dolfinx.mesh.exterior_facet_indices(topology))
     n_facets, n_inner = comm.allreduce(np.array([len(facets), len(inner_facets)]))
     if n_facets == 0 or n_inner:
         problem = (
-            f"{n_facets} facets of tag {part_mesh.tags_by_group[name][0]}, {n_inner} of them"
+            f"{n_facets} facets of tag {part_mesh.tags_by_group[face_name][0]}, {n_inner} of them"
             " inside the mesh"
         )
         raise InputError("crack", problem, "two faces of exterior facets, with a cell on one side")

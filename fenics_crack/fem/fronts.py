@@ -184,7 +184,7 @@ class Front:
         hat_values = np.maximum(0.0, 1.0 - np.abs(distances))
         return hat_values, np.where(hat_values > 0.0, -np.sign(distances) / spacing, 0.0)
 
-    def hat_lengths(self) -> np.ndarray:
+    def hat_integrals(self) -> np.ndarray:
         """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
         half_spacing = 0.5 * (self.hat_peak_parameters[1] - self.hat_peak_parameters[0])
@@ -752,7 +752,7 @@ class _IntegrationDomain:
             [half_plane_strain_modulus, half_plane_strain_modulus, self.mu],
             len(front.station_parameters),
         )
-        self.intensity_per_integral = mode_moduli / np.tile(front.hat_lengths(), 3)
+        self.intensity_per_integral = mode_moduli / np.tile(front.hat_integrals(), 3)
         front_distances = front._sample_parameters_and_tree[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
         is_near = front_distances.min(axis=1) < front.straight_domain_radius
@@ -1246,5 +1246,5 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )
-    factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
+    factors *= np.sqrt(2.0 / np.pi) / front.hat_integrals()[:, None]
     return np.asarray((pairs.pressure_matrix.T @ factors.T).T / pairs.areas)

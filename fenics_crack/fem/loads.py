@@ -71,7 +71,11 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
     watched_vector = None
     excitation = scene.excitation
-    point = excitation.point if excitation.point is not None else dofs.part_mesh.points.get("load")
+    point = (
+        excitation.point
+        if excitation.point is not None
+        else dofs.part_mesh.position_by_point_name.get("load")
+    )
     if point is not None:
         force_vectors = list_force_harmonic_vectors(scene)
         load_force_harmonics, displacement_weights = _assemble_point_load(

@@ -205,7 +205,7 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read Nastran's bulk data into ``nodes`` and ``cells``."""
-    for line_number, card in _read_cards(path):
+    for line_number, card in _yield_nastran_cards(path):
         name, *fields = card
         try:
             if name == "GRID":
@@ -238,7 +238,7 @@ def _parse_real(field: str) -> float:
     return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")) or 0.0)
 
 
-def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the entries of Nastran's bulk data.
 
     Fields have 8 or 16 characters, or stand between commas. Fields of continuation lines are

@@ -299,7 +299,7 @@ def _select_cells(
     requirement = f"one with a physical {facet_name} named 'clamp'"
     check_mesh("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
     used_positions = positions[first_number_index][np.searchsorted(node_numbers, used_numbers)]
-    return kind, cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
+    return kind, make_cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
 
 
 def _select_named_groups(
@@ -344,7 +344,7 @@ def _select_named_groups(
     ]
 
 
-def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
+def make_cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
     """Make :class:`Cells` from nodes (n_cells, k) and gmsh's kind of cells.
 
     A node lies between the corners whose linear basis functions are not zero at the node.

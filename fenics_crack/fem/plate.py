@@ -46,7 +46,7 @@ class PartMesh:
         Facet tags of each named curve or surface: ``clamp``, and with a crack ``lower_lip`` and
         ``upper_lip``. A plate made here also has ``left``, ``right``, ``top`` and ``bottom``. A
         mesh file may name others. A facet in several groups has a tag of its own.
-    points : dict of str to tuple of float
+    position_by_point_name : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
     crack_paths_or_surfaces : tuple of CrackPath or of CrackSurface
         Cracks in the order of the scene or, for a mesh file, from bottom to top.
@@ -55,7 +55,7 @@ class PartMesh:
     mesh: Any
     facet_tags: Any
     tags_by_group: dict[str, tuple[int, ...]]
-    points: dict[str, tuple[float, ...]]
+    position_by_point_name: dict[str, tuple[float, ...]]
     crack_paths_or_surfaces: Cracks
 
     @property
@@ -63,10 +63,10 @@ class PartMesh:
         """Return True if there are crack faces."""
         return "lower_lip" in self.tags_by_group
 
-    def facets(self, group: str) -> np.ndarray:
+    def facets(self, group_name: str) -> np.ndarray:
         """Return this rank's facets of a named curve or surface."""
         return np.sort(
-            np.concatenate([self.facet_tags.find(tag) for tag in self.tags_by_group[group]])
+            np.concatenate([self.facet_tags.find(tag) for tag in self.tags_by_group[group_name]])
         )
 
     def measure_on(self, *groups: str) -> Any:
@@ -85,11 +85,13 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
         group.
     """
     with _gmsh_on_root(comm):
-        (facet_tags_by_group, point_by_name), crack_paths_or_surfaces = on_root(
+        (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
             comm, lambda: _mesh_scene(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
-    return PartMesh(mesh, facet_tags, facet_tags_by_group, point_by_name, crack_paths_or_surfaces)
+    return PartMesh(
+        mesh, facet_tags, facet_tags_by_group, position_by_point_name, crack_paths_or_surfaces
+    )
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
@@ -177,7 +179,7 @@ class Dofs:
     node_to_global_rotations: np.ndarray | None = None
     """Matrix for each node that rotates its displacement into the spatial frame: (n_nodes, d, d).
     """
-    _rotation: sparse.csr_matrix | None = None
+    _rotation_matrix: sparse.csr_matrix | None = None
 
     def __init__(
         self,
@@ -214,12 +216,12 @@ class Dofs:
             self.space.tabulate_dof_coordinates()[: self.n_own_nodes, : self.dimension]
         )
 
-    def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
+    def nodes_on(self, group_name: str, space: Any = None) -> np.ndarray:
         """Return this rank's local nodes in a facet group.
 
         They are nodes of another function space if ``space`` is given.
         """
-        facets, topology = self.part_mesh.facets(group), self.part_mesh.mesh.topology
+        facets, topology = self.part_mesh.facets(group_name), self.part_mesh.mesh.topology
         facet_dimension = topology.dim - 1
         topology.create_connectivity(facet_dimension, facet_dimension + 1)
         space = self.space if space is None else space
@@ -247,13 +249,17 @@ class Dofs:
         block_diagonal_rotation = sparse.bsr_matrix(
             (self.node_to_global_rotations, block_row_pointers[:-1], block_row_pointers)
         ).tocsr()
-        self._rotation = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
-        self._rotation.eliminate_zeros()
+        self._rotation_matrix = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
+        self._rotation_matrix.eliminate_zeros()
 
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
         free_forces = forces[..., self.free_dofs]
-        return free_forces if self._rotation is None else np.asarray(free_forces @ self._rotation)
+        return (
+            free_forces
+            if self._rotation_matrix is None
+            else np.asarray(free_forces @ self._rotation_matrix)
+        )
 
     def restrict_matrix(self, matrix: Any) -> Any:
         """Return the free rows and columns of a matrix, which is destroyed.
@@ -267,9 +273,9 @@ class Dofs:
         index_set = PETSc.IS().createGeneral(global_free_dofs, comm=matrix.comm)
         block = matrix.createSubMatrix(index_set, index_set)
         local_rows_matrix = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
-        if self._rotation is not None:
+        if self._rotation_matrix is not None:
             local_rows_matrix = sparse.csr_matrix(
-                self._rotation.T @ local_rows_matrix @ self._rotation
+                self._rotation_matrix.T @ local_rows_matrix @ self._rotation_matrix
             )
         local_rows_matrix.eliminate_zeros()
         csr = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
@@ -285,7 +291,7 @@ class Dofs:
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (
-            displacement if self._rotation is None else self._rotation @ displacement
+            displacement if self._rotation_matrix is None else self._rotation_matrix @ displacement
         )
         function.x.array[self.free_dofs] = rotated_displacement
         function.x.scatter_forward()

@@ -39,7 +39,7 @@ STRAIGHT_CELL_DISTANCE_IN_ELEMENTS = 2.5
 MIN_JACOBIAN_RATIO_IN_CELL = 0.2
 """Minimum ratio of a cell's smallest to largest Jacobian determinant. Below it, a curved cell
 becomes straight."""
-MIN_SIZE_RATIO = 0.1
+MIN_CURVED_LENGTH_TO_SIZE = 0.1
 """Minimum element length due to curvature, relative to the size."""
 MIN_LIGAMENT_IN_ELEMENTS = 0.1
 """Minimum ligament at a front, relative to the front's elements."""
@@ -561,7 +561,7 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
         field_module.setNumbers(minimum_field, "FieldsList", graded_fields)
         field_module.setAsBackgroundMesh(minimum_field)
     # Small faces of a part are not resolved, as some meshes would not end.
-    min_size = min([MIN_SIZE_RATIO * size, *(front["shortest"] for front in fronts)])
+    min_size = min([MIN_CURVED_LENGTH_TO_SIZE * size, *(front["shortest"] for front in fronts)])
     _set_size_options(
         FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size
     )

@@ -2,10 +2,10 @@
 #ifndef GRADING_H
 #define GRADING_H
 
-/* h = min_length + length_per_distance d, d from the nearest of points (x_positions, height). */
+/* h = min_length + length_per_distance d, d from the nearest point (x_positions, y_position). */
 typedef struct {
     int count;
-    double height, min_length, length_per_distance;
+    double y_position, min_length, length_per_distance;
     const double *x_positions;
 } grading;
 

@@ -18,11 +18,11 @@ from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure, solve_modes
 from fenics_crack.fem.msh_file import (
-    cells_of_kind,
     check_cells,
     check_parts_are_clamped,
     check_parts_do_not_overlap,
     load_mesh_into_gmsh,
+    make_cells_of_kind,
 )
 from fenics_crack.fem.plate import build_mesh
 
@@ -332,7 +332,7 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
     """Check cells (n, k) and places (m, 2), with the edges of curves by their names."""
     lips = [edge for name in ("lower_lip", "upper_lip") for edge in curves.get(name, ())]
     with gmsh_model():
-        typed_cells = cells_of_kind(kind, np.array(cells))
+        typed_cells = make_cells_of_kind(kind, np.array(cells))
         check_cells(kind, typed_cells, places)
         lip_edges = [np.reshape(lips, (-1, 2)).astype(int)]
         check_parts_are_clamped(typed_cells, places, np.unique(curves["clamp"]), lip_edges)

@@ -37,7 +37,7 @@ from fenics_crack.fem.cracks import (
 )
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import find_coincident_node_pairs
-from fenics_crack.fem.msh_file import cells_of_kind
+from fenics_crack.fem.msh_file import make_cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import multiply
@@ -281,7 +281,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         for tag in gmsh.model.getEntitiesForPhysicalGroup(2, crack):
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
-        solid_cells = cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
+        solid_cells = make_cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
         sharing_by_program = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
