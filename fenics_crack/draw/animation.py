@@ -268,8 +268,8 @@ def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> 
     plotter = vtk.off_screen_plotter((2 * width, 2 * height))  # smooth after halving
     plotter.render_window.SetMultiSamples(0)  # multisampling is three times slower
     moving_mesh = _MovingMesh(plotter, fields, colour_scale)
-    width_fraction = _fit_camera_to_period(plotter, fields) * height / width
-    plotter.window_size = min(2 * width, int(2 * (width_fraction * width + 20))), 2 * height
+    plate_width_fraction = _fit_camera_and_find_width_ratio(plotter, fields) * height / width
+    plotter.window_size = min(2 * width, int(2 * (plate_width_fraction * width + 20))), 2 * height
     frame_images = [
         page.compose_frame_image(frame_index, moving_mesh.render_frame_image(frame_index))
         for frame_index in range(len(fields.time))
@@ -319,7 +319,7 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
     return palette
 
 
-def _fit_camera_to_period(plotter: Any, fields: PeriodFields) -> float:
+def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
     """Set the camera to see the plate for the whole period, and return the plate's width.
 
     The width is that over the period, relative to the height of the picture. A solid is seen from a

@@ -287,7 +287,7 @@ def _graded_columns_and_rows(
             ElementInterval(0.0, height, element_counts[1], 1.0)
         ]
     all_graded_faces: list[_GradedFace] = []
-    crack_levels_and_lengths: list[tuple[float, float]] = []
+    crack_levels_and_element_lengths: list[tuple[float, float]] = []
     for (left_end, right_end), level in zip(spans, levels, strict=True):
         coarse_end_position = (
             left_end
@@ -301,21 +301,21 @@ def _graded_columns_and_rows(
             for tip_position in (left_end, right_end)
             if tip_position != coarse_end_position
         ]
-        crack_levels_and_lengths.append(
+        crack_levels_and_element_lengths.append(
             (level, min(face.tip_element_length for face in graded_faces))
         )
         all_graded_faces += graded_faces
-    tip_positions_and_lengths = [
+    tip_positions_and_element_lengths = [
         (face.tip_position, face.tip_element_length) for face in all_graded_faces
     ]
     return _graded_intervals(
-        width, tip_positions_and_lengths, all_graded_faces, size
-    ), _graded_intervals(height, crack_levels_and_lengths, [], size)
+        width, tip_positions_and_element_lengths, all_graded_faces, size
+    ), _graded_intervals(height, crack_levels_and_element_lengths, [], size)
 
 
 def _graded_intervals(
     extent: float,
-    tip_positions_and_lengths: list[tuple[float, float]],
+    tip_positions_and_element_lengths: list[tuple[float, float]],
     faces: list[_GradedFace],
     size: float,
 ) -> list[ElementInterval]:
@@ -325,7 +325,7 @@ def _graded_intervals(
     ----------
     extent : float [m]
         Length of the side.
-    tip_positions_and_lengths : list of (position, length)
+    tip_positions_and_element_lengths : list of (position, length)
         Element length at each tip, or at each crack.
     faces : list of _GradedFace
         Crack faces along the side.
@@ -339,7 +339,7 @@ def _graded_intervals(
         """Return the element lengths given for a position."""
         return [
             tip_length
-            for tip, tip_length in tip_positions_and_lengths
+            for tip, tip_length in tip_positions_and_element_lengths
             if abs(tip - position) <= tolerance
         ]
 
@@ -378,7 +378,7 @@ def _graded_intervals(
         return [_graded_interval(*segment, faces_along) for segment in segments]
 
     interval_bounds = [0.0]
-    cuts = [position for position, _ in tip_positions_and_lengths] + [
+    cuts = [position for position, _ in tip_positions_and_element_lengths] + [
         face.coarse_end_position for face in faces
     ]
     for position in sorted([*cuts, extent]):

@@ -166,16 +166,16 @@ class CrackSurface:
         # Limit the memory: two million distances at a time.
         block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_chords)))
         for block_start in range(0, len(points), block_size):
-            point_block = slice(block_start, block_start + block_size)
-            surface_distances[point_block] = np.linalg.norm(
-                _offsets_from_triangles(points[point_block], self.triangles), axis=2
+            point_slice = slice(block_start, block_start + block_size)
+            surface_distances[point_slice] = np.linalg.norm(
+                _offsets_from_triangles(points[point_slice], self.triangles), axis=2
             ).min(1)
             # Larger than any distance between the surface and its front.
             front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[point_block], self.front_chords)[0], axis=2
+                offsets_from_edges(points[point_slice], self.front_chords)[0], axis=2
             )
-            front_distances[point_block] = edge_distances.min(axis=1, initial=front_distance_bound)
+            front_distances[point_slice] = edge_distances.min(axis=1, initial=front_distance_bound)
         return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:

@@ -99,22 +99,22 @@ def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
     """Make the structure of a table ``[structure]`` from the table's files."""
-    labelled_matrices, gaps_and_forces_by_name, model = call_on_each_rank(
+    labelled_matrix_by_name, gaps_and_forces_by_name, model = call_on_each_rank(
         comm, lambda: _read_matrices_columns_and_model(table)
     )
-    stiffness_matrix = labelled_matrices["stiffness"].matrix
+    stiffness_matrix = labelled_matrix_by_name["stiffness"].matrix
     structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
     structure_fields |= {
-        name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrices.items()
+        name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrix_by_name.items()
     }
     n_dofs, row_order = stiffness_matrix.shape[0], np.arange(stiffness_matrix.shape[0])
-    pairs, own_nodes, row_labels = Pairs(), None, labelled_matrices["stiffness"].labels
+    pairs, own_nodes, row_labels = Pairs(), None, labelled_matrix_by_name["stiffness"].labels
     if model is not None:
         if row_labels is None:
             requirement = "given with structure.model: the file of each row's node and direction"
             raise InputError("structure.dofs", None, requirement)
         row_order, node_dofs, node_starts = _order_rows_by_nodes(model, row_labels, table)
-        for name in labelled_matrices:
+        for name in labelled_matrix_by_name:
             structure_fields[name] = structure_fields[name][row_order][:, row_order]
         if scene.contact is not None and table.gap is None:
             has_rotations = bool(np.any(row_labels[:, 1] > 3))
@@ -122,7 +122,7 @@ def _make_structure(
                 model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
         first_row, end_row = _own_row_range(node_starts, comm)
-        for name in labelled_matrices:
+        for name in labelled_matrix_by_name:
             structure_fields[name] = distribute_rows(
                 structure_fields[name][first_row:end_row], comm
             )
@@ -170,24 +170,26 @@ def _read_matrices_columns_and_model(
     model : Model or None
         Nodes and cells of the input file.
     """
-    label_file, labelled_matrices = None if table.dofs is None else Path(table.dofs), {}
+    label_file, labelled_matrix_by_name = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
     for name, letter in NASTRAN_LETTER_BY_MATRIX.items():
         if (path := getattr(table, name)) is not None:
             with report_read_errors(
                 name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"
             ):
-                labelled_matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
-            n_rows = labelled_matrices[name].matrix.shape[0]
-    labelled_stiffness = labelled_matrices["stiffness"]
+                labelled_matrix_by_name[name] = read_matrix(Path(path), letter, label_file, n_rows)
+            n_rows = labelled_matrix_by_name[name].matrix.shape[0]
+    labelled_stiffness = labelled_matrix_by_name["stiffness"]
     for name, labelled_matrix in (
-        labelled_matrices.items() if labelled_stiffness.labels is not None else ()
+        labelled_matrix_by_name.items() if labelled_stiffness.labels is not None else ()
     ):
         with report_read_errors(name, getattr(table, name), "one of the dofs of the stiffness"):
-            labelled_matrices[name] = LabelledMatrix(
+            labelled_matrix_by_name[name] = LabelledMatrix(
                 labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
-    if len(massless_rows := np.flatnonzero(labelled_matrices["mass"].matrix.diagonal() <= 0.0)):
+    if len(
+        massless_rows := np.flatnonzero(labelled_matrix_by_name["mass"].matrix.diagonal() <= 0.0)
+    ):
         place_text = f"row {massless_rows[0] + 1}"
         if labelled_stiffness.labels is not None and massless_rows[0] < len(
             labelled_stiffness.labels
@@ -205,7 +207,7 @@ def _read_matrices_columns_and_model(
     }
     n_rows = labelled_stiffness.matrix.shape[0]
     return (
-        labelled_matrices,
+        labelled_matrix_by_name,
         {
             name: make_whole_csr_matrix(name, Path(path), n_rows)
             for name, path in path_by_name.items()

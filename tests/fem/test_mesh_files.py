@@ -275,7 +275,7 @@ def test_text_of_the_documentation(tmp_path: Path) -> None:
 def test_named_points_and_curves(plugin: Callable[..., Path]) -> None:
     """All of them, and curves that share edges too; a clamp may also be part of an outline."""
     mesh = build_mesh(file_plate(plugin("edge")), MPI.COMM_SELF)
-    assert mesh.points == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
+    assert mesh.position_by_point_name == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
     assert mesh.tags_by_group.keys() == {"clamp", "lower_lip", "upper_lip"}
     mesh = build_mesh(file_plate(plugin("edge", outline=True)), MPI.COMM_SELF)
     counts = {name: len(mesh.facets(name)) for name in mesh.tags_by_group}
