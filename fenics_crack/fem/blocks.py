@@ -927,7 +927,7 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
 
 @dataclass(frozen=True)
 class _Grading:
-    """Element length h = min_length + growth d around points.
+    """Element length h = min_length + length_per_distance d around points.
 
     The distance d is measured from the nearest point.
 

@@ -139,7 +139,9 @@ def _assemble_parts_and_places(
     collect_garbage(comm)  # free the matrices of earlier structures
     is_constrained = call_on_each_rank(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
-        dofs = Dofs(_wrap_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
+        dofs = Dofs(
+            _make_part_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained
+        )
         gap_matrix, tangential_matrix, pairs = pair_crack_faces(
             dofs, form_constants(space, thickness)[0]
         )
@@ -195,7 +197,7 @@ def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
             )
 
 
-def _wrap_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
+def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     """Return a user's mesh with its crack faces (collective).
 
     ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
