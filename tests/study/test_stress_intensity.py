@@ -415,7 +415,7 @@ def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) ->
         interaction_integral, "_outer_boundary_points", lambda _: np.full((1, 2), 1.0)
     )
     plate = SimpleNamespace(crack_paths_or_surfaces=[CrackPath(corners, has_mouth=False)])
-    dofs: Any = SimpleNamespace(plate=plate, comm=MPI.COMM_SELF)
+    dofs: Any = SimpleNamespace(part_mesh=plate, comm=MPI.COMM_SELF)
     right, left = interaction_integral.find_tips(dofs)
     assert (right.domain_radius, left.domain_radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
     assert right.growth_direction == pytest.approx(
