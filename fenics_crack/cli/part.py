@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.draw.plot_mesh import draw_numbered_faces
-from fenics_crack.fem.solid import ray_length, read_part_triangles_and_owners
+from fenics_crack.fem.solid import find_ray_hit_distance, read_part_triangles_and_owners
 from fenics_crack.version import packaged
 
 MAX_LISTED_FACES = 40
@@ -130,7 +130,11 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     ).argmin()
     crack_point = part_surface.triangle_centers[is_on_face][triangle_index]
     face_normal = part_surface.triangle_normals[is_on_face][triangle_index]
-    return crack_point, face_normal, ray_length(crack_point, -face_normal, part_surface.triangles)
+    return (
+        crack_point,
+        face_normal,
+        find_ray_hit_distance(crack_point, -face_normal, part_surface.triangles),
+    )
 
 
 def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:

@@ -17,7 +17,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.disk.cyclic import Sector
 from fenics_crack.disk.wheel import Wheel
 from fenics_crack.fem.blocks import RIM_SIDE_NAMES
-from fenics_crack.fem.cracks import CRACK_FACE_NAMES, POSITION_TOLERANCE
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, RELATIVE_POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import assemble_rotation
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.modes import multiply
@@ -82,9 +82,11 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
 
     disk, (center, axis) = scene.given("disk"), scene.axis
     points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
-    side_names = RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.plate.groups else ("left", "right")
+    side_names = (
+        RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.part_mesh.tags_by_group else ("left", "right")
+    )
     for side_name in side_names:
-        if side_name not in dofs.plate.groups:
+        if side_name not in dofs.part_mesh.tags_by_group:
             requirement = "a mesh of one sector whose sides are named 'left' and 'right'"
             raise InputError("mesh.file", f"without a side named {side_name!r}", requirement)
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
@@ -103,7 +105,7 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
         matches[best_index],
         rotation_matrices[best_index],
     )
-    if largest_distance > POSITION_TOLERANCE * mesh_extent:
+    if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
         place_text = format_point(points[left_nodes[worst_index]])
         side_counts_text = (
             f"{len(left_nodes)} nodes of the left side and {len(right_nodes)} of the right one"
@@ -135,7 +137,7 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     points, sides, frames = dofs.points, dofs.side_node_pairs, dofs.node_to_global_rotations
     assert sides is not None and frames is not None
     crack_face_nodes = np.zeros((2, 0), dtype=int)
-    if dofs.plate.has_cracks:  # tips belong to both faces and need no bond
+    if dofs.part_mesh.has_cracks:  # tips belong to both faces and need no bond
         lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in CRACK_FACE_NAMES)
         lower_nodes, upper_nodes = (
             np.setdiff1d(lower_nodes, upper_nodes),
@@ -144,7 +146,7 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         largest_distance, worst_index, upper_partners = _match_points(
             points[lower_nodes], points[upper_nodes]
         )
-        if largest_distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
+        if largest_distance > RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
             place_text = format_point(points[lower_nodes[worst_index]])
             requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
             raise InputError(

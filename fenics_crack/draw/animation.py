@@ -35,7 +35,7 @@ from fenics_crack.scene.tables import Material
 
 CONTACT_BACKGROUND_COLOUR = "#f5d6c1"
 """Background of the motion while the crack faces touch: light orange."""
-FLAT_MESH_OPTIONS: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
+UNSHADED_MESH_OPTIONS: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
 """Options of pyvista's ``add_mesh``: no shading, no camera change, nothing drawn yet."""
 PART_COLOURS_BY_NAME = {
     "lips": "#000000",
@@ -132,11 +132,11 @@ class _MovingMesh:
     ----------
     line_height : float [m]
         Distance of lines above a plate.
-    surface, moving_lines, contact_dots, load_arrow
+    surface, moving_edge_lines, contact_dots, load_arrow
         Moving parts, as pyvista's PolyData.
     unit_arrow_points : (n, 3)
         Points of an arrow of unit length along x.
-    dot_offset : (3,) [m]
+    dot_offset_vector : (3,) [m]
         Displacement of dots and arrow towards the viewer.
     arrow_starts, arrow_vectors : (n_frames, d) [m]
         Load arrow in each frame.
@@ -147,18 +147,20 @@ class _MovingMesh:
         mesh = fields.mesh
         self.line_height = 1e-3 * mesh.size
         is_solid = mesh.dimension == 3
-        boundary_edges = vtk.find_sharp_edges(mesh) if is_solid else mesh.boundary
+        boundary_edges = vtk.find_sharp_edge_nodes(mesh) if is_solid else mesh.boundary_sides
         self._draw_edges(boundary_edges, "rest", 2)
-        self.surface = vtk.make_surface(mesh.points, mesh.boundary if is_solid else mesh.triangles)
+        self.surface = vtk.make_surface(
+            mesh.points, mesh.boundary_sides if is_solid else mesh.triangles
+        )
         self.surface["shown"] = colour_scale.unit_factor * fields.colour_values[0]
         plotter.add_mesh(
             self.surface, scalars="shown", cmap=colour_scale.colour_map,
             clim=colour_scale.levels[[0, -1]], n_colors=colour_scale.n_steps,
-            interpolate_before_map=True, show_scalar_bar=False, **FLAT_MESH_OPTIONS,
+            interpolate_before_map=True, show_scalar_bar=False, **UNSHADED_MESH_OPTIONS,
         )  # fmt: skip
-        self.moving_lines = [self._draw_edges(boundary_edges, "lips", 2)]
+        self.moving_edge_lines = [self._draw_edges(boundary_edges, "lips", 2)]
         if not is_solid:  # sharp edges of a solid include the mouth
-            self.moving_lines.append(self._draw_edges(mesh.crack_face_sides, "lips", 5))
+            self.moving_edge_lines.append(self._draw_edges(mesh.crack_face_sides, "lips", 5))
         self._draw_edges(boundary_edges[mesh.is_clamped[boundary_edges].all(axis=1)], "rest", 9)
         self.contact_dots = vtk.import_pyvista().PolyData(np.zeros((len(fields.pair_areas), 3)))
         if len(fields.pair_areas):
@@ -167,17 +169,17 @@ class _MovingMesh:
                 self.contact_dots,
                 color=PART_COLOURS_BY_NAME["contact"],
                 **dot_options,
-                **FLAT_MESH_OPTIONS,
+                **UNSHADED_MESH_OPTIONS,
             )
         self.load_arrow = vtk.import_pyvista().Arrow(
             tip_length=0.45, tip_radius=0.16, shaft_radius=0.055
         )
         self.unit_arrow_points = self.load_arrow.points.copy()
-        self.dot_offset = np.array([0.0, 0.0, 0.0 if is_solid else 2.0 * self.line_height])
-        self.arrow_starts, self.arrow_vectors = _find_load_arrows(fields)
-        if fields.has_one_load:
+        self.dot_offset_vector = np.array([0.0, 0.0, 0.0 if is_solid else 2.0 * self.line_height])
+        self.arrow_starts, self.arrow_vectors = _find_arrow_starts_and_vectors(fields)
+        if fields.has_load_arrow:
             plotter.add_mesh(
-                self.load_arrow, color=PART_COLOURS_BY_NAME["load"], **FLAT_MESH_OPTIONS
+                self.load_arrow, color=PART_COLOURS_BY_NAME["load"], **UNSHADED_MESH_OPTIONS
             )
         self._move_to_frame(0)
 
@@ -189,7 +191,7 @@ class _MovingMesh:
                 edge_lines,
                 color=PART_COLOURS_BY_NAME[part_name],
                 line_width=line_width,
-                **FLAT_MESH_OPTIONS,
+                **UNSHADED_MESH_OPTIONS,
             )
         return edge_lines
 
@@ -202,7 +204,7 @@ class _MovingMesh:
             [0.0, 0.0, self.line_height]
         )
 
-    def render_frame(self, frame_index: int) -> Image.Image:
+    def render_frame_image(self, frame_index: int) -> Image.Image:
         """Render the image of a frame."""
         self._move_to_frame(frame_index)
         self.plotter.render()
@@ -213,41 +215,45 @@ class _MovingMesh:
         fields = self.fields
         magnified_points = fields.magnified_points[frame_index]
         self.surface.points = vtk.pad_to_space(magnified_points)
-        for edge_lines in self.moving_lines:
+        for edge_lines in self.moving_edge_lines:
             edge_lines.points = self._lift_above_plate(magnified_points)
         self.surface["shown"] = self.colour_scale.unit_factor * fields.colour_values[frame_index]
-        pair_averages = (fields.nodal_pair_forces / fields.nodal_pair_forces.sum(axis=0)).T
+        pair_average_matrix = (
+            fields.nodal_force_per_pair_force / fields.nodal_force_per_pair_force.sum(axis=0)
+        ).T
         self.contact_dots.points = (
-            vtk.pad_to_space(pair_averages @ magnified_points) + self.dot_offset
+            vtk.pad_to_space(pair_average_matrix @ magnified_points) + self.dot_offset_vector
         )
         self.contact_dots.verts = np.insert(
             np.argwhere(fields.contact_forces[frame_index] > 0.0), 0, 1, axis=1
         ).ravel()
         arrow_start, arrow_vector = (
-            vtk.pad_to_space(frame_vectors[frame_index][None])[0]
-            for frame_vectors in (self.arrow_starts, self.arrow_vectors)
+            vtk.pad_to_space(vectors_by_frame[frame_index][None])[0]
+            for vectors_by_frame in (self.arrow_starts, self.arrow_vectors)
         )
         _, arrow_length, arrow_axes = np.linalg.svd(arrow_vector[None])
         arrow_axes[0] *= np.sign(arrow_axes[0] @ arrow_vector)
         self.load_arrow.points = (
-            arrow_start + self.dot_offset + arrow_length * (self.unit_arrow_points @ arrow_axes)
+            arrow_start
+            + self.dot_offset_vector
+            + arrow_length * (self.unit_arrow_points @ arrow_axes)
         )
 
 
-def _find_load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
     """Return start and vector of the load arrow in each frame: (n_frames, d) [m] each.
 
     The arrow starts at the mean of the moving nodes, weighted by their loads over the period. The
     longest arrow is an eighth of the plate.
     """
     total_loads = fields.nodal_loads.sum(axis=1)
-    node_shares = np.abs(fields.nodal_loads).sum(axis=(0, 2))
-    largest_load = np.linalg.norm(total_loads, axis=1).max()
-    if largest_load == 0.0:
+    node_load_weights = np.abs(fields.nodal_loads).sum(axis=(0, 2))
+    largest_total_load = np.linalg.norm(total_loads, axis=1).max()
+    if largest_total_load == 0.0:
         return np.zeros_like(total_loads), np.zeros_like(total_loads)
     return (
-        node_shares @ fields.magnified_points / node_shares.sum(),
-        fields.mesh.size / 8.0 * total_loads / largest_load,
+        node_load_weights @ fields.magnified_points / node_load_weights.sum(),
+        fields.mesh.size / 8.0 * total_loads / largest_total_load,
     )
 
 
@@ -261,24 +267,31 @@ def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> 
     width, height = page.plate_size
     plotter = vtk.off_screen_plotter((2 * width, 2 * height))  # smooth after halving
     plotter.render_window.SetMultiSamples(0)  # multisampling is three times slower
-    plate = _MovingMesh(plotter, fields, colour_scale)
-    width_fraction = _fit_camera_to_period(plotter, fields) * height / width
-    plotter.window_size = min(2 * width, int(2 * (width_fraction * width + 20))), 2 * height
+    moving_mesh = _MovingMesh(plotter, fields, colour_scale)
+    plate_width_fraction = _fit_camera_and_find_width_ratio(plotter, fields) * height / width
+    plotter.window_size = min(2 * width, int(2 * (plate_width_fraction * width + 20))), 2 * height
     frame_images = [
-        page.compose_frame(frame_index, plate.render_frame(frame_index))
+        page.compose_frame_image(frame_index, moving_mesh.render_frame_image(frame_index))
         for frame_index in range(len(fields.time))
     ]
     plotter.close()
     palette = _make_palette(colour_scale)
-    palette_images = [
+    quantized_frame_images = [
         frame_image.quantize(palette=palette, dither=Image.Dither.NONE)
         for frame_image in frame_images
     ]
     # In steps of 10 ms, 3 s in all.
-    frame_duration = max(20, 10 * round(300.0 / len(palette_images)))
-    gif_options = {"duration": frame_duration, "loop": 0, "comment": page.caption.encode("latin-1")}
-    gif_stream, frame_options = BytesIO(), {"save_all": True, "append_images": palette_images[1:]}
-    palette_images[0].save(gif_stream, "GIF", optimize=False, **frame_options, **gif_options)
+    frame_duration = max(20, 10 * round(300.0 / len(quantized_frame_images)))
+    gif_options = {
+        "duration": frame_duration,
+        "loop": 0,
+        "comment": page.caption_without_phase.encode("latin-1"),
+    }
+    gif_stream = BytesIO()
+    all_frames_options = {"save_all": True, "append_images": quantized_frame_images[1:]}
+    quantized_frame_images[0].save(
+        gif_stream, "GIF", optimize=False, **all_frames_options, **gif_options
+    )
     write_file_whole(path, gif_stream.getvalue())
 
 
@@ -294,19 +307,19 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
     ]
     drawn_colours += [tuple(map_colour[:3]) for map_colour in colour_scale.colour_map.colors]
     colour_array = np.array(drawn_colours)
-    shades = [
-        weight * colour_array + (1.0 - weight) * blend_level
-        for weight in (0.75, 0.5, 0.25)
-        for blend_level in (0.0, 1.0)
+    blended_colour_arrays = [
+        colour_weight * colour_array + (1.0 - colour_weight) * blend_grey_level
+        for colour_weight in (0.75, 0.5, 0.25)
+        for blend_grey_level in (0.0, 1.0)
     ]
     greys = np.repeat(np.linspace(0.0, 1.0, 17)[:, None], 3, axis=1)
-    palette_colours = np.concatenate([greys, colour_array, *shades])[:256]
+    palette_colours = np.concatenate([greys, colour_array, *blended_colour_arrays])[:256]
     palette = Image.new("P", (1, 1))
     palette.putpalette(np.round(255.0 * palette_colours).astype(np.uint8).tobytes())
     return palette
 
 
-def _fit_camera_to_period(plotter: Any, fields: PeriodFields) -> float:
+def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
     """Set the camera to see the plate for the whole period, and return the plate's width.
 
     The width is that over the period, relative to the height of the picture. A solid is seen from a
@@ -317,7 +330,11 @@ def _fit_camera_to_period(plotter: Any, fields: PeriodFields) -> float:
     if fields.mesh.dimension == 3:
         vtk.look_from_corner(plotter.renderer, fields.mesh.points)
         return float(width / height)
-    arrow_heads = np.add(*_find_load_arrows(fields)) if fields.has_one_load else np.empty((0, 2))
+    arrow_heads = (
+        np.add(*_find_arrow_starts_and_vectors(fields))
+        if fields.has_load_arrow
+        else np.empty((0, 2))
+    )
     drawn_points = np.concatenate([fields.mesh.points, *fields.magnified_points, arrow_heads])
     lower_corner, upper_corner = drawn_points.min(axis=0), drawn_points.max(axis=0)
     mesh_size, camera = fields.mesh.size, vtk.set_parallel_camera(plotter.renderer)
@@ -357,11 +374,11 @@ class _AnimationPage:
         Time in load periods, and opening or displacement [m], of the dot in each frame.
     plate_size, plate_corner : (int, int)
         Width and height of the plate's image, and the image's left and top edge [pixels].
-    caption : str
+    caption_without_phase : str
         Frequency and magnification.
-    caption_text, time_line, wave_dot
+    caption_artist, time_line, wave_dot
         Matplotlib's artists that change from frame to frame.
-    background
+    background_pixels
         Pixels of all other artists.
     """
 
@@ -375,27 +392,31 @@ class _AnimationPage:
         title = "Breathing crack" if fields.has_cracks else "Vibrating structure"
         title_options = {"ha": "center", "va": "center"}
         self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **title_options)
-        motion_noun = "load" if fields.has_one_load else "motion"
+        motion_noun = "load" if fields.has_load_arrow else "motion"
         frequency_text = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
         magnification_text = f"{float(f'{fields.magnification:.3g}'):.10g}"
-        self.caption = f"{motion_noun} at {frequency_text}, displacement × {magnification_text}"
-        self.caption_text = self.figure.text(
+        self.caption_without_phase = (
+            f"{motion_noun} at {frequency_text}, displacement × {magnification_text}"
+        )
+        self.caption_artist = self.figure.text(
             0.06, 0.932, "", va="center", fontsize=12, animated=True
         )
         _draw_colour_bar(self.figure, colour_scale)
         self._draw_legend(fields)
         self._draw_displacement_curve(solution, fields)
         self.canvas.draw()
-        self.background = self.canvas.copy_from_bbox(self.figure.bbox)
+        self.background_pixels = self.canvas.copy_from_bbox(self.figure.bbox)
 
-    def compose_frame(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
-        """Draw the moving artists over the background, and add the plate's image."""
-        self.canvas.restore_region(self.background)
+    def compose_frame_image(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
+        """Draw the moving artists over the background, and add the plate's halved image."""
+        self.canvas.restore_region(self.background_pixels)
         load_periods = self.frame_load_periods[frame_index]
         self.wave_dot.set_data([load_periods], [self.frame_values[frame_index]])
         self.time_line.set_xdata([load_periods, load_periods])
-        self.caption_text.set_text(f"{self.caption}, phase {360.0 * load_periods:.0f}°")
-        for artist in (self.time_line, self.wave_dot, self.caption_text):
+        self.caption_artist.set_text(
+            f"{self.caption_without_phase}, phase {360.0 * load_periods:.0f}°"
+        )
+        for artist in (self.time_line, self.wave_dot, self.caption_artist):
             self.figure.draw_artist(artist)
         page_image = copy_canvas_image(self.canvas)
         plate_image = plate_image.reduce(2)
@@ -410,7 +431,7 @@ class _AnimationPage:
         legend_rows = (
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.is_clamped.any(), "rest", 6, None),
-            ("load", fields.has_one_load, "load", 3, ">"),
+            ("load", fields.has_load_arrow, "load", 3, ">"),
             ("crack faces", fields.has_cracks and fields.mesh.dimension == 2, "lips", 3, None),
             ("in contact", len(fields.pair_areas), "contact", 0, "o"),
         )
@@ -444,9 +465,9 @@ class _AnimationPage:
             quantity = f"opening {solution.structure.describe_pair(pair_index)}"
             curve_values = -gaps[:, pair_index]
             self.frame_values = -solution.gap(fields.time)[:, pair_index]
-            cracks = solution.structure.pairs.cracks
-            assert cracks is not None  # a mesh has them
-            is_same_crack = cracks == cracks[pair_index]
+            pair_crack_indices = solution.structure.pairs.cracks
+            assert pair_crack_indices is not None  # a mesh has them
+            is_same_crack = pair_crack_indices == pair_crack_indices[pair_index]
             is_closed = (solution.contact_force(time)[:, is_same_crack] > 0.0).any(axis=1)
         else:
             self.frame_values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)

@@ -290,28 +290,34 @@ def _draw_legend(axes: Axes) -> None:
     long legend. Without such a layout the legend stands at matplotlib's best place.
     """
     handles, labels = axes.get_legend_handles_labels()
-    is_first = [
+    is_first_in_legend = [
         isinstance(handle, Artist) and handle.get_gid() == FIRST_IN_LEGEND_GID for handle in handles
     ]
-    label_order = sorted(range(len(handles)), key=lambda label_index: not is_first[label_index])
+    label_order = sorted(
+        range(len(handles)), key=lambda label_index: not is_first_in_legend[label_index]
+    )
     handles_by_label = {labels[label_index]: handles[label_index] for label_index in label_order}
     if handles_by_label and axes.figure.get_layout_engine() is not None:
         is_only_panel = len(axes.figure.axes) == 1
         available_width = (
             0.9 * axes.figure.bbox.width if is_only_panel else axes.get_window_extent().width
         )
-        line_letters = 17.0 * available_width / axes.figure.dpi
-        max_line_letters = max(int(line_letters) - 8, MAX_LETTERS_PER_LINE)
+        n_letters_across = 17.0 * available_width / axes.figure.dpi
+        allowed_letters_per_line = max(int(n_letters_across) - 8, MAX_LETTERS_PER_LINE)
         label_lines = [
-            [text for line in label.splitlines() for text in wrap(line, max_line_letters)]
+            [
+                wrapped_line
+                for line in label.splitlines()
+                for wrapped_line in wrap(line, allowed_letters_per_line)
+            ]
             for label in handles_by_label
         ]
         handles_by_label = dict(
             zip(map("\n".join, label_lines), handles_by_label.values(), strict=True)
         )
-        longest_line_letters = max(len(line) for label in label_lines for line in label)
+        n_letters_of_longest_line = max(len(line) for label in label_lines for line in label)
         n_columns = max(
-            1, min(len(handles_by_label), int(line_letters / (longest_line_letters + 8)))
+            1, min(len(handles_by_label), int(n_letters_across / (n_letters_of_longest_line + 8)))
         )
         n_labels_per_column = -(-len(handles_by_label) // n_columns)
         previous_legend = axes.get_legend()

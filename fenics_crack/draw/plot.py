@@ -215,7 +215,7 @@ def draw_contact_map(
         values_by_label = {f"largest {label} [{unit}]": unit_factor * contact_values.max(axis=0)}
         values_by_label["share of the period closed"] = (contact_values[:-1] > 0.0).mean(axis=0)
         return _draw_crack_surfaces(structure, values_by_label, picture_options)
-    pair_distances, crack_borders = _stack_crack_distances(structure.pairs)
+    pair_distances, crack_borders = _stack_crack_distances_and_borders(structure.pairs)
     load_periods = time * solution.omega / (2.0 * np.pi)
     [panel] = picture = Picture(**picture_options)
     contact_cells = np.ma.masked_less_equal(unit_factor * contact_values.T, 0.0)
@@ -225,9 +225,11 @@ def draw_contact_map(
     panel.set_xlabel("time / load period")
     for crack_border in crack_borders:
         panel.axhline(crack_border, color="black", lw=1.5)
-    first_place = next(iter(structure.watched_pairs))
+    first_watched_place = next(iter(structure.watched_pairs))
     distance_text = (
-        "from the crack's mouth" if first_place == "the mouth" else "from the crack's left tip"
+        "from the crack's mouth"
+        if first_watched_place == "the mouth"
+        else "from the crack's left tip"
     )
     if crack_borders:
         distance_text = f"along cracks 1 to {len(crack_borders) + 1}, one above the other"
@@ -264,11 +266,13 @@ def _draw_crack_surfaces(
     for panel, (crack_index, label) in zip(
         picture, product(crack_indices, values_by_label), strict=True
     ):
-        nodes, corners = np.unique(
+        nodes, corner_node_indices = np.unique(
             triangles[triangle_crack_indices == crack_index], return_inverse=True
         )
-        nodal_values = mesh.pair_centre_and_pressure_functions[1][nodes] @ values_by_label[label]
-        _draw_crack_surface(panel, mesh.points[nodes], corners.reshape(-1, 3), nodal_values, label)
+        nodal_values = mesh.pair_centre_and_pressure_matrices[1][nodes] @ values_by_label[label]
+        _draw_crack_surface(
+            panel, mesh.points[nodes], corner_node_indices.reshape(-1, 3), nodal_values, label
+        )
         if len(crack_indices) > 1:
             panel.set_title(f"crack {crack_index + 1}", fontsize="medium")
     return picture.save_with_title()
@@ -288,26 +292,26 @@ def _draw_crack_surface(
     values : (n,)
         Values at the nodes, from 0.
     """
-    normal_axis = int(np.argmin(np.ptp(points, axis=0)))
-    horizontal_axis, vertical_axis = (
-        direction for direction in range(3) if direction != normal_axis
+    normal_axis_index = int(np.argmin(np.ptp(points, axis=0)))
+    horizontal_axis_index, vertical_axis_index = (
+        axis_index for axis_index in range(3) if axis_index != normal_axis_index
     )
     unit_factor, unit = choose_unit_prefix(
-        float(np.abs(points[:, [horizontal_axis, vertical_axis]]).max()), "m"
+        float(np.abs(points[:, [horizontal_axis_index, vertical_axis_index]]).max()), "m"
     )
-    plane_points = unit_factor * points[:, [horizontal_axis, vertical_axis]].T
-    colour_limits = {"vmin": 0.0, "vmax": values.max() or 1.0}
+    plane_points = unit_factor * points[:, [horizontal_axis_index, vertical_axis_index]].T
+    colour_limit_options = {"vmin": 0.0, "vmax": values.max() or 1.0}
     colour_mesh = axes.tripcolor(
-        *plane_points, triangles, values, shading="gouraud", cmap="viridis", **colour_limits
+        *plane_points, triangles, values, shading="gouraud", cmap="viridis", **colour_limit_options
     )
     axes.triplot(*plane_points, triangles, color="black", lw=0.2)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"{AXES[horizontal_axis]} [{unit}]")
-    axes.set_ylabel(f"{AXES[vertical_axis]} [{unit}]")
+    axes.set_xlabel(f"{AXES[horizontal_axis_index]} [{unit}]")
+    axes.set_ylabel(f"{AXES[vertical_axis_index]} [{unit}]")
     axes.figure.colorbar(colour_mesh, ax=axes, orientation="horizontal", pad=0.25).set_label(label)
 
 
-def _stack_crack_distances(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
+def _stack_crack_distances_and_borders(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
     """Return the pairs' distances along the cracks, laid one after the other.
 
     Returns
@@ -483,7 +487,7 @@ def draw_map(
     _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=colour_norm)
     is_missing = np.ma.getmaskarray(cell_values)
     panel.plot(
-        *(coordinate_grid.ravel()[is_missing.ravel()] for coordinate_grid in np.meshgrid(x, y)),
+        *(cell_coordinates.ravel()[is_missing.ravel()] for cell_coordinates in np.meshgrid(x, y)),
         "x",
         color="white",
         ms=5,
@@ -685,11 +689,11 @@ def draw_orbits(
     if solution.structure.n_pairs:
         pair_index = solution.structure.first_watched_pair
         gap_label = f"closing {solution.structure.describe_pair(pair_index)}"
-        gap_closed = is_closed[:, pair_index]
+        is_pair_closed = is_closed[:, pair_index]
         orbit_contents.append(
             (
                 lambda t: solution.gap(t)[:, pair_index],
-                gap_closed,
+                is_pair_closed,
                 gap_label,
                 "crack faces touch there",
             )
@@ -798,7 +802,7 @@ def draw_friction_loops(
     (_, tangential_gaps), (normal_forces, friction_forces) = (
         np.hsplit(gaps_or_forces, 2) for gaps_or_forces in solution.gaps_and_forces(time)
     )
-    slip_mask = is_slipping(friction_coefficient, normal_forces, friction_forces)
+    is_pair_slipping = is_slipping(friction_coefficient, normal_forces, friction_forces)
     losses = friction_losses(tangential_gaps, friction_forces)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **picture_options)
     drawn_pairs = np.argsort(-losses, kind="stable")[: min(MAX_DRAWN_LOOPS, len(losses))]
@@ -814,7 +818,9 @@ def draw_friction_loops(
             lw=1.1,
             label=label,
         )
-        slipping_gaps = np.where(slip_mask[:, pair_index], tangential_gaps[:, pair_index], np.nan)
+        slipping_gaps = np.where(
+            is_pair_slipping[:, pair_index], tangential_gaps[:, pair_index], np.nan
+        )
         panel.plot(slipping_gaps, friction_forces[:, pair_index], color=colour, lw=3.2)
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "tangential gap", "m")

@@ -151,8 +151,8 @@ def _draw_curve_parts(
     for verdict, style in LINE_STYLES_BY_VERDICT.items():
         if not np.any(verdicts == verdict):
             continue
-        for has_error, alpha_options in ((False, {}), (True, faint_options)):
-            is_in_part = (verdicts == verdict) & (is_inexact == has_error)
+        for has_large_error, alpha_options in ((False, {}), (True, faint_options)):
+            is_in_part = (verdicts == verdict) & (is_inexact == has_large_error)
             # A segment between two points has the verdict and error of the first.
             part_values = np.where(is_in_part | np.append(False, is_in_part[:-1]), y, np.nan)
             axes.plot(x, part_values, style, color=line_colour, lw=1.4, **alpha_options)
@@ -265,8 +265,8 @@ def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.nda
     cells_and_kinds = np.column_stack(
         [np.floor(panel_positions / 0.03), np.unique(kinds, return_inverse=True)[1]]
     )
-    _, first_in_cell = np.unique(cells_and_kinds, axis=0, return_index=True)
-    return np.isin(np.arange(len(x)), first_in_cell)
+    _, first_index_in_cell = np.unique(cells_and_kinds, axis=0, return_index=True)
+    return np.isin(np.arange(len(x)), first_index_in_cell)
 
 
 def _mark_superharmonics(
@@ -364,8 +364,10 @@ def draw_content(
     check_count("highest", highest, 1)
     [panel] = picture = Picture(**picture_options)
     panel.set_yscale("log")
-    harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
-    shown_amplitudes = harmonics[:, :highest].T
+    load_harmonic_amplitudes = _harmonic_amplitudes(curve, dof)[
+        :, curve.subharmonic - 1 :: curve.subharmonic
+    ]
+    shown_amplitudes = load_harmonic_amplitudes[:, :highest].T
     parameter_values = axis_factor_name_and_unit(curve.parameter, in_hertz)[0] * curve.values
     colours = distinct_colours(len(shown_amplitudes))
     for order, (order_amplitudes, colour) in enumerate(

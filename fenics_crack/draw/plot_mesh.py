@@ -25,7 +25,7 @@ from fenics_crack.draw.figure import (
     label_axis,
     magnification_to_tenth,
 )
-from fenics_crack.fem.cracks import rows_in
+from fenics_crack.fem.cracks import are_rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
@@ -71,10 +71,10 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     )
     size = (min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio))
     [panel] = picture = Picture(size=size, **picture_options)
-    clamped_edges = mesh.boundary[mesh.is_clamped[mesh.boundary].all(axis=1)]
+    clamped_edges = mesh.boundary_sides[mesh.is_clamped[mesh.boundary_sides].all(axis=1)]
     for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
-        (mesh.boundary, "black", 1.2, ""),
+        (mesh.boundary_sides, "black", 1.2, ""),
         (clamped_edges, COLOURS_BY_NAME["green"], 5.0, "clamped"),
         (mesh.crack_face_sides, COLOURS_BY_NAME["orange"], 2.2, "crack faces"),
     ):
@@ -232,9 +232,9 @@ def draw_displaced_mesh(
         mappable = axes.tripcolor(
             *displaced_points.T, mesh.triangles, values, shading="gouraud", cmap="viridis"
         )
-        edge_layers = [(mesh.boundary, displaced_points, "black", 0.7 if is_wheel else 1.2)]
+        edge_layers = [(mesh.boundary_sides, displaced_points, "black", 0.7 if is_wheel else 1.2)]
         if not is_wheel:
-            edge_layers.insert(0, (mesh.boundary, mesh.points, COLOURS_BY_NAME["grey"], 0.6))
+            edge_layers.insert(0, (mesh.boundary_sides, mesh.points, COLOURS_BY_NAME["grey"], 0.6))
             edge_layers.insert(0, (mesh.edges, displaced_points, "#777777", 0.3))
         for edge_nodes, layer_points, colour, line_width in edge_layers:
             axes.add_collection(
@@ -246,10 +246,10 @@ def draw_displaced_mesh(
         from fenics_crack.draw import vtk
 
         plotter = vtk.off_screen_plotter()
-        surface = vtk.make_surface(displaced_points, mesh.boundary)
+        surface = vtk.make_surface(displaced_points, mesh.boundary_sides)
         surface["amplitude"] = values
         plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-        sharp_edges = vtk.find_sharp_edges(mesh)
+        sharp_edges = vtk.find_sharp_edge_nodes(mesh)
         plotter.add_mesh(vtk.make_lines(displaced_points, sharp_edges), color="black", line_width=2)
         if not is_wheel:
             plotter.add_mesh(
@@ -317,15 +317,15 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
     from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()
-    points, facets = mesh.points, mesh.boundary
+    points, facets = mesh.points, mesh.boundary_sides
     is_clamped = mesh.is_clamped[facets].all(axis=1)
-    is_crack_face = rows_in(facets, mesh.crack_face_sides)
+    is_crack_face = are_rows_in(facets, mesh.crack_face_sides)
     free_surface = vtk.make_surface(points, facets[~is_clamped & ~is_crack_face])
     plotter.add_mesh(
         free_surface, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a"
     )
     plotter.add_mesh(
-        vtk.make_lines(points, vtk.find_sharp_edges(mesh)), color="black", line_width=3
+        vtk.make_lines(points, vtk.find_sharp_edge_nodes(mesh)), color="black", line_width=3
     )
     legend_patches = []
     for part_facets, colour, label in (

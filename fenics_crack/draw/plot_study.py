@@ -95,15 +95,15 @@ def draw_posterior(
     >>> found = fc.identify(scene, "measured.csv")  # doctest: +SKIP
     >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
-    x, *other_keys = [key for key in (x, y) if key is not None] or found.unknown[:2]
-    for name, key in zip("xy", (x, *other_keys), strict=False):
-        if key not in found.unknown or other_keys == [x]:
+    x, *second_keys = [key for key in (x, y) if key is not None] or found.unknown[:2]
+    for name, key in zip("xy", (x, *second_keys), strict=False):
+        if key not in found.unknown or second_keys == [x]:
             raise InputError(name, key, f"one or two different ones of {', '.join(found.unknown)}")
     [panel] = picture = Picture(size=(6.0, 4.6), **picture_options)
-    if not other_keys:
+    if not second_keys:
         _draw_density(panel, found, x)
         return picture.finish()
-    [y] = other_keys
+    [y] = second_keys
     x_index, y_index = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
     grids_by_branch = {
@@ -219,13 +219,13 @@ def _set_limits(
     branch_axes : pair of (m,)
         Ascending grid values of both unknowns.
     """
-    for coordinates, bound_values, set_limits in zip(
+    for coordinates, grid_values, set_limits in zip(
         shown_points.T, branch_axes, (panel.set_xlim, panel.set_ylim), strict=True
     ):
-        margin = 0.35 * np.ptp(coordinates) + 0.02 * np.ptp(bound_values)
+        margin = 0.35 * np.ptp(coordinates) + 0.02 * np.ptp(grid_values)
         set_limits(
-            max(bound_values[0], coordinates.min() - margin),
-            min(bound_values[-1], coordinates.max() + margin),
+            max(grid_values[0], coordinates.min() - margin),
+            min(grid_values[-1], coordinates.max() + margin),
         )
 
 
@@ -289,16 +289,20 @@ def _draw_convergence_lines(
         panel.text(0.5, 0.5, "nothing to extrapolate", ha="center", transform=panel.transAxes)
         return
     end_sizes = relative_sizes[[0, -1]]
-    first_order = 2.0 * largest_difference * end_sizes
-    panel.plot(end_sizes, first_order, color="black", ls=":", lw=1.2, label="first order")
+    first_order_differences = 2.0 * largest_difference * end_sizes
+    panel.plot(
+        end_sizes, first_order_differences, color="black", ls=":", lw=1.2, label="first order"
+    )
     panel.set(xscale="log", yscale="log")
-    panel.set_xticks(relative_sizes, labels=[f"{tick:.2g}" for tick in relative_sizes])
+    panel.set_xticks(
+        relative_sizes, labels=[f"{relative_size:.2g}" for relative_size in relative_sizes]
+    )
     panel.set_xticks([], minor=True)
     label_axis(panel.yaxis, "difference from the extrapolated value", "%")
-    scene_count = verification.counts[cause][0]
-    size_label = f"element size over that of the scene ({scene_count} elements)"
-    number_label = f"{scene_count} {cause} of the scene over their number"
-    panel.set_xlabel(size_label if cause == "mesh" else number_label)
+    count_in_scene = verification.counts[cause][0]
+    size_label = f"element size over that of the scene ({count_in_scene} elements)"
+    inverse_number_label = f"{count_in_scene} {cause} of the scene over their number"
+    panel.set_xlabel(size_label if cause == "mesh" else inverse_number_label)
 
 
 def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuantity:
@@ -329,27 +333,30 @@ def _draw_contributions(
     """
     quantity_names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
     colours = dict(zip(ERROR_CAUSES, distinct_colours(len(ERROR_CAUSES)), strict=True))
-    for row_height, quantity_name in enumerate(quantity_names):
+    for row_position, quantity_name in enumerate(quantity_names):
         total_percent = 100.0 * verification.relative(
             quantity_name, verification.total(quantity_name)
         )
         if total_percent > 100.0 * MIN_REPORTED_ERROR:
             panel.plot(
-                2 * [total_percent], [row_height - 0.32, row_height + 0.32], color="black", lw=1.6
+                2 * [total_percent],
+                [row_position - 0.32, row_position + 0.32],
+                color="black",
+                lw=1.6,
             )
-        for cause, uncertainty in verification.contributions(quantity_name).items():
+        for cause, absolute_uncertainty in verification.contributions(quantity_name).items():
             has_small_factor = verification.parts[cause][quantity_name].factor <= SAFE
-            error_percent = 100.0 * verification.relative(quantity_name, uncertainty)
+            error_percent = 100.0 * verification.relative(quantity_name, absolute_uncertainty)
             if error_percent > 100.0 * MIN_REPORTED_ERROR:
                 fill_colour = colours[cause] if has_small_factor else "none"
                 panel.plot(
-                    error_percent, row_height, "o", ms=7, color=colours[cause], mfc=fill_colour
+                    error_percent, row_position, "o", ms=7, color=colours[cause], mfc=fill_colour
                 )
         if quantity_name in styles_by_quantity:
             placement_options = {"transform": axis_transform, "clip_on": False}
             panel.plot(
                 [-0.06, -0.035, -0.01],
-                3 * [row_height],
+                3 * [row_position],
                 markevery=[1],
                 **placement_options,
                 **styles_by_quantity[quantity_name],
@@ -362,7 +369,7 @@ def _draw_contributions(
                 else convergence.behaviour
             )
             panel.text(
-                1.02, row_height, order_text, transform=axis_transform, va="center", fontsize=9
+                1.02, row_position, order_text, transform=axis_transform, va="center", fontsize=9
             )
     for cause in verification.causes:
         panel.plot([], [], "o", ms=7, color=colours[cause], label=LABELS_BY_CAUSE.get(cause, cause))
@@ -676,10 +683,10 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
     abscissa = revolutions if is_steady else speed_factor * arrivals.speed
     marker_size = 3.0 if len(arrivals) > 100 else 4.5
     colours = distinct_colours(len(arrivals.probes))
-    probe_columns = zip(
+    probes_with_styles = zip(
         arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False
     )
-    for probe_displacements, probe_angle, colour, marker in probe_columns:
+    for probe_displacements, probe_angle, colour, marker in probes_with_styles:
         label = f"probe at {np.degrees(probe_angle):.4g}°"
         panel.plot(
             abscissa,
@@ -854,9 +861,11 @@ def draw_tip_track(
     [panel] = picture = Picture(**picture_options)
     frequency_factor, frequency_name, unit = frequency_axis(in_hertz)
     frequencies = frequency_factor * track.omega
-    series = zip(track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True)
+    multiples_with_amplitudes = zip(
+        track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True
+    )
     for (multiple, amplitudes, standard_errors), colour in zip(
-        series, cycle(COLOURS_BY_NAME.values()), strict=False
+        multiples_with_amplitudes, cycle(COLOURS_BY_NAME.values()), strict=False
     ):
         label = f"{multiple:g}x the load's frequency"
         panel.plot(frequencies, amplitudes, ".-", color=colour, lw=0.8, ms=3.0, label=label)

@@ -72,8 +72,8 @@ def look_from_corner(renderer: Any, points: np.ndarray) -> None:
         Nodes of the solid.
     """
     camera = set_parallel_camera(renderer)
-    horizontal_offsets = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
-    x, z = np.linalg.eigh(horizontal_offsets.T @ horizontal_offsets)[1][:, 0]  # thinnest axis
+    node_offsets = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
+    x, z = np.linalg.eigh(node_offsets.T @ node_offsets)[1][:, 0]  # thinnest axis
     x, z = (x, z) if z > 0.0 else (-x, -z)
     camera.SetFocalPoint(0.0, 0.0, 0.0)
     wide_offset, upward_offset, thin_offset = -1.3, 0.55, 1.6  # along the camera's three axes
@@ -127,9 +127,9 @@ def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
     return import_pyvista().PolyData(pad_to_space(points), lines=edges_with_size.ravel())
 
 
-def find_sharp_edges(mesh: NodalMesh) -> np.ndarray:
+def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
     """Find the edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    boundary_surface = make_surface(mesh.points, mesh.boundary)
+    boundary_surface = make_surface(mesh.points, mesh.boundary_sides)
     boundary_surface["node"] = np.arange(len(mesh.points))
     other_kinds = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
     sharp_edges = boundary_surface.extract_feature_edges(feature_angle=25.0, **other_kinds)
@@ -186,13 +186,13 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     (..., n_nodes, 3) or (..., n_nodes, 6) [Pa]
         Components of :data:`STRESS_COMPONENTS_BY_DIMENSION`, of a plate or a solid.
     """
-    displacement_by_node = np.moveaxis(displacement, -2, 0)
-    flat_displacement = displacement_by_node.reshape(len(displacement_by_node), -1)
-    derivatives = [
-        (matrix @ flat_displacement).reshape(displacement_by_node.shape)
+    node_first_displacement = np.moveaxis(displacement, -2, 0)
+    flat_displacement = node_first_displacement.reshape(len(node_first_displacement), -1)
+    derivative_fields = [
+        (matrix @ flat_displacement).reshape(node_first_displacement.shape)
         for matrix in _make_derivative_matrices(mesh)
     ]
-    displacement_gradient = np.moveaxis(np.stack(derivatives, axis=-1), 0, -3)
+    displacement_gradient = np.moveaxis(np.stack(derivative_fields, axis=-1), 0, -3)
     nu = material.poisson
     volume_factor = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
     strain = 0.5 * (displacement_gradient + np.swapaxes(displacement_gradient, -1, -2))
@@ -222,18 +222,22 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
     )
     unit_cell = _make_grid(node_coordinates, np.arange(n_cell_nodes)[None], mesh.vtk_type)
     unit_cell.point_data["shape"] = np.eye(n_cell_nodes)
-    flat_gradients = np.asarray(unit_cell.compute_derivative("shape")["gradient"])
+    flat_shape_gradients = np.asarray(unit_cell.compute_derivative("shape")["gradient"])
     # Node, shape function, axis.
-    shape_gradients = flat_gradients.reshape(n_cell_nodes, n_cell_nodes, 3)[..., : mesh.dimension]
+    shape_gradients = flat_shape_gradients.reshape(n_cell_nodes, n_cell_nodes, 3)[
+        ..., : mesh.dimension
+    ]
     jacobians = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape_gradients)
-    cell_derivatives = np.einsum("nbX,cnXx->xcnb", shape_gradients, np.linalg.inv(jacobians))
-    cell_derivatives /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
+    weighted_cell_derivatives = np.einsum(
+        "nbX,cnXx->xcnb", shape_gradients, np.linalg.inv(jacobians)
+    )
+    weighted_cell_derivatives /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
     matrix_rows = np.repeat(mesh.cells, n_cell_nodes)
     matrix_columns = np.tile(mesh.cells, n_cell_nodes).ravel()
     matrix_shape = 2 * (len(mesh.points),)
     return [
         csr_matrix((axis_derivatives.ravel(), (matrix_rows, matrix_columns)), matrix_shape)
-        for axis_derivatives in cell_derivatives
+        for axis_derivatives in weighted_cell_derivatives
     ]
 
 
@@ -296,8 +300,8 @@ def stress_at(
         time = np.linspace(0.0, result.period, 128, endpoint=False)
         displacement = result.displacement_field(time)
     nodal_stresses = nodal_stress(mesh, mesh.nodal_vectors(displacement), run.scene.material)
-    grid, stress_by_node = make_grid_at_rest(mesh), np.moveaxis(nodal_stresses, -2, 0)
-    grid["stress"] = stress_by_node.reshape(len(stress_by_node), -1)
+    grid, node_first_stress = make_grid_at_rest(mesh), np.moveaxis(nodal_stresses, -2, 0)
+    grid["stress"] = node_first_stress.reshape(len(node_first_stress), -1)
     sampled_points = import_pyvista().PolyData(pad_to_space(stress_points)).sample(grid)
     outside_indices = np.flatnonzero(np.asarray(sampled_points["vtkValidPointMask"]) == 0)
     if len(outside_indices):
@@ -404,7 +408,7 @@ class PeriodFields:
         Displacements, not magnified, and loads at the nodes.
     contact_forces, pair_areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Normal forces on the contact pairs, and the pairs' areas on one crack face.
-    nodal_pair_forces : (n_nodes, n_pairs)
+    nodal_force_per_pair_force : (n_nodes, n_pairs)
         Force at each node by a unit force on each pair: 1 at the pair's two nodes, or at the two
         nodes in the middle of a solid's patch.
     pressure_weights : (n_nodes, n_pairs)
@@ -413,7 +417,7 @@ class PeriodFields:
         Factor by which pictures magnify the displacement.
     material : Material or None
         Material for stresses.
-    has_one_load : bool
+    has_load_arrow : bool
         True if there is a load that one arrow can show, not a load on each blade.
     colour_name_and_unit : (str, str)
         Field of the colours: von Mises stress with a material, otherwise displacement.
@@ -445,18 +449,18 @@ class PeriodFields:
         self.nodal_loads = evaluate_series(load_harmonics, solution.omega, self.time).reshape(
             self.displacement.shape
         )
-        has_one_frame = structure.nodes is None or structure.nodes.frames is None
-        self.has_one_load = bool(np.any(self.nodal_loads)) and has_one_frame
+        has_global_frame_only = structure.nodes is None or structure.nodes.frames is None
+        self.has_load_arrow = bool(np.any(self.nodal_loads)) and has_global_frame_only
         self.colour_name_and_unit = (
             ("von Mises stress", "Pa") if material else ("displacement", "m")
         )
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.nodal_pair_forces, self.pressure_weights = (
-                self.mesh.pair_centre_and_pressure_functions
+            self.nodal_force_per_pair_force, self.pressure_weights = (
+                self.mesh.pair_centre_and_pressure_matrices
             )
         else:
-            self.nodal_pair_forces = _make_nodal_pair_forces(structure)
-            self.pressure_weights = self.nodal_pair_forces * self.pair_areas
+            self.nodal_force_per_pair_force = _find_nodal_force_per_pair_force(structure)
+            self.pressure_weights = self.nodal_force_per_pair_force * self.pair_areas
             nodal_area_sums = self.pressure_weights.sum(axis=1, keepdims=True)
             is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)  # at tips
             nodal_area_sums[is_rounding] = np.inf
@@ -510,7 +514,7 @@ class PeriodFields:
         point_fields = {
             "displacement": pad_to_space(displacement),
             "contact state": np.where(weight_sums > 0.0, 1.0 * is_closed, -1.0),
-            "contact force": self.nodal_pair_forces @ pair_forces,
+            "contact force": self.nodal_force_per_pair_force @ pair_forces,
             "contact pressure": self.pressure_weights @ (pair_forces / self.pair_areas),
         }
         if self.material is not None:
@@ -646,7 +650,7 @@ def _format_vtu(grid: Any) -> str:
     return str(writer.GetOutputString())
 
 
-def _make_nodal_pair_forces(structure: Structure) -> np.ndarray:
+def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
     """Return the size of the force at each node by a unit force on each pair (collective).
 
     Returns
@@ -656,10 +660,10 @@ def _make_nodal_pair_forces(structure: Structure) -> np.ndarray:
     """
     assert structure.nodes is not None
     dofs, gap_matrix = structure.nodes.dofs, structure.gap
-    free_entries = np.nonzero(dofs >= 0)
-    free_nodes, local_dofs = free_entries[0], dofs[free_entries] - structure.first_dof
-    matrix_entries = np.ones(len(free_nodes)), (free_nodes, local_dofs)
-    node_dof_matrix = csr_matrix(matrix_entries, (len(dofs), structure.n_local))
+    free_entry_indices = np.nonzero(dofs >= 0)
+    free_nodes, local_dofs = free_entry_indices[0], dofs[free_entry_indices] - structure.first_dof
+    dof_selection_triplets = np.ones(len(free_nodes)), (free_nodes, local_dofs)
+    node_dof_matrix = csr_matrix(dof_selection_triplets, (len(dofs), structure.n_local))
     return gather_rows(
         structure.comm, np.sqrt((node_dof_matrix @ gap_matrix.multiply(gap_matrix)).toarray())
     )

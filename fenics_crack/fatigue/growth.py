@@ -48,7 +48,7 @@ from fenics_crack.fatigue.ellipse import (
     integrate_ellipse_growth,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.solid import find_section_reaches
+from fenics_crack.fem.solid import find_reaches_from_crack_middle
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
@@ -583,7 +583,8 @@ def _find_max_ellipse_length(scene: Scene) -> float:
     Around a point it is at most the length of a crack with three times the relative growth along
     the face.
     """
-    crack, law, reaches = scene.given("crack"), scene.given("growth"), find_section_reaches(scene)
+    crack, law = scene.given("crack"), scene.given("growth")
+    reaches = find_reaches_from_crack_middle(scene)
     available_length = max(reaches) if crack.edge else 2.0 * min(reaches)
     max_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
     if crack.point is None:

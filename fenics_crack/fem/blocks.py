@@ -29,7 +29,7 @@ with ``mesh.size``.
 Unit of length
 --------------
 gmsh's tolerances are lengths. So everything is drawn in a unit in which a scene in mm has the same
-mesh as one in m (:func:`scale_to_mesh_unit`). The nodes are scaled afterwards.
+mesh as one in m (:func:`scale_scene_to_mesh_unit`). The nodes are scaled afterwards.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from fenics_crack.scene.scene import Scene
 
 MIN_RELATIVE_CELL_SIZE = 1e-7
 """Minimum cell size relative to the plate: gmsh and the matrices allow none smaller."""
-MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
+MAX_ELEMENT_LENGTH_PER_DISTANCE = 1.0 / 3.0
 """Maximum element size between two tips or cracks, over the distance from either."""
 
 
@@ -60,13 +60,13 @@ MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
 class ElementInterval:
     """Part of a plate's side from ``start`` to ``stop``, divided into elements.
 
-    ``length_ratio`` is an element's length over the previous element's length.
+    ``length_over_previous`` is an element's length over the previous element's length.
     """
 
     start: float
     stop: float
     n_elements: int
-    length_ratio: float
+    length_over_previous: float
 
 
 Slit = tuple[int, range]
@@ -77,33 +77,43 @@ class _GradedFace:
     """Element lengths along a crack face, which fall geometrically towards a tip.
 
     The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside, the
-    coarse end is the middle, with half as many. ``length_ratio_towards_tip`` is an element's length
-    over the next element's length, away from the tip.
+    coarse end is the middle, with half as many. ``length_over_next_from_tip`` is an element's
+    length over the next element's length, away from the tip.
     """
 
-    def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
+    def __init__(self, scene: Scene, coarse_end_position: float, tip_position: float) -> None:
         mesh, (plate_width, plate_height) = scene.mesh, scene.geometry.sides
-        self.coarse_end, self.tip, self.n_elements = coarse_end, tip, mesh.given("lip_elements")
-        if coarse_end not in (0.0, plate_width):
+        self.coarse_end_position = coarse_end_position
+        self.tip_position = tip_position
+        self.n_elements = mesh.given("lip_elements")
+        if coarse_end_position not in (0.0, plate_width):
             self.n_elements = -(-self.n_elements // 2)
-        self.length_ratio_towards_tip = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
-        relative_lengths = self.length_ratio_towards_tip ** np.arange(self.n_elements)
-        self.tip_size = float(abs(tip - coarse_end) * relative_lengths[-1] / relative_lengths.sum())
-        if self.tip_size < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
+        self.length_over_next_from_tip = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
+        relative_lengths = self.length_over_next_from_tip ** np.arange(self.n_elements)
+        self.tip_element_length = float(
+            abs(tip_position - coarse_end_position) * relative_lengths[-1] / relative_lengths.sum()
+        )
+        if self.tip_element_length < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
             requirement = "smaller, for this crack: the element at its tip is only "
-            raise InputError("mesh.grading", mesh.grading, f"{requirement}{self.tip_size:.1g} m")
+            raise InputError(
+                "mesh.grading", mesh.grading, f"{requirement}{self.tip_element_length:.1g} m"
+            )
 
     def covers(self, start: float, stop: float) -> bool:
         """Return True if the face extends along an interval."""
         return (
-            min(self.coarse_end, self.tip) < 0.5 * (start + stop) < max(self.coarse_end, self.tip)
+            min(self.coarse_end_position, self.tip_position)
+            < 0.5 * (start + stop)
+            < max(self.coarse_end_position, self.tip_position)
         )
 
     def element_length(self, position: float) -> float:
         """Return the element length at a position on the face."""
-        coarse_length = self.tip_size / self.length_ratio_towards_tip ** (self.n_elements - 1)
-        fraction = (position - self.tip) / (self.coarse_end - self.tip)
-        return self.tip_size + fraction * (coarse_length - self.tip_size)
+        coarse_length = self.tip_element_length / self.length_over_next_from_tip ** (
+            self.n_elements - 1
+        )
+        fraction = (position - self.tip_position) / (self.coarse_end_position - self.tip_position)
+        return self.tip_element_length + fraction * (coarse_length - self.tip_element_length)
 
     def count_elements(self, start: float, stop: float) -> float:
         """Count the elements on an interval: integrate 1 / element length."""
@@ -113,7 +123,9 @@ class _GradedFace:
         return (stop - start) * math.log(start_length / stop_length) / (start_length - stop_length)
 
 
-def _plate_blocks(scene: Scene) -> tuple[list[ElementInterval], list[ElementInterval], list[Slit]]:
+def _find_plate_columns_rows_and_slits(
+    scene: Scene,
+) -> tuple[list[ElementInterval], list[ElementInterval], list[Slit]]:
     """Divide a plate into blocks, and find the cracks among them.
 
     The results are block columns, block rows, and each crack's row and columns.
@@ -167,7 +179,7 @@ def check_cell_count(
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), requirement)
 
 
-def _element_length(scene: Scene) -> float:
+def _element_length_off_cracks(scene: Scene) -> float:
     """Return the element length away from cracks [m].
 
     For a grid it is the length along the plate.
@@ -183,7 +195,7 @@ def plate_pair_upper_bound(scene: Scene) -> int:
     crack, order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # then it is the only crack
         return ((scene.mesh.lip_elements or 0) + 1) * order
-    columns, _, slits = _plate_blocks(scene)
+    columns, _, slits = _find_plate_columns_rows_and_slits(scene)
     return sum(
         columns[column_index].n_elements * order
         for _, crack_columns in slits
@@ -193,14 +205,17 @@ def plate_pair_upper_bound(scene: Scene) -> int:
 
 def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[ElementInterval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
-    position_by_line = {
+    position_by_grid_line = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
     } | {0: 0.0, n_elements: extent}
     return [
         ElementInterval(
-            position_by_line[first_line], position_by_line[last_line], last_line - first_line, 1.0
+            position_by_grid_line[first_line],
+            position_by_grid_line[last_line],
+            last_line - first_line,
+            1.0,
         )
-        for first_line, last_line in pairwise(sorted(position_by_line))
+        for first_line, last_line in pairwise(sorted(position_by_grid_line))
     ]
 
 
@@ -212,7 +227,7 @@ def _nearest_index(positions: np.ndarray, position: float) -> int:
 # --- the unit of length ---------------------------------------------------------------------------
 
 
-def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
+def scale_scene_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
     """Convert a scene into the unit of length in which gmsh meshes.
 
     By default the unit is the power of ten for which the longest side is from 0.0316 to 0.316.
@@ -265,18 +280,16 @@ def _graded_columns_and_rows(
 
     ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
     """
-    (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
+    (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
-        element_counts = [
-            max(1, round(side_length / element_size)) for side_length in (width, height)
-        ]
+        element_counts = [max(1, round(side_length / size)) for side_length in (width, height)]
         return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
             ElementInterval(0.0, height, element_counts[1], 1.0)
         ]
-    faces: list[_GradedFace] = []
-    crack_levels_and_sizes: list[tuple[float, float]] = []
+    all_graded_faces: list[_GradedFace] = []
+    crack_levels_and_element_lengths: list[tuple[float, float]] = []
     for (left_end, right_end), level in zip(spans, levels, strict=True):
-        coarse_end = (
+        coarse_end_position = (
             left_end
             if left_end == 0.0
             else right_end
@@ -284,21 +297,25 @@ def _graded_columns_and_rows(
             else 0.5 * (left_end + right_end)
         )
         graded_faces = [
-            _GradedFace(scene, coarse_end, tip)
-            for tip in (left_end, right_end)
-            if tip != coarse_end
+            _GradedFace(scene, coarse_end_position, tip_position)
+            for tip_position in (left_end, right_end)
+            if tip_position != coarse_end_position
         ]
-        crack_levels_and_sizes.append((level, min(face.tip_size for face in graded_faces)))
-        faces += graded_faces
-    tip_positions_and_sizes = [(face.tip, face.tip_size) for face in faces]
+        crack_levels_and_element_lengths.append(
+            (level, min(face.tip_element_length for face in graded_faces))
+        )
+        all_graded_faces += graded_faces
+    tip_positions_and_element_lengths = [
+        (face.tip_position, face.tip_element_length) for face in all_graded_faces
+    ]
     return _graded_intervals(
-        width, tip_positions_and_sizes, faces, element_size
-    ), _graded_intervals(height, crack_levels_and_sizes, [], element_size)
+        width, tip_positions_and_element_lengths, all_graded_faces, size
+    ), _graded_intervals(height, crack_levels_and_element_lengths, [], size)
 
 
 def _graded_intervals(
     extent: float,
-    tip_positions_and_sizes: list[tuple[float, float]],
+    tip_positions_and_element_lengths: list[tuple[float, float]],
     faces: list[_GradedFace],
     size: float,
 ) -> list[ElementInterval]:
@@ -308,7 +325,7 @@ def _graded_intervals(
     ----------
     extent : float [m]
         Length of the side.
-    tip_positions_and_sizes : list of (position, length)
+    tip_positions_and_element_lengths : list of (position, length)
         Element length at each tip, or at each crack.
     faces : list of _GradedFace
         Crack faces along the side.
@@ -322,7 +339,7 @@ def _graded_intervals(
         """Return the element lengths given for a position."""
         return [
             tip_length
-            for tip, tip_length in tip_positions_and_sizes
+            for tip, tip_length in tip_positions_and_element_lengths
             if abs(tip - position) <= tolerance
         ]
 
@@ -337,12 +354,12 @@ def _graded_intervals(
         """Return one interval between two positions, or two intervals that meet half-way."""
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
-            ends = sorted((face.coarse_end, face.tip))
+            ends = sorted((face.coarse_end_position, face.tip_position))
             if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
                 length_ratio = (
-                    face.length_ratio_towards_tip
-                    if face.tip > face.coarse_end
-                    else 1.0 / face.length_ratio_towards_tip
+                    face.length_over_next_from_tip
+                    if face.tip_position > face.coarse_end_position
+                    else 1.0 / face.length_over_next_from_tip
                 )
                 return [ElementInterval(start, stop, face.n_elements, length_ratio)]
         start_length = element_length(start, faces_along)
@@ -350,7 +367,9 @@ def _graded_intervals(
         if not (lengths_at_tip(start) and lengths_at_tip(stop)):
             return [_graded_interval(start, stop, start_length, stop_length, faces_along)]
         middle = 0.5 * (start + stop)
-        max_length = max(start_length, stop_length, MAX_SIZE_PER_DISTANCE * 0.5 * (stop - start))
+        max_length = max(
+            start_length, stop_length, MAX_ELEMENT_LENGTH_PER_DISTANCE * 0.5 * (stop - start)
+        )
         middle_length = min(max_length, element_length(middle, faces_along))
         segments = (
             (start, middle, start_length, middle_length),
@@ -359,8 +378,8 @@ def _graded_intervals(
         return [_graded_interval(*segment, faces_along) for segment in segments]
 
     interval_bounds = [0.0]
-    cuts = [position for position, _ in tip_positions_and_sizes] + [
-        face.coarse_end for face in faces
+    cuts = [position for position, _ in tip_positions_and_element_lengths] + [
+        face.coarse_end_position for face in faces
     ]
     for position in sorted([*cuts, extent]):
         if position - interval_bounds[-1] > tolerance:
@@ -418,7 +437,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     Cracks
         Cracks in the order of the scene.
     """
-    unit_scene, unit = scale_to_mesh_unit(scene)
+    unit_scene, unit = scale_scene_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
         rim = DiskRim(unit_scene)
@@ -454,7 +473,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     ``unit_scene`` is the scene in gmsh's unit. Returns the tags of the plate's sides.
     """
     _check_plate_cells(scene)
-    columns, rows, slits = _plate_blocks(unit_scene)
+    columns, rows, slits = _find_plate_columns_rows_and_slits(unit_scene)
     rim = None if unit_scene.disk is None else DiskRim(unit_scene)
     xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
     add_point = gmsh.model.geo.addPoint
@@ -464,12 +483,12 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
-    doubled_corners = _doubled_corners(slits, len(columns))
-    upper_corners = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
-    bottom_corners = corners | upper_corners  # corners of blocks above a crack
+    doubled_ij = _find_doubled_corner_indices(slits, len(columns))
+    upper_corner_by_ij = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_ij}
+    bottom_corner_by_ij = corners | upper_corner_by_ij  # corners of blocks above a crack
 
     horizontal_curves, vertical_curves = {}, {}
-    interval_by_face_block = {
+    column_by_upper_ij = {
         (i, row): columns[i] for row, crack_columns in slits for i in crack_columns
     }
     if scene.has_element_lengths:  # only crack faces have a number of elements
@@ -477,19 +496,19 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
             [replace(interval, n_elements=0) for interval in intervals]
             for intervals in (columns, rows)
         )
-    for i, division in enumerate(columns):
+    for i, column in enumerate(columns):
         for j in range(len(ys)):
             horizontal_curves[i, j] = _add_curve(
-                corners[i, j], corners[i + 1, j], interval_by_face_block.get((i, j), division)
+                corners[i, j], corners[i + 1, j], column_by_upper_ij.get((i, j), column)
             )
     for j, row_interval in enumerate(rows):
         for i in range(len(xs)):
             vertical_curves[i, j] = _add_curve(
-                bottom_corners[i, j], corners[i, j + 1], row_interval
+                bottom_corner_by_ij[i, j], corners[i, j + 1], row_interval
             )
     upper_curves = {
-        (i, j): _add_curve(bottom_corners[i, j], bottom_corners[i + 1, j], interval)
-        for (i, j), interval in interval_by_face_block.items()
+        (i, j): _add_curve(bottom_corner_by_ij[i, j], bottom_corner_by_ij[i + 1, j], interval)
+        for (i, j), interval in column_by_upper_ij.items()
     }
     surfaces = _add_surfaces(
         len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
@@ -503,20 +522,20 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     left_curves, right_curves = (
         [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
     )
-    single_corners = [corner for corner in corners if corner not in doubled_corners]
+    single_ij = [ij for ij in corners if ij not in doubled_ij]
     load_position = unit_scene.excitation.point
-    loaded_tags = [corners[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position]
+    load_point_tags = [corners[i, j] for i, j in single_ij if (xs[i], ys[j]) == load_position]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         **sides,
         "lower_lip": (1, [horizontal_curves[block_indices] for block_indices in upper_curves]),
         "upper_lip": (1, list(upper_curves.values())),
-        "load": (0, loaded_tags),
+        "load": (0, load_point_tags),
         "left": (1, left_curves),
         "right": (1, right_curves),
         "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
     }
-    tag_by_side = {name: group_tag for name, group_tag in _add_physical_groups(groups).items()
+    tag_by_side = {name: group_tag for name, group_tag in _add_groups_and_find_tags(groups).items()
                    if groups[name][0] == 1}  # fmt: skip
     if rim is None:
         tag_by_side["bottom"] = tag_by_side["clamp"]
@@ -525,17 +544,17 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
 
 def _check_plate_cells(scene: Scene) -> None:
     """Raise InputError if a plate would have too many cells."""
-    columns, rows, _ = _plate_blocks(scene)
+    columns, rows, _ = _find_plate_columns_rows_and_slits(scene)
     n_cells: float = math.prod(
         sum(interval.n_elements for interval in intervals) for intervals in (columns, rows)
     )
     if scene.disk is not None:
-        n_cells += DiskRim(scene).area / _element_length(scene) ** 2
+        n_cells += DiskRim(scene).area / _element_length_off_cracks(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
     check_cell_count(scene, key, n_cells, 2 * scene.mesh.order**2)
 
 
-def _doubled_corners(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
+def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
     """Return the block corners on cracks, without tips, as (column, row).
 
     Such a corner has a point on each crack face. A crack that begins or ends at the plate's
@@ -556,7 +575,11 @@ Curves = dict[tuple[int, int], int]
 
 
 def _add_surfaces(
-    n_columns: int, n_rows: int, horizontal: Curves, vertical: Curves, upper_faces: Curves
+    n_columns: int,
+    n_rows: int,
+    horizontal_by_ij: Curves,
+    vertical_by_ij: Curves,
+    upper_by_ij: Curves,
 ) -> list[int]:
     """Add each block's surface, column by column, and return the tags.
 
@@ -566,26 +589,31 @@ def _add_surfaces(
     surfaces = []
     for i in range(n_columns):
         for j in range(n_rows):
-            lower_curve = upper_faces.get((i, j), horizontal[i, j])
-            loop_curves = [lower_curve, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
+            lower_curve = upper_by_ij.get((i, j), horizontal_by_ij[i, j])
+            loop_curves = [
+                lower_curve,
+                vertical_by_ij[i + 1, j],
+                -horizontal_by_ij[i, j + 1],
+                -vertical_by_ij[i, j],
+            ]
             surfaces.append(
                 gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop_curves)])
             )
     return surfaces
 
 
-def _add_physical_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
+def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
     """Make gmsh's physical groups, and return their tags by name.
 
-    ``groups`` has dimension and entities by name; names without entities get no group.
+    ``entities_by_name`` has dimension and entities by name; names without entities get no group.
     """
     tag_by_name = {
         name: group_tag
-        for group_tag, (name, (_, entities)) in enumerate(groups.items(), 1)
+        for group_tag, (name, (_, entities)) in enumerate(entities_by_name.items(), 1)
         if entities
     }
     for name, group_tag in tag_by_name.items():
-        dimension, entities = groups[name]
+        dimension, entities = entities_by_name[name]
         gmsh.model.addPhysicalGroup(dimension, entities, group_tag)
         gmsh.model.setPhysicalName(dimension, group_tag, name)
     return tag_by_name
@@ -613,7 +641,7 @@ def _add_curve(
     if (
         interval.n_elements
     ):  # else elements have lengths by :func:`_mesh_current_model_with_gradings`
-        n_nodes_on_curve, length_ratio = interval.n_elements + 1, interval.length_ratio
+        n_nodes_on_curve, length_ratio = interval.n_elements + 1, interval.length_over_previous
         gmsh.model.geo.mesh.setTransfiniteCurve(
             curve_tag, n_nodes_on_curve, "Progression", length_ratio
         )
@@ -622,7 +650,7 @@ def _add_curve(
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
-BLADE_RIM_CORNER_SIZE_RATIO = 1.0 / 32.0
+BLADE_CORNER_LENGTH_TO_MESH_SIZE = 1.0 / 32.0
 """Element length at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDE_NAMES = ("rim_left", "rim_right")
 """Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
@@ -633,7 +661,7 @@ class DiskRim:
 
     Attributes
     ----------
-    blade_middle, axis_height : float [m]
+    blade_middle_position, axis_y_position : float [m]
         Position of the blade's middle across the blade, and of the axis along it.
     inner_radius, outer_radius : float [m]
         Radii of the circles.
@@ -644,7 +672,7 @@ class DiskRim:
     def __init__(self, scene: Scene) -> None:
         """Read the rim from a scene whose disk is meshed here."""
         self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis[0]
-        self.blade_middle, self.axis_height = (
+        self.blade_middle_position, self.axis_y_position = (
             float(axis_point[0 if scene.dimension == 2 else 2]),
             float(axis_point[1]),
         )
@@ -661,8 +689,8 @@ class DiskRim:
 
     def foot_height(self, position: float) -> float:
         """Return the blade foot's height y on the rim, at a position across [m]."""
-        return self.axis_height + math.sqrt(
-            self.outer_radius**2 - (position - self.blade_middle) ** 2
+        return self.axis_y_position + math.sqrt(
+            self.outer_radius**2 - (position - self.blade_middle_position) ** 2
         )
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
@@ -670,8 +698,9 @@ class DiskRim:
 
         The angle is measured from the middle of the blade to the right.
         """
-        return self.blade_middle + radius * math.sin(angle), self.axis_height + radius * math.cos(
-            angle
+        return (
+            self.blade_middle_position + radius * math.sin(angle),
+            self.axis_y_position + radius * math.cos(angle),
         )
 
     def draw_with_blade(
@@ -691,7 +720,7 @@ class DiskRim:
         left_inner_point, right_inner_point, left_outer_point, right_outer_point = (
             occ.addPoint(0.0, y, z) for z, y in rim_corner_positions
         )
-        center = occ.addPoint(0.0, self.axis_height, self.blade_middle)
+        center = occ.addPoint(0.0, self.axis_y_position, self.blade_middle_position)
         rim_curves = [
             occ.addCircleArc(left_inner_point, center, right_inner_point),
             occ.addLine(right_inner_point, right_outer_point),
@@ -722,15 +751,15 @@ class DiskRim:
             _Grading(
                 corner_x_positions,
                 self.foot_height(0.0),
-                BLADE_RIM_CORNER_SIZE_RATIO * element_size,
+                BLADE_CORNER_LENGTH_TO_MESH_SIZE * element_size,
                 element_size / blade_width,
             )
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
         """Name a face on a solid's rim, given the face's center of mass."""
-        offset_across_blade = face_center[2] - self.blade_middle
-        offset_along_blade = face_center[1] - self.axis_height
+        offset_across_blade = face_center[2] - self.blade_middle_position
+        offset_along_blade = face_center[1] - self.axis_y_position
         face_radius = math.hypot(offset_across_blade, offset_along_blade)
         face_angle = math.atan2(offset_across_blade, offset_along_blade)
         if abs(abs(face_angle) - self.half_angle) < 1e-6:
@@ -750,7 +779,7 @@ class DiskRim:
         c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
         transformation, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
         transformation[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
-        axis_point[plane_axes] = self.axis_height, self.blade_middle
+        axis_point[plane_axes] = self.axis_y_position, self.blade_middle_position
         transformation[:3, 3] = axis_point - transformation[:3, :3] @ axis_point
         gmsh.model.mesh.setPeriodic(
             1 + across_axis // 2, right_tags, left_tags, transformation.ravel().tolist()
@@ -770,12 +799,12 @@ class DiskRim:
         dict
             The curves' dimension and tags, by the rim side's name.
         """
-        element_size, geo = _element_length(self.scene), gmsh.model.geo
-        angle_beside_blade = self.half_angle - math.asin(
-            (foot_columns[-1].stop - self.blade_middle) / self.outer_radius
+        element_size, geo = _element_length_off_cracks(self.scene), gmsh.model.geo
+        rim_angle_beside_blade = self.half_angle - math.asin(
+            (foot_columns[-1].stop - self.blade_middle_position) / self.outer_radius
         )
         arc_and_radial_lengths = (
-            self.outer_radius * angle_beside_blade,
+            self.outer_radius * rim_angle_beside_blade,
             self.outer_radius - self.inner_radius,
         )
         element_counts = [
@@ -785,13 +814,13 @@ class DiskRim:
         interval_beside_blade, radial_interval = (
             ElementInterval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
         )
-        center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
+        center = geo.addPoint(self.blade_middle_position, self.axis_y_position, 0.0)
         x_positions = [
             foot_columns[0].start,
             *(column_interval.stop for column_interval in foot_columns),
         ]
         point_angles = [
-            math.asin((x_position - self.blade_middle) / self.outer_radius)
+            math.asin((x_position - self.blade_middle_position) / self.outer_radius)
             for x_position in x_positions
         ]
         point_angles = [-self.half_angle, *point_angles, self.half_angle]
@@ -877,15 +906,15 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
 
     It names the smallest crack or, without cracks, the size of elements.
     """
-    crack_dimension_by_key = {
-        f"{name}.{key}": crack_dimension
+    crack_size_by_key = {
+        f"{name}.{key}": crack_size
         for name, crack in scene.all_cracks.items()
         for key in ("depth", "length", "radii")
-        if (crack_dimension := getattr(crack, key)) is not None
+        if (crack_size := getattr(crack, key)) is not None
     }
     key = min(
-        crack_dimension_by_key,
-        key=lambda size_key: np.min(crack_dimension_by_key[size_key]),
+        crack_size_by_key,
+        key=lambda size_key: np.min(crack_size_by_key[size_key]),
         default="mesh.size",
     )
     geometry_kind = scene.geometry.kind
@@ -893,29 +922,29 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
         f"such that gmsh can mesh the {geometry_kind} ({reason}): not as small beside its other"
         " sizes"
     )
-    return InputError(key, crack_dimension_by_key.get(key, scene.mesh.size), requirement)
+    return InputError(key, crack_size_by_key.get(key, scene.mesh.size), requirement)
 
 
 @dataclass(frozen=True)
 class _Grading:
-    """Element length h = min_length + growth d around points.
+    """Element length h = min_length + length_per_distance d around points.
 
     The distance d is measured from the nearest point.
 
     Attributes
     ----------
-    x_positions, height : (n,), () [m]
+    x_positions, y_position : (n,), () [m]
         x and y of the points.
     min_length : float [m]
         Element length at a point.
-    growth : float
+    length_per_distance : float
         Increase with the distance.
     """
 
     x_positions: np.ndarray
-    height: float
+    y_position: float
     min_length: float
-    growth: float
+    length_per_distance: float
 
     def as_kernel_struct(self) -> Struct:
         """Return this grading as a C struct for the kernel's ``element_length_at``."""
@@ -931,15 +960,15 @@ def _crack_gradings(scene: Scene) -> list[_Grading]:
         face_length = right_end - left_end
         if crack.edge is None:
             n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
-        length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
-        tip_element_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
+        length_over_previous = mesh.grading ** (1.0 / max(n_elements - 1, 1))
+        tip_element_length = face_length / float(
+            (length_over_previous ** np.arange(n_elements)).sum()
+        )
         tip_positions = np.array(
             [tip_position for tip_position in (left_end, right_end) if 0.0 < tip_position < width]
         )
-        size_growth_per_distance = max(length_ratio - 1.0, MAX_SIZE_PER_DISTANCE)
+        length_per_distance = max(length_over_previous - 1.0, MAX_ELEMENT_LENGTH_PER_DISTANCE)
         gradings.append(
-            _Grading(
-                tip_positions, crack.given("height"), tip_element_length, size_growth_per_distance
-            )
+            _Grading(tip_positions, crack.given("height"), tip_element_length, length_per_distance)
         )
     return gradings

@@ -51,10 +51,10 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
-    POSITION_TOLERANCE,
+    RELATIVE_POSITION_TOLERANCE,
     Cracks,
-    distribute_front_pressures,
     locate_on_cracks,
+    make_front_pressure_matrix,
 )
 from fenics_crack.fem.elasticity import (
     assemble_rotation,
@@ -62,7 +62,7 @@ from fenics_crack.fem.elasticity import (
     stress_expression,
     thickness_constant,
 )
-from fenics_crack.fem.loads import assemble_loads, clamp_of
+from fenics_crack.fem.loads import assemble_loads, make_clamp
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
@@ -107,14 +107,16 @@ def pair_crack_faces(
     InputError
         The two faces have different nodes.
     """
-    dimension, plate = dofs.dimension, dofs.plate
-    if not plate.has_cracks:
+    dimension, part_mesh = dofs.dimension, dofs.part_mesh
+    if not part_mesh.has_cracks:
         empty_fields = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*empty_fields)
     assemble_columns = (
-        _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
+        _assemble_nodal_gap_columns
+        if dimension == 2 and max_patches is None
+        else _assemble_pressure_gap_columns
     )
-    both_faces_measure = plate.measure_on(*CRACK_FACE_NAMES)
+    both_faces_measure = part_mesh.measure_on(*CRACK_FACE_NAMES)
     pressure_space, node_areas, pressure_gap_columns = assemble_columns(dofs, t, both_faces_measure)
     first_node = pressure_space.dofmap.index_map.local_range[0]
     points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
@@ -123,8 +125,8 @@ def pair_crack_faces(
         nodes = dofs.nodes_on(face_name, pressure_space)
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
-    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
-        plate.crack_paths_or_surfaces, *node_table_by_face
+    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = (
+        _match_face_nodes(part_mesh.crack_paths_or_surfaces, *node_table_by_face)
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
     lower_gap = pressure_gap_columns[:, lower_nodes]
@@ -135,11 +137,11 @@ def pair_crack_faces(
     fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
-            shares = _front_pressure_shares(
+            shares = _front_pressure_share_matrix(
                 dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
             )
         else:
-            pair_node_index, shares = _patch_shares(
+            pair_node_index, shares = _find_patch_nodes_and_shares(
                 points, crack_index, distances_on_crack, n_inside, max_patches
             )
         nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
@@ -153,7 +155,8 @@ def pair_crack_faces(
         kept_pairs = np.arange(n_inside)
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
-                plate.crack_paths_or_surfaces, crack_index[:n_inside], distances_on_crack[:n_inside]
+                part_mesh.crack_paths_or_surfaces,
+                crack_index[:n_inside], distances_on_crack[:n_inside],
             ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
@@ -162,18 +165,18 @@ def pair_crack_faces(
     )
     if dimension == 3:
         fields["tangential_gap_matrix"] = _free_rows(
-            _tangential_gaps(gap, lower_gap, dofs.comm), dofs
+            _make_tangential_gap_matrix(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
         points, areas, crack_index, distances_on_crack,
-        _watched_pair_by_name(plate.crack_paths_or_surfaces, crack_index, distances_on_crack),
+        _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_index, distances_on_crack),
         **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
 
 
-def _front_pressure_shares(
+def _front_pressure_share_matrix(
     dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
     """Return the matrix S that moves pressures at front nodes to neighbours: (n, n_inside).
@@ -197,12 +200,12 @@ def _front_pressure_shares(
         (overlap_triplets[:, 2], overlap_triplets[:, :2].astype(int).T),
         (n_global_nodes, n_global_nodes),
     )
-    return distribute_front_pressures(
+    return make_front_pressure_matrix(
         overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
     )
 
 
-def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
+def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
     """Return tangential gaps of a solid's pairs: (3 n_nodes, 2 m) (collective).
 
     Parameters
@@ -234,7 +237,7 @@ def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_mat
     ]).tocsr()  # fmt: skip
 
 
-def _patch_shares(
+def _find_patch_nodes_and_shares(
     points: np.ndarray,
     crack_index: np.ndarray,
     distances_on_crack: np.ndarray,
@@ -272,14 +275,14 @@ def _patch_shares(
             crack_nodes = crack_nodes[
                 np.arange(n_patches) * (len(crack_nodes) - 1) // max(n_patches - 1, 1)
             ]
-            patch_functions = [
-                np.interp(distances_on_crack, distances_on_crack[crack_nodes], patch_indicator)
-                for patch_indicator in np.eye(n_patches)
+            patch_value_arrays = [
+                np.interp(distances_on_crack, distances_on_crack[crack_nodes], unit_patch_values)
+                for unit_patch_values in np.eye(n_patches)
             ]
         else:
             crack_nodes = crack_nodes[_select_distant_points(points[crack_nodes], n_patches)]
             distances_to_patch_nodes = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
-            patch_functions = [
+            patch_value_arrays = [
                 distances_to_patch_nodes.argmin(axis=1) == patch for patch in range(n_patches)
             ]
         patch_nodes = np.append(patch_nodes, crack_nodes)
@@ -287,8 +290,8 @@ def _patch_shares(
             [
                 pressure_shares,
                 *(
-                    patch_function * (crack_index == crack_number)
-                    for patch_function in patch_functions
+                    patch_values * (crack_index == crack_number)
+                    for patch_values in patch_value_arrays
                 ),
             ]
         )
@@ -322,7 +325,7 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
     return free_rows_matrix
 
 
-def _columns_of_nodes(
+def _assemble_nodal_gap_columns(
     dofs: Dofs, t: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors b, one for each displacement node.
@@ -357,12 +360,12 @@ def _columns_of_nodes(
     )
 
 
-def _columns_of_pressures(
+def _assemble_pressure_gap_columns(
     dofs: Dofs, t: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors with pressures linear between corners of facets.
 
-    The results are as in :func:`_columns_of_nodes`.
+    The results are as in :func:`_assemble_nodal_gap_columns`.
     """
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
@@ -378,7 +381,7 @@ def _columns_of_pressures(
     return space, node_areas, sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas))
 
 
-def _match_faces(
+def _match_face_nodes(
     cracks: Cracks, lower_node_table: np.ndarray, upper_node_table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """Match the nodes of both crack faces one to one.
@@ -429,9 +432,10 @@ def _match_faces(
         ]
         nearest_distances = np.min(distances_to_upper_nodes, axis=1)
         partners = np.argmin(distances_to_upper_nodes, axis=1)
-        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * crack_extent and len(
-            np.unique(partners)
-        ) == len(partners)
+        has_matching_faces = (
+            nearest_distances.max() <= RELATIVE_POSITION_TOLERANCE * crack_extent
+            and len(np.unique(partners)) == len(partners)
+        )
         position_text = ", ".join(
             f"{coordinate:g}"
             for coordinate in lower_node_table[int(np.argmax(nearest_distances)), 2:]
@@ -485,16 +489,18 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     if scene.disk is not None:  # every rank has the sector
         from fenics_crack.disk.sector import assemble_wheel
 
-        structure, dofs = call_on_each_rank(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
+        structure, dofs = call_on_each_rank(
+            comm, lambda: _assemble_structure_at_rest(scene, MPI.COMM_SELF)
+        )
         return assemble_wheel(scene, dofs, structure, comm)
-    structure, dofs = _assemble_at_rest(scene, comm)
+    structure, dofs = _assemble_structure_at_rest(scene, comm)
     if scene.speed > 0.0:
         begin_stage("rotation")
         structure = assemble_rotation(scene, dofs, structure).at(scene.speed)
     return structure
 
 
-def assemble_load_fields(scene: Scene, structure: Structure) -> dict[str, Any]:
+def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str, Any]:
     """Assemble a scene's loads on a structure's mesh, at rest (collective).
 
     Returns
@@ -504,10 +510,10 @@ def assemble_load_fields(scene: Scene, structure: Structure) -> dict[str, Any]:
         printed; "clamp", which gives the reaction to the load.
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
-    _, mass_form = _matrix_forms(scene, dofs.space)
+    _, mass_form = _make_stiffness_and_mass_forms(scene, dofs.space)
     mass_matrix = compat.assembled_petsc_matrix(mass_form)
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_matrix)
-    clamp = clamp_of(dofs, mass_matrix, nodal_force_harmonics)
+    clamp = make_clamp(dofs, mass_matrix, nodal_force_harmonics)
     mass_matrix.destroy()
     return {
         "force": dofs.restrict_to_free(nodal_force_harmonics),
@@ -516,29 +522,33 @@ def assemble_load_fields(scene: Scene, structure: Structure) -> dict[str, Any]:
     }
 
 
-def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
+def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     """Assemble the structure without rotation, and number its dofs (collective).
 
     Of a bladed disk it is one sector, whose sides are free.
     """
     begin_stage("mesh")
-    plate = build_mesh(scene, comm)
+    part_mesh = build_mesh(scene, comm)
     begin_stage("matrices")
-    if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+    if (
+        not part_mesh.has_cracks
+        and scene.mesh.layout == "file"
+        and (scene.contact or scene.all_cracks)
+    ):
         group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
         requirement = (
             f"a mesh with {group_kind_words} named 'crack', or 'lower_lip' and 'upper_lip'"
         )
         requirement += ", as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, requirement)
-    space = compat.function_space(plate.mesh, scene.mesh.order)
-    dofs = Dofs(plate, space, comm)
+    space = compat.function_space(part_mesh.mesh, scene.mesh.order)
+    dofs = Dofs(part_mesh, space, comm)
     if scene.disk is not None:
         from fenics_crack.disk.sector import match_sides
 
         match_sides(scene, dofs)
     stiffness_with_clamped_dofs, mass_with_clamped_dofs = map(
-        compat.assembled_petsc_matrix, _matrix_forms(scene, space)
+        compat.assembled_petsc_matrix, _make_stiffness_and_mass_forms(scene, space)
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, max_patches = thickness_constant(scene, space), scene.mesh.patches
@@ -546,21 +556,21 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         dofs, t, mouth_only=mouth_only, max_patches=max_patches
     )
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
-    clamp = clamp_of(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
-    body_with_loads = Body(
+    clamp = make_clamp(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
+    body = Body(
         dofs.restrict_matrix(mass_with_clamped_dofs),
         dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,
         dofs.restrict_to_free(nodal_force_harmonics), clearance_of(scene, pairs),
         damping=damping_rule_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
-    return Structure(body_with_loads), dofs
+    return Structure(body), dofs
 
 
 # --- matrices -------------------------------------------------------------------------------------
 
 
-def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
+def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass."""
     (density,), t = form_constants(space, scene.material.density), thickness_constant(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -610,7 +620,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     ``crack.first_omega`` asks for it; without it the scene is returned as it is."""
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
-    return _set_crack_length(scene, find_crack_length(scene, comm))
+    return _replace_crack_length(scene, find_crack_length(scene, comm))
 
 
 _LAST_TABLES_AND_LENGTH: list[tuple[str, float]] = []
@@ -658,7 +668,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     @cache
     def excess_frequency(length: float) -> float:
         """Return the first natural frequency less the target [rad/s]."""
-        trial_structure = assemble_structure(_set_crack_length(scene_at_rest, length), comm)
+        trial_structure = assemble_structure(_replace_crack_length(scene_at_rest, length), comm)
         return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 
     available_width, width_words = width, "width"
@@ -681,6 +691,6 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     return crack_length_at_target
 
 
-def _set_crack_length(scene: Scene, length: float) -> Scene:
+def _replace_crack_length(scene: Scene, length: float) -> Scene:
     """Return the scene with a crack length instead of a frequency."""
     return scene.replace({"crack.length": length, "crack.first_omega": None})

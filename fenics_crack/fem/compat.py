@@ -262,7 +262,7 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
     return np.asarray(one_start == 0.0)
 
 
-def facet_corners(mesh: Any, facets: np.ndarray) -> np.ndarray:
+def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:
     """Return local geometry nodes at the corners of facets, in cyclic order: (n, k)."""
     topology, dimension = mesh.topology, mesh.topology.dim
     for dimensions in ((dimension - 1, 0), (dimension - 1, dimension), (dimension, dimension - 1)):

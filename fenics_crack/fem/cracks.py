@@ -28,10 +28,10 @@ from fenics_crack.basics.errors import InputError
 
 CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 """Names of the lower and upper faces of all cracks in a mesh."""
-POSITION_TOLERANCE = 1e-6
+RELATIVE_POSITION_TOLERANCE = 1e-6
 """Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
 digits or more."""
-COINCIDENCE_TOLERANCE = 1e-3
+RELATIVE_COINCIDENCE_TOLERANCE = 1e-3
 """Distance between coincident nodes, relative to the shortest edge."""
 FACET_CORNERS_BY_CORNER_COUNT = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
@@ -128,14 +128,14 @@ class CrackSurface:
     ----------
     triangles : (n, 3, 3) [m]
         Corners of the facets. Each quadrilateral is cut into two triangles.
-    front_edges : (m, 2, 3) [m]
-        Ends of the front's edges. Empty if the crack separates two bodies.
+    front_chords : (m, 2, 3) [m]
+        Positions of the ends of the front's edges. Empty if the crack separates two bodies.
     has_mouth : bool
         True if the rim reaches the surface of the solid.
     """
 
     triangles: np.ndarray
-    front_edges: np.ndarray
+    front_chords: np.ndarray
     has_mouth: bool
 
     @property
@@ -164,18 +164,18 @@ class CrackSurface:
         """
         surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
-        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_edges)))
+        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_chords)))
         for block_start in range(0, len(points), block_size):
-            point_block = slice(block_start, block_start + block_size)
-            surface_distances[point_block] = np.linalg.norm(
-                _offsets_from_triangles(points[point_block], self.triangles), axis=2
+            point_slice = slice(block_start, block_start + block_size)
+            surface_distances[point_slice] = np.linalg.norm(
+                _offsets_from_triangles(points[point_slice], self.triangles), axis=2
             ).min(1)
             # Larger than any distance between the surface and its front.
             front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[point_block], self.front_edges)[0], axis=2
+                offsets_from_edges(points[point_slice], self.front_chords)[0], axis=2
             )
-            front_distances[point_block] = edge_distances.min(axis=1, initial=front_distance_bound)
+            front_distances[point_slice] = edge_distances.min(axis=1, initial=front_distance_bound)
         return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
@@ -270,15 +270,15 @@ def points_on_both_sides(
         None for both together if the point is too far from the crack, or too near to the front.
     """
     if (
-        distance_to_crack > POSITION_TOLERANCE * crack_size
-        or front_distance <= POSITION_TOLERANCE * crack_size
+        distance_to_crack > RELATIVE_POSITION_TOLERANCE * crack_size
+        or front_distance <= RELATIVE_POSITION_TOLERANCE * crack_size
     ):
         return None
     offset = 1e-3 * crack_size * upward_sign(normal) * normal / np.linalg.norm(normal)
     return np.round(point - offset, 9).tolist(), np.round(point + offset, 9).tolist()
 
 
-def distribute_front_pressures(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
+def make_front_pressure_matrix(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
     """Return the matrix that assigns pressures at fronts to their neighbours.
 
     The share of each neighbour is proportional to the overlap of basis functions.
@@ -303,7 +303,7 @@ def upward_sign(normal: np.ndarray) -> float:
     Up is along y; a level normal is judged along x, then along z.
     """
     for axis_index in (1, 0, 2)[: len(normal)]:
-        if abs(normal[axis_index]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
+        if abs(normal[axis_index]) > RELATIVE_COINCIDENCE_TOLERANCE * np.abs(normal).max():
             return float(np.sign(normal[axis_index]))
     return 1.0
 
@@ -358,7 +358,7 @@ def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return first_rows, unique_index.ravel(), counts
 
 
-def rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
+def are_rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
     """Return True for rows of nodes among the reference rows: (n,) bool.
 
     The order of nodes in a row does not matter.
@@ -398,7 +398,7 @@ def find_crack_paths(
         )
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
     crack_paths = []
-    for chain in _ordered_chains(lower_edges, common_nodes, positions):
+    for chain in _yield_node_chains(lower_edges, common_nodes, positions):
         first_end_position, last_end_position = (
             tuple(positions[chain[end_index]]) for end_index in (0, -1)
         )
@@ -411,7 +411,7 @@ def find_crack_paths(
     return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
 
 
-def _ordered_chains(
+def _yield_node_chains(
     edges: np.ndarray, tips: np.ndarray, positions: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Yield chains of nodes, from end to end, into which edges (n, 2) connect.
@@ -500,13 +500,13 @@ class Cells:
         Nodes in gmsh's order: corners first.
     facet_corner_columns : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
-    is_supporting_corner : (k, n_corners) bool
-        True for the corners between which a node of a cell lies.
+    is_supporting_corner_of_node : (k, n_corners) bool
+        True for the corners between which a node of a cell lies: a row for each node.
     """
 
     cell_nodes: np.ndarray
     facet_corner_columns: np.ndarray
-    is_supporting_corner: np.ndarray
+    is_supporting_corner_of_node: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -548,7 +548,7 @@ class Cells:
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
-    def is_boundary(self) -> np.ndarray:
+    def is_boundary_facet(self) -> np.ndarray:
         """Return True for sorted facets that belong to one cell: (n,) bool."""
         is_shared = np.concatenate([[False], self.is_shared, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
@@ -577,7 +577,7 @@ def merge_crack_nodes(
     node_map = np.arange(len(positions))
     crack_positions = positions[np.unique(crack_facets)]
     for coincident_nodes in cKDTree(positions).query_ball_point(
-        crack_positions, COINCIDENCE_TOLERANCE * float(edge_lengths.min())
+        crack_positions, RELATIVE_COINCIDENCE_TOLERANCE * float(edge_lengths.min())
     ):
         node_map[coincident_nodes] = min(coincident_nodes)
     return np.unique(node_map, return_inverse=True)
@@ -621,24 +621,24 @@ def split_cracks(
     (facets, owner, local_corners), is_shared = (cells.sorted_facets_and_owners, cells.is_shared)
     is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
     is_crack_facet = is_crack_node[facets].all(axis=1)
-    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
+    is_crack_facet[is_crack_facet] = are_rows_in(facets[is_crack_facet], crack_corners)
     inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
-    require(
+    check_mesh(
         len(inner_facets) == len(crack_facets),
         f"{len(crack_facets) - len(inner_facets)} of the {len(crack_facets)} {facet_word}"
         " of cracks not between cells",
         f"inside the structure, with a cell on either side of {facet_word}",
     )
-    outer_facets = facets[cells.is_boundary & is_crack_node[facets].any(axis=1)]
+    outer_facets = facets[cells.is_boundary_facet & is_crack_node[facets].any(axis=1)]
     is_split = is_crack_node.copy()
     is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
     facet_labels = label_connected_rows(crack_corners)
     unsplit_labels = np.setdiff1d(facet_labels, facet_labels[is_split[crack_corners].any(axis=1)])
-    require(not len(unsplit_labels), "all nodes of a crack on its front", "meshed more finely")
+    check_mesh(not len(unsplit_labels), "all nodes of a crack on its front", "meshed more finely")
 
     # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
     # around a node that is not cut by the crack.
-    star_labels = _star_labels(cells, is_shared & ~is_crack_facet[:-1], is_split).reshape(
+    star_labels = _label_corner_stars(cells, is_shared & ~is_crack_facet[:-1], is_split).reshape(
         -1, cells.n_corners
     )
     side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
@@ -646,11 +646,11 @@ def split_cracks(
     side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
     side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
     side_labels = label_connected_rows(side_corner_stars)
-    opposite_labels = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
+    label_pairs = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
     is_split_corner = is_split[cells.cell_nodes[:, : cells.n_corners]]
-    require(
-        opposite_labels.size == side_labels.max() + 1
-        and np.all(opposite_labels[0] != opposite_labels[1])
+    check_mesh(
+        label_pairs.size == side_labels.max() + 1
+        and np.all(label_pairs[0] != label_pairs[1])
         and np.all(np.isin(star_labels[is_split_corner], side_corner_stars)),
         "not two sides everywhere along a crack",
         "cracks that neither branch nor cross, and end at their fronts or at the boundary",
@@ -661,19 +661,19 @@ def split_cracks(
         axis=1
     ) - side_corner_positions.mean(axis=1)
     outward_normals[(cell_offsets * outward_normals).sum(axis=1) > 0.0] *= -1.0
-    side_normals = np.zeros((opposite_labels.size, positions.shape[1]))
+    side_normals = np.zeros((label_pairs.size, positions.shape[1]))
     np.add.at(side_normals, side_labels, outward_normals)
     is_first_side_lower = np.array(
-        [upward_sign(side_normal) > 0.0 for side_normal in side_normals[opposite_labels[0]]]
+        [upward_sign(side_normal) > 0.0 for side_normal in side_normals[label_pairs[0]]]
     )
-    upper_side_labels = np.where(is_first_side_lower, opposite_labels[1], opposite_labels[0])
+    upper_side_labels = np.where(is_first_side_lower, label_pairs[1], label_pairs[0])
     is_upper_corner = is_split_corner & np.isin(
         star_labels, side_corner_stars[np.isin(side_labels, upper_side_labels)]
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_near_upper_corner = is_upper_corner @ cells.is_supporting_corner.T
-    is_node_above = is_crack_node[cells.cell_nodes] & is_near_upper_corner
+    is_node_near_upper_corner = is_upper_corner @ cells.is_supporting_corner_of_node.T
+    is_node_above = is_crack_node[cells.cell_nodes] & is_node_near_upper_corner
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
@@ -681,7 +681,7 @@ def split_cracks(
     return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
-def require(condition: object, problem: str, requirement: str) -> None:
+def check_mesh(condition: object, problem: str, requirement: str) -> None:
     """Raise InputError for the mesh unless a condition holds."""
     if not condition:
         raise InputError("mesh", problem, requirement)
@@ -705,7 +705,7 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
     )
     edges_or_nodes, facet_counts = np.unique(edges_or_nodes, axis=0, return_counts=True)
     requirement = "cracks that neither branch nor cross"
-    require(np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement)
+    check_mesh(np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement)
     rim_edges_or_nodes = edges_or_nodes[facet_counts == 1]
     # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.
     boundary_edges_or_nodes = [
@@ -713,11 +713,13 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
         for corner_columns in combinations(range(n_corners), edges_or_nodes.shape[1])
     ]
     return np.asarray(
-        rim_edges_or_nodes[~rows_in(rim_edges_or_nodes, np.concatenate(boundary_edges_or_nodes))]
+        rim_edges_or_nodes[
+            ~are_rows_in(rim_edges_or_nodes, np.concatenate(boundary_edges_or_nodes))
+        ]
     )
 
 
-def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
+def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
     """Label corners of cells that meet at a node: (n_cells n_corners,) int.
 
     Two corners at the same node have one label if passable facets with this node connect their

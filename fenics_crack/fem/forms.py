@@ -113,7 +113,7 @@ def _assemble_parts_and_places(
         Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the
         matrices.
     nodes : Nodes
-    pair_places : Pairs
+    pairs : Pairs
     """
     _check_space(space)
     check_number("thickness", thickness, 0.0, excludes_bound=True)
@@ -127,29 +127,34 @@ def _assemble_parts_and_places(
     for key, form in forms_by_key.items():
         _check_form(space, key, form, 2 if key in bilinear_forms else 1)
     comm = space.mesh.comm  # it ends with the mesh, so use an equivalent one that lasts
-    equal_comm_results, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
+    equal_comm_codes, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
     comm = next(
         (
             lasting_comm
             for lasting_comm in lasting_comms
-            if MPI.Comm.Compare(lasting_comm, comm) in equal_comm_results
+            if MPI.Comm.Compare(lasting_comm, comm) in equal_comm_codes
         ),
         comm,
     )
     collect_garbage(comm)  # free the matrices of earlier structures
     is_constrained = call_on_each_rank(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
-        dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
-        gap_matrix, tangential_matrix, pair_places = pair_crack_faces(
+        dofs = Dofs(
+            _make_part_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained
+        )
+        gap_matrix, tangential_matrix, pairs = pair_crack_faces(
             dofs, form_constants(space, thickness)[0]
         )
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None
     parts_by_name: dict[str, Any] = {
-        matrix_name: sparse.vstack(comm.allgather(rank_rows))
-        if gap_matrix.shape[1] and rank_rows is not None
+        matrix_name: sparse.vstack(comm.allgather(rank_matrix_rows))
+        if gap_matrix.shape[1] and rank_matrix_rows is not None
         else None
-        for matrix_name, rank_rows in (("gap", gap_matrix), ("tangential", tangential_matrix))
+        for matrix_name, rank_matrix_rows in (
+            ("gap", gap_matrix),
+            ("tangential", tangential_matrix),
+        )
     }
     for key, form in forms_by_key.items():
         with report_read_errors(key, "a form", "one that DOLFINx can assemble"):
@@ -158,7 +163,7 @@ def _assemble_parts_and_places(
             else:
                 load_values = dofs.restrict_to_free(compat.assembled_vector(form))
                 parts_by_name[key.replace("loads.", "force_")] = gather_rows(comm, load_values)
-    return parts_by_name, dofs.make_node_data(), pair_places
+    return parts_by_name, dofs.make_node_data(), pairs
 
 
 def _check_space(space: Any) -> None:
@@ -177,22 +182,22 @@ def _check_space(space: Any) -> None:
             raise ValueError(str(element))
 
 
-def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
+def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
     """Raise InputError unless a form is linear, or bilinear, on a space.
 
-    A linear form has the rank 1, a bilinear form 2.
+    A linear form has one argument, a bilinear form two.
     """
     with report_read_errors(
-        key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"
+        key, type(form).__name__, f"a {'bi' * (n_arguments - 1)}linear form of UFL on the space"
     ):
         is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
-        if len(is_on_space) != rank or not all(is_on_space):
+        if len(is_on_space) != n_arguments or not all(is_on_space):
             raise ValueError(
                 f"it has {len(is_on_space)} arguments, {sum(is_on_space)} of them on the space"
             )
 
 
-def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
+def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     """Return a user's mesh with its crack faces (collective).
 
     ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
@@ -205,7 +210,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
-    plate = PartMesh(
+    part_mesh = PartMesh(
         mesh,
         facet_tags,
         {CRACK_FACE_NAMES[0]: (lower_tag,), CRACK_FACE_NAMES[1]: (upper_tag,)},
@@ -213,10 +218,12 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
         (),
     )
     face_numbers_and_positions = [
-        _face_corners(plate, face_name, comm) for face_name in CRACK_FACE_NAMES
+        _find_corner_numbers_and_positions(part_mesh, face_name, comm)
+        for face_name in CRACK_FACE_NAMES
     ]
     face_node_numbers, face_node_positions = (
-        np.concatenate(face_arrays) for face_arrays in zip(*face_numbers_and_positions, strict=True)
+        np.concatenate(arrays_of_both_faces)
+        for arrays_of_both_faces in zip(*face_numbers_and_positions, strict=True)
     )
     _, first_positions, node_index = np.unique(
         face_node_numbers, return_index=True, return_inverse=True
@@ -226,7 +233,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     )
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
-        plate,
+        part_mesh,
         crack_paths_or_surfaces=find_cracks(
             *face_corner_nodes,
             face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
@@ -234,7 +241,9 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     )
 
 
-def _face_corners(plate: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+def _find_corner_numbers_and_positions(
+    part_mesh: PartMesh, face_name: str, comm: MPI.Comm
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of all facets on a face (collective).
 
     Returns
@@ -244,14 +253,15 @@ def _face_corners(plate: PartMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarra
     positions : (n, k, d) [m]
         Node positions.
     """
-    mesh, topology, facets = plate.mesh, plate.mesh.topology, plate.facets(name)
+    mesh, topology, facets = part_mesh.mesh, part_mesh.mesh.topology, part_mesh.facets(face_name)
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]
-    corners = compat.facet_corners(mesh, facets)
+    corners = compat.facet_corner_nodes(mesh, facets)
     inner_facets = np.setdiff1d(facets, dolfinx.mesh.exterior_facet_indices(topology))
     n_facets, n_inner = comm.allreduce(np.array([len(facets), len(inner_facets)]))
     if n_facets == 0 or n_inner:
         problem = (
-            f"{n_facets} facets of tag {plate.groups[name][0]}, {n_inner} of them inside the mesh"
+            f"{n_facets} facets of tag {part_mesh.tags_by_group[face_name][0]}, {n_inner} of them"
+            " inside the mesh"
         )
         raise InputError("crack", problem, "two faces of exterior facets, with a cell on one side")
     numbers = mesh.geometry.index_map().local_to_global(corners.ravel().astype(np.int32))

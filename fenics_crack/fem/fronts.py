@@ -52,7 +52,7 @@ from scipy.special import roots_jacobi
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.fem.cracks import POSITION_TOLERANCE, CrackSurface, upward_sign
+from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface, upward_sign
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
@@ -61,25 +61,25 @@ from fenics_crack.scene.scene import Scene
 RADIUS_IN_ELEMENTS = 2.0
 """Radius of the domain, in elements along the front. A smaller radius gives noise, a larger one
 averages over more of the front."""
-MAX_RADIUS_BY_CURVATURE = 0.6
+MAX_RADIUS_TO_CURVATURE_RADIUS = 0.6
 """Maximum radius of the domain, relative to the front's radius of curvature. At 1 the normals meet.
 """
-MAX_RADIUS_BY_CLEARANCE = 0.8
+MAX_RADIUS_TO_CLEARANCE = 0.8
 """Maximum radius of the domain, relative to the distance from the clamp or another crack."""
 MAX_ELEMENT_LENGTH_TO_RADIUS = 1.25
 """Maximum element length along the front, relative to the radius. K is then off by up to 20 %, as
 it may be on the coarser mesh of a stated error."""
 PLATEAU_FRACTION = 0.2
 """Fraction of the radius up to which q is 1."""
-GAUSS_AT_FRONT, GAUSS_ELSEWHERE = 6, 5
+GAUSS_POINTS_AT_FRONT, GAUSS_POINTS_ELSEWHERE = 6, 5
 """Gauss points in each direction of cells at the front, and of other cells. At the front, 4 points
 give 1 to 3 % of noise. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
 MIN_EDGES_PER_STATION = 3
 """Minimum number of edges between two stations. So each hat has four nodes or more."""
-MAX_INTERVALS = 12
+MAX_STATION_INTERVALS = 12
 """Maximum number of intervals between stations on an open front; twice as many on a closed front.
 """
-CORNER_ANGLE = np.pi / 4.0
+MIN_CORNER_ANGLE = np.pi / 4.0
 """Minimum angle between neighbouring edges at a corner of the front [rad]."""
 MAX_POINTS_IN_MEMORY = 100_000
 """Maximum number of quadrature points held in memory."""
@@ -93,38 +93,38 @@ class Front:
     ----------
     name : str
         "the crack front", or "the crack front 2" if there are several.
-    crack : int
+    crack_index : int
         Index of the crack.
     node_positions : (n, 3) [m]
         Corners of elements along the front, in order. If the front is closed, the last node
         equals the first.
-    normals : (n, 3)
+    node_normals : (n, 3)
         Normals of the crack at the nodes, from the lower to the upper face.
-    parameters : (n,)
+    node_parameters : (n,)
         Parameter t of each node: the angle on an ellipse [rad], or the distance along the front
         [m].
-    curve : callable
+    curve_function : callable
         Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
     is_closed : bool
         True if the front has no ends.
     ends_at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
-    allowed_radius : float [m]
+    allowed_domain_radius : float [m]
         Upper bound for the domain's radius.
     """
 
     name: str
-    crack: int
+    crack_index: int
     node_positions: np.ndarray
-    normals: np.ndarray
-    parameters: np.ndarray
-    curve: Callable[[np.ndarray, int], np.ndarray]
+    node_normals: np.ndarray
+    node_parameters: np.ndarray
+    curve_function: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
     ends_at_surface: tuple[bool, bool]
-    allowed_radius: float
+    allowed_domain_radius: float
 
     @cached_property
-    def peak_parameters(self) -> np.ndarray:
+    def hat_peak_parameters(self) -> np.ndarray:
         """Return the curve parameters t at which the hat functions are 1, equally spaced.
 
         A closed front has the first peak also at its end. An open front has a peak in the middle,
@@ -133,7 +133,7 @@ class Front:
         n_station_intervals = max(
             1,
             min(
-                MAX_INTERVALS * (1 + self.is_closed),
+                MAX_STATION_INTERVALS * (1 + self.is_closed),
                 (len(self.node_positions) - 1) // MIN_EDGES_PER_STATION,
             ),
         )
@@ -141,8 +141,8 @@ class Front:
             n_station_intervals % 2 if n_station_intervals > 1 and not self.is_closed else 0
         )
         return np.linspace(
-            self.parameters[0],
-            self.parameters[-1],
+            self.node_parameters[0],
+            self.node_parameters[-1],
             max(n_station_intervals, 3 if self.is_closed else 1) + 1,
         )
 
@@ -152,10 +152,10 @@ class Front:
 
         A station is a point on the front at which K is computed (:class:`Station`).
         """
-        return self.peak_parameters[:-1] if self.is_closed else self.peak_parameters
+        return self.hat_peak_parameters[:-1] if self.is_closed else self.hat_peak_parameters
 
     @property
-    def corner_stations(self) -> list[int]:
+    def corner_station_indices(self) -> list[int]:
         """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
         end_flags_and_stations = zip(self.ends_at_surface, (0, n_stations - 1), strict=True)
@@ -175,7 +175,7 @@ class Front:
         hat_values, hat_slopes : (..., n_stations)
             Hats and their derivatives with respect to t.
         """
-        spacing = self.peak_parameters[1] - self.peak_parameters[0]
+        spacing = self.hat_peak_parameters[1] - self.hat_peak_parameters[0]
         distances = (t[..., None] - self.station_parameters) / spacing
         if self.is_closed:
             distances -= len(self.station_parameters) * np.round(
@@ -184,13 +184,13 @@ class Front:
         hat_values = np.maximum(0.0, 1.0 - np.abs(distances))
         return hat_values, np.where(hat_values > 0.0, -np.sign(distances) / spacing, 0.0)
 
-    def hat_lengths(self) -> np.ndarray:
+    def hat_integrals(self) -> np.ndarray:
         """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
-        half_spacing = 0.5 * (self.peak_parameters[1] - self.peak_parameters[0])
-        t = (self.peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
-        length_weights = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(
-            half_spacing * w, len(self.peak_parameters) - 1
+        half_spacing = 0.5 * (self.hat_peak_parameters[1] - self.hat_peak_parameters[0])
+        t = (self.hat_peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
+        length_weights = np.linalg.norm(self.curve_function(t, 1), axis=1) * np.tile(
+            half_spacing * w, len(self.hat_peak_parameters) - 1
         )
         return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
@@ -208,13 +208,13 @@ class Front:
         curvature, curvature_slope : (...,) [1/m], [1/m^2]
             Curvature, and its derivative with respect to the length s along the front.
         """
-        c_1, c_2, c_3 = (self.curve(t, order) for order in (1, 2, 3))
+        c_1, c_2, c_3 = (self.curve_function(t, order) for order in (1, 2, 3))
         speed = np.linalg.norm(c_1, axis=-1)
         e_3 = c_1 / speed[..., None]
         e_2 = np.stack(
             [
-                np.interp(t, self.parameters, normal_components)
-                for normal_components in self.normals.T
+                np.interp(t, self.node_parameters, normal_components)
+                for normal_components in self.node_normals.T
             ],
             axis=-1,
         )
@@ -227,50 +227,52 @@ class Front:
         return np.stack([e_1, e_2, e_3], axis=-2), speed, curvature, curvature_slope
 
     @cached_property
-    def straight_radius(self) -> float:
+    def straight_domain_radius(self) -> float:
         """Return the integration domain's radius where the front is straight [m]."""
         max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
-        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_radius))
+        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_domain_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
         """Return True where the curvature [1/m] limits the integration domain's radius."""
-        return np.asarray(np.abs(curvature) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
+        return np.asarray(
+            np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_TO_CURVATURE_RADIUS
+        )
 
-    def radius(self, curvature: np.ndarray) -> np.ndarray:
+    def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
         """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
             is_limited,
-            MAX_RADIUS_BY_CURVATURE / np.where(is_limited, np.abs(curvature), 1.0),
-            self.straight_radius,
+            MAX_RADIUS_TO_CURVATURE_RADIUS / np.where(is_limited, np.abs(curvature), 1.0),
+            self.straight_domain_radius,
         )
 
     @cached_property
-    def _curve_samples(self) -> tuple[np.ndarray, cKDTree]:
+    def _sample_parameters_and_tree(self) -> tuple[np.ndarray, cKDTree]:
         """Return sample points on the curve: parameters t, and a search tree with positions.
 
         There are eight points for each node.
         """
         t = np.interp(
-            np.linspace(0, len(self.parameters) - 1, 8 * len(self.parameters)),
-            range(len(self.parameters)),
-            self.parameters,
+            np.linspace(0, len(self.node_parameters) - 1, 8 * len(self.node_parameters)),
+            range(len(self.node_parameters)),
+            self.node_parameters,
         )
-        return t, cKDTree(self.curve(t, 0))
+        return t, cKDTree(self.curve_function(t, 0))
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
         """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
-        sample_parameters, sample_tree = self._curve_samples
+        sample_parameters, sample_tree = self._sample_parameters_and_tree
         t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
-            c_0, c_1, c_2 = (self.curve(t, order) for order in range(3))
+            c_0, c_1, c_2 = (self.curve_function(t, order) for order in range(3))
             offsets = points - c_0
             t = t + (offsets * c_1).sum(-1) / ((c_1 * c_1).sum(-1) - (offsets * c_2).sum(-1))
             if not self.is_closed:
-                t = np.clip(t, self.parameters[0], self.parameters[-1])
+                t = np.clip(t, self.node_parameters[0], self.node_parameters[-1])
         if self.is_closed:
-            t = self.parameters[0] + np.mod(
-                t - self.parameters[0], self.parameters[-1] - self.parameters[0]
+            t = self.node_parameters[0] + np.mod(
+                t - self.node_parameters[0], self.node_parameters[-1] - self.node_parameters[0]
             )
         return np.asarray(t)
 
@@ -283,7 +285,7 @@ class Station:
     ----------
     name : str
         "the crack front at 3.2 mm".
-    crack : int
+    crack_index : int
         Index of the crack.
     point, growth_direction : (3,) [m], (3,)
         Position, and direction of straight growth.
@@ -295,7 +297,7 @@ class Station:
     """
 
     name: str
-    crack: int
+    crack_index: int
     point: np.ndarray
     growth_direction: np.ndarray
     arc_length: float
@@ -307,11 +309,11 @@ class Station:
 
 def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
-    structure_nodes = structure.nodes
-    assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_paths_or_surfaces
+    rank_nodes = structure.nodes
+    assert rank_nodes is not None
+    cracks: tuple[CrackSurface, ...] = rank_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
     clamped_points = gather_rows(
-        structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
+        structure.comm, rank_nodes.points[np.all(rank_nodes.dofs < 0, axis=1)]
     )
     front_arguments = []
     for crack_index, crack in enumerate(cracks):
@@ -321,14 +323,14 @@ def find_fronts(structure: Structure) -> list[Front]:
             if other_crack is not crack
         ]
         obstacle_tree = cKDTree(np.concatenate([clamped_points, *other_corners]))
-        for chain_points, normals, is_closed, ends_at_surface in _front_chains(crack):
-            allowed_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
+        for chain_points, normals, is_closed, ends_at_surface in _yield_smooth_front_parts(crack):
+            allowed_radius = MAX_RADIUS_TO_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
             front_arguments.append(
                 (
                     crack_index,
                     chain_points,
                     normals,
-                    *_fit_curve(chain_points, is_closed),
+                    *_fit_parameters_and_curve(chain_points, is_closed),
                     is_closed,
                     ends_at_surface,
                     allowed_radius,
@@ -340,7 +342,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     ]
 
 
-def _front_chains(
+def _yield_smooth_front_parts(
     crack: CrackSurface,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
     """Yield the smooth parts of a crack's front.
@@ -349,7 +351,7 @@ def _front_chains(
     ------
     points : (n, 3) [m]
         Nodes in order.
-    normals : (n, 3)
+    node_normals : (n, 3)
         Normals of the crack.
     is_closed : bool
         True if the front has neither ends nor corners.
@@ -357,8 +359,8 @@ def _front_chains(
         True for each end at the surface of the solid.
     """
     corner_positions = crack.triangles.reshape(-1, 3)
-    corner_tree, tolerance = cKDTree(corner_positions), POSITION_TOLERANCE * crack.size
-    edges = np.sort(corner_tree.query(crack.front_edges.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
+    corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
+    edges = np.sort(corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
     edge_end_nodes = np.array(
         [
@@ -376,7 +378,7 @@ def _front_chains(
     triangle_centres = crack.triangles.mean(axis=1)
     while links:
         first_node = min(
-            (node for node, node_links in links.items() if len(node_links) == 1), default=min(links)
+            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
         )
         chain, is_closed = [first_node], len(links[first_node]) == 2
         while links.get(chain[-1]):
@@ -403,7 +405,7 @@ def _front_chains(
         edge_vectors /= np.linalg.norm(edge_vectors, axis=1)[:, None]
         previous_vectors = np.roll(edge_vectors, 1, axis=0)
         corner_indices = np.flatnonzero(
-            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(CORNER_ANGLE)
+            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(MIN_CORNER_ANGLE)
         ).tolist()
         if is_closed and corner_indices:
             start_index = corner_indices[0]
@@ -425,7 +427,7 @@ def _front_chains(
             )
 
 
-def _fit_curve(
+def _fit_parameters_and_curve(
     node_positions: np.ndarray, is_closed: bool
 ) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
     """Fit a curve through node positions (n, 3) [m].
@@ -434,9 +436,9 @@ def _fit_curve(
 
     Returns
     -------
-    parameters : (n,)
+    node_parameters : (n,)
         Parameter t of each node.
-    curve : callable
+    curve_function : callable
         Returns c(t) or its derivatives of a given order.
     """
     centroid = node_positions.mean(axis=0)
@@ -444,8 +446,8 @@ def _fit_curve(
     x, y = ((node_positions - centroid) @ axes[:2].T / extents[0]).T
     if (
         len(node_positions) > 5
-        and extents[1] > POSITION_TOLERANCE * extents[0]
-        and extents[2] <= POSITION_TOLERANCE * extents[0]
+        and extents[1] > RELATIVE_POSITION_TOLERANCE * extents[0]
+        and extents[2] <= RELATIVE_POSITION_TOLERANCE * extents[0]
     ):
         conic_terms = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
         a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(x)), rcond=None)[0]
@@ -537,22 +539,24 @@ def front_functionals(
     displacement_rows: list[np.ndarray] = []
     force_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
-        _check_resolved(front)
+        _check_front_is_resolved(front)
         domain = _IntegrationDomain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
             _values_at_free_dofs(nodes, domain.nodes, node_values)
-            for node_values in domain.integrate_factors_and_fields(comm)
+            for node_values in domain.find_factors_and_nodal_fields(comm)
         )
         force_factors = np.zeros((len(displacement_factors), structure.n_pairs))
         if structure.pairs.nodes is not None:
             force_factors -= domain.intensity_per_integral[:, None] * structure.apply_bt(
                 nodal_fields
             )
-            force_factors[: len(front.station_parameters)] += _pressure_factors(structure, front)
+            force_factors[: len(front.station_parameters)] += _contact_force_factors(
+                structure, front
+            )
         valid_station_indices = [
             station_index
             for station_index in range(len(front.station_parameters))
-            if station_index not in front.corner_stations
+            if station_index not in front.corner_station_indices
         ]
         for row_list, factors in (
             (displacement_rows, displacement_factors),
@@ -595,7 +599,8 @@ def _values_at_free_dofs(
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return a front's stations, with positions, directions and touching pairs."""
-    pairs, is_node_in_hats = (structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0)
+    pairs = structure.pairs
+    is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.pressure_matrix is not None:
         nearest_crack_nodes = cKDTree(pairs.nodes).query(front.node_positions)[1]
@@ -604,18 +609,19 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
             for is_node_in_hat in is_node_in_hats.T
         ]
     fine_parameters = np.linspace(
-        front.parameters[0], front.parameters[-1], 50 * len(front.peak_parameters)
+        front.node_parameters[0], front.node_parameters[-1], 50 * len(front.hat_peak_parameters)
     )
     arc_lengths = np.append(
-        0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
+        0.0,
+        np.linalg.norm(np.diff(front.curve_function(fine_parameters, 0), axis=0), axis=1).cumsum(),
     )
     station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
-    station_points = front.curve(front.station_parameters, 0)
+    station_points = front.curve_function(front.station_parameters, 0)
     growth_directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
     return [
         Station(
             f"{front.name} at {format_quantity(float(station_arc_length), 'm')}",
-            front.crack,
+            front.crack_index,
             station_point,
             growth_direction,
             float(station_arc_length),
@@ -627,11 +633,11 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     ]
 
 
-def _check_resolved(front: Front) -> None:
+def _check_front_is_resolved(front: Front) -> None:
     """Raise InputError if elements along a front exceed the domain."""
     edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
-    radii = front.radius(
-        front.frame_and_curvature(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2]
+    radii = front.domain_radius(
+        front.frame_and_curvature(0.5 * (front.node_parameters[1:] + front.node_parameters[:-1]))[2]
     )
     worst_edge = (edge_lengths / radii).argmax()
     if edge_lengths[worst_edge] > MAX_ELEMENT_LENGTH_TO_RADIUS * radii[worst_edge]:
@@ -724,7 +730,7 @@ class _IntegrationDomain:
         Nodes of each cell, as rows of ``points``.
     corner_order : (n_cells, 4) int
         Corners of each cell, nearest to the front first.
-    corners : (n_cells, 4, 3) [m]
+    corner_positions : (n_cells, 4, 3) [m]
         Positions of corners, in this order.
     is_outer_facet : (n_cells, 4) bool
         True for facets, opposite each corner, that belong to one cell only.
@@ -746,10 +752,10 @@ class _IntegrationDomain:
             [half_plane_strain_modulus, half_plane_strain_modulus, self.mu],
             len(front.station_parameters),
         )
-        self.intensity_per_integral = mode_moduli / np.tile(front.hat_lengths(), 3)
-        front_distances = front._curve_samples[1].query(points)[0][cells]
+        self.intensity_per_integral = mode_moduli / np.tile(front.hat_integrals(), 3)
+        front_distances = front._sample_parameters_and_tree[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
-        is_near = front_distances.min(axis=1) < front.straight_radius
+        is_near = front_distances.min(axis=1) < front.straight_domain_radius
         self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
         self.points, self.cells = points[self.nodes], local_nodes.reshape(-1, cells.shape[1])
         corner_positions = self.points[self.cells[:, :4]]
@@ -757,9 +763,12 @@ class _IntegrationDomain:
         # on all ranks, and the rule for an edge on the front takes its ends in a fixed order.
         sort_keys = np.dstack([corner_positions, front_distances[is_near, :4]]).transpose(2, 0, 1)
         self.corner_order = corner_order = np.lexsort(
-            np.round(sort_keys / (POSITION_TOLERANCE * front.straight_radius)), axis=-1
+            np.round(sort_keys / (RELATIVE_POSITION_TOLERANCE * front.straight_domain_radius)),
+            axis=-1,
         )
-        self.corners = np.take_along_axis(corner_positions, corner_order[..., None], axis=1)
+        self.corner_positions = np.take_along_axis(
+            corner_positions, corner_order[..., None], axis=1
+        )
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
         facets = [
             np.sort(np.delete(corner_nodes, corner_index, axis=1), axis=1)
@@ -770,7 +779,7 @@ class _IntegrationDomain:
         self.is_outer_facet = (
             np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
         )
-        edge_vectors = self.corners[:, 1:] - self.corners[:, :1]
+        edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
         self.volumes = np.abs(np.linalg.det(edge_vectors)) / 6.0
         inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
             1, 2
@@ -778,11 +787,11 @@ class _IntegrationDomain:
         self.barycentric_gradients = np.concatenate(
             [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
         )
-        centres = self.corners.mean(axis=1)
+        centres = self.corner_positions.mean(axis=1)
         centre_parameters = front.nearest_parameters(centres)
         self.side_signs = np.sign(
             (
-                (centres - front.curve(centre_parameters, 0))
+                (centres - front.curve_function(centre_parameters, 0))
                 * front.frame_and_curvature(centre_parameters)[0][:, 1]
             ).sum(-1)
         )
@@ -791,30 +800,28 @@ class _IntegrationDomain:
         """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
 
         The result D has grad N_a = sum_b D_ab lambda_b. The N_a are in the order of the cell's
-        nodes, the barycentric coordinates lambda_b in the order of ``corners``.
+        nodes, the barycentric coordinates lambda_b in the order of ``corner_positions``.
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
         gradients = np.take_along_axis(
             self.barycentric_gradients[cell_index], inverse_order[..., None], axis=1
         )
-        barycentric_coefficients = np.zeros((len(cell_index), 10, 4, 3))
+        gradient_coefficients = np.zeros((len(cell_index), 10, 4, 3))
         for corner_index in range(4):
-            barycentric_coefficients[:, corner_index] = -gradients[:, corner_index, None]
-            barycentric_coefficients[:, corner_index, corner_index] += (
-                4.0 * gradients[:, corner_index]
-            )
+            gradient_coefficients[:, corner_index] = -gradients[:, corner_index, None]
+            gradient_coefficients[:, corner_index, corner_index] += 4.0 * gradients[:, corner_index]
         for edge_index, (corner_index, other_corner_index) in enumerate(TETRAHEDRON_EDGES):
-            barycentric_coefficients[:, 4 + edge_index, corner_index] = (
+            gradient_coefficients[:, 4 + edge_index, corner_index] = (
                 4.0 * gradients[:, other_corner_index]
             )
-            barycentric_coefficients[:, 4 + edge_index, other_corner_index] = (
+            gradient_coefficients[:, 4 + edge_index, other_corner_index] = (
                 4.0 * gradients[:, corner_index]
             )
         return np.take_along_axis(
-            barycentric_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
+            gradient_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
         )
 
-    def integrate_factors_and_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    def find_factors_and_nodal_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Integrate the functionals at nodes, each rank over a share of cells (collective).
 
         Returns
@@ -828,14 +835,14 @@ class _IntegrationDomain:
         n_rows = 3 * len(self.front.station_parameters)
         factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
         for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
-            nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
+            nodal_fields[self.cells[chunk_cells]] = self._weighted_nodal_fields(chunk_cells)
         is_at_front = (
-            cKDTree(self.front.node_positions).query(self.corners[:, 0])[0]
-            < POSITION_TOLERANCE * self.front.straight_radius
+            cKDTree(self.front.node_positions).query(self.corner_positions[:, 0])[0]
+            < RELATIVE_POSITION_TOLERANCE * self.front.straight_domain_radius
         )
         cells_and_gauss_numbers = (
-            (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
-            (np.flatnonzero(~is_at_front), GAUSS_ELSEWHERE),
+            (np.flatnonzero(is_at_front), GAUSS_POINTS_AT_FRONT),
+            (np.flatnonzero(~is_at_front), GAUSS_POINTS_ELSEWHERE),
         )
         for chunk_cells, n_gauss in (
             (cell_chunk, n_side_points)
@@ -878,8 +885,8 @@ class _IntegrationDomain:
                 .reshape(len(chunk_cells), -1, 3, 4, 3)
                 .swapaxes(2, 3)
             )
-            product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
-            tensor_integrals -= product_integrals * (
+            barycentric_product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
+            tensor_integrals -= barycentric_product_integrals * (
                 corner_stress + corner_stress.sum(axis=2, keepdims=True)
             )
             tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
@@ -916,15 +923,15 @@ class _IntegrationDomain:
             Hats, and their derivatives with respect to the length along the front.
         curvature, curvature_slope : (n, m) [1/m], [1/m^2]
             Front curvature, and its derivative.
-        radius : (n, m) [m]
+        domain_radius : (n, m) [m]
             Integration domain's radius.
         """
         front = self.front
         t = front.nearest_parameters(positions)
         frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
-        offsets = positions - front.curve(t, 0)
+        offsets = positions - front.curve_function(t, 0)
         xi, y = ((offsets * frame_vectors[..., axis_index, :]).sum(-1) for axis_index in range(2))
-        domain_radius = front.radius(curvature)
+        domain_radius = front.domain_radius(curvature)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
@@ -940,7 +947,7 @@ class _IntegrationDomain:
             domain_radius,
         )
 
-    def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
+    def _weighted_nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
         q is the weight, h the hat, and a_,1 the derivative of the unit K field along e_1. On the
@@ -957,12 +964,14 @@ class _IntegrationDomain:
         q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
-            _, a_by_xi, _ = self._plane_field(mode, xi, y, r)
+            _, a_by_xi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
             weighted_field = np.einsum("icp,cpij->cpj", a_by_xi, frame_vectors) * q[..., None]
             mode_fields.append(hat[..., None] * weighted_field[..., None, :])
         return np.concatenate(mode_fields, axis=2)
 
-    def _plane_field(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
+    def _plane_field_and_derivatives(
+        self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray
+    ) -> Any:
         """Return the displacement with K = 1 in one mode, and derivatives.
 
         Parameters
@@ -1042,7 +1051,7 @@ class _IntegrationDomain:
         (n, 3 n_stations, 4, 3, 3)
             Integrals for each cell, row, corner b, and component of T.
         """
-        positions = rule_points @ self.corners[cell_index]
+        positions = rule_points @ self.corner_positions[cell_index]
         frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, radius = (
             self._front_coordinates(positions, cell_index)
         )
@@ -1059,10 +1068,10 @@ class _IntegrationDomain:
         q_gradient = np.stack(
             [q_slope * xi / r, q_slope * y / r, -q_slope * r * radius_log_slope / metric], axis=-1
         )
-        weighted_rule_points = weights[..., None] * rule_points
+        weights_times_coordinates = weights[..., None] * rule_points
         mode_integrals = []
         for mode in range(3):
-            a, a_by_xi, a_by_y = self._plane_field(mode, xi, y, r)
+            a, a_by_xi, a_by_y = self._plane_field_and_derivatives(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
             gradient[..., 0], gradient[..., 1] = (
                 np.moveaxis(a_by_xi, 0, -1),
@@ -1083,7 +1092,7 @@ class _IntegrationDomain:
                 )
                 hats_and_tensors = [(hat, surface_tensor)]
             else:
-                hats_and_tensors = self._volume_tensors(
+                hats_and_tensors = self._hats_and_volume_tensors(
                     a,
                     a_by_xi,
                     a_by_y,
@@ -1094,7 +1103,7 @@ class _IntegrationDomain:
             total: Any = 0.0
             for hat_values, tensor in hats_and_tensors:
                 rotated_tensor = frame_vectors.swapaxes(-1, -2) @ tensor @ frame_vectors
-                weighted_tensors = weighted_rule_points[..., None] * rotated_tensor.reshape(
+                weighted_tensors = weights_times_coordinates[..., None] * rotated_tensor.reshape(
                     *r.shape, 1, 9
                 )
                 weighted_tensors = weighted_tensors.reshape(*r.shape, 36)
@@ -1102,7 +1111,7 @@ class _IntegrationDomain:
             mode_integrals.append(total.reshape(len(cell_index), -1, 4, 3, 3))
         return np.concatenate(mode_integrals, axis=1)
 
-    def _volume_tensors(
+    def _hats_and_volume_tensors(
         self, a: np.ndarray, a_by_xi: np.ndarray, a_by_y: np.ndarray,
         gradient: np.ndarray, auxiliary_stress: np.ndarray,
         weights_and_geometry: tuple[np.ndarray, ...],
@@ -1114,7 +1123,7 @@ class _IntegrationDomain:
         Parameters
         ----------
         a, a_by_xi, a_by_y : (3, ...)
-            From :meth:`_plane_field`.
+            From :meth:`_plane_field_and_derivatives`.
         gradient, auxiliary_stress : (..., 3, 3)
             Gradient and stress of that field in the frame e_1, e_2, e_3.
         weights_and_geometry : tuple of arrays
@@ -1137,13 +1146,13 @@ class _IntegrationDomain:
         )
         hat_tensor[..., 0] += (auxiliary_stress @ q_gradient[..., None])[..., 0]
         hat_tensor[..., 2] += auxiliary_stress[..., 2] * q_times_curvature
-        gradient_by_curvature = np.zeros_like(gradient)
-        gradient_by_curvature[..., 0, 2], gradient_by_curvature[..., 2, 2] = (
+        gradient_slope_by_curvature = np.zeros_like(gradient)
+        gradient_slope_by_curvature[..., 0, 2], gradient_slope_by_curvature[..., 2, 2] = (
             -a[2] / metric**2,
             a[0] / metric**2,
         )
         stress_divergence = (curvature_slope / metric)[..., None] * self._stress(
-            gradient_by_curvature
+            gradient_slope_by_curvature
         )[..., 2]
         stress_divergence[..., 0] += local_curvature * (
             auxiliary_stress[..., 0, 0] - auxiliary_stress[..., 2, 2]
@@ -1165,28 +1174,28 @@ class _IntegrationDomain:
         return [(hat, hat_tensor), (hat_slope, slope_tensor)]
 
 
-def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
+def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs).
 
     They come from the integral of the contact pressure p in the interaction integral. A pair's
     force acts as a pressure shaped as the pair's pressure function.
     """
-    structure_pairs = structure.pairs
-    assert (
-        structure_pairs.nodes is not None
-        and structure_pairs.pressure_matrix is not None
-        and structure_pairs.areas is not None
-    )
-    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_paths_or_surfaces[front.crack]  # type: ignore[union-attr]
-    crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
+    pairs = structure.pairs
+    assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None
+    crack: CrackSurface = structure.nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces[  # type: ignore[union-attr]
+        front.crack_index
+    ]
+    crack_node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
         crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
     ).max(axis=1)
-    is_near = corner_front_distances.min(axis=1) < front.straight_radius + 2.0 * triangle_radii
-    factors = np.zeros((len(front.station_parameters), len(structure_pairs.nodes)))
-    rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
-    x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
+    is_near = (
+        corner_front_distances.min(axis=1) < front.straight_domain_radius + 2.0 * triangle_radii
+    )
+    factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
+    rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_POINTS_AT_FRONT)
+    x, w = np.polynomial.legendre.leggauss(2 * GAUSS_POINTS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
     sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
     map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
@@ -1204,24 +1213,24 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         strict=True,
     ):
         corner_order = corner_distances.argsort()
-        is_on_front = corner_distances < POSITION_TOLERANCE * crack.size
+        is_on_front = corner_distances < RELATIVE_POSITION_TOLERANCE * crack.size
         if is_on_front.sum() == 2:
             corner_order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
-            t_start, t_stop = front.parameters[corner_front_nodes[corner_order[1:]]]
+            t_start, t_stop = front.node_parameters[corner_front_nodes[corner_order[1:]]]
             if front.is_closed and abs(t_stop - t_start) > 0.5 * (
-                front.parameters[-1] - front.parameters[0]
+                front.node_parameters[-1] - front.node_parameters[0]
             ):
-                parameter_period = front.parameters[-1] - front.parameters[0]
+                parameter_period = front.node_parameters[-1] - front.node_parameters[0]
                 t_start, t_stop = (
                     t_start + parameter_period * (t_start < t_stop),
                     t_stop + parameter_period * (t_stop < t_start),
                 )
             t = t_start + edge_fractions * (t_stop - t_start)
-            corner_offsets = triangle[corner_order[0]] - front.curve(t, 0)
-            points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
+            offsets_to_corner = triangle[corner_order[0]] - front.curve_function(t, 0)
+            points = front.curve_function(t, 0) + corner_fractions[:, None] * offsets_to_corner
             area_vectors = np.cross(
-                corner_offsets,
-                (1.0 - corner_fractions)[:, None] * front.curve(t, 1) * (t_stop - t_start),
+                offsets_to_corner,
+                (1.0 - corner_fractions)[:, None] * front.curve_function(t, 1) * (t_stop - t_start),
             )
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
@@ -1230,12 +1239,12 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             triangle_sides = triangle[1:] - triangle[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
         t = front.nearest_parameters(points)
-        r = np.linalg.norm(points - front.curve(t, 0), axis=1)
-        domain_radii = front.radius(front.frame_and_curvature(t)[2])
+        r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
+        domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
         kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
-        crack_node_index = crack_node_tree.query(triangle[corner_order])[1]
-        factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
+        corner_crack_nodes = crack_node_tree.query(triangle[corner_order])[1]
+        factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )
-    factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
-    return np.asarray((structure_pairs.pressure_matrix.T @ factors.T).T / structure_pairs.areas)
+    factors *= np.sqrt(2.0 / np.pi) / front.hat_integrals()[:, None]
+    return np.asarray((pairs.pressure_matrix.T @ factors.T).T / pairs.areas)

@@ -42,7 +42,7 @@ from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
-MAX_RADIUS_FRACTION = 0.8
+RADIUS_TO_CLEARANCE = 0.8
 """Radius of the domain, relative to the tip's distance from the nearest boundary, bend or other
 crack."""
 PLATEAU_FRACTION = 0.2
@@ -60,32 +60,32 @@ class Tip:
     name : str
         "the crack tip"; for a crack inside "the left crack tip"; with several cracks "the crack
         tip of crack 1".
-    crack : int
+    crack_index : int
         Index of the crack.
     point, growth_direction : (2,) [m], (2,)
         Position, and direction of straight growth.
     arc_length : float [m]
         Distance along the crack.
-    radius : float [m]
+    domain_radius : float [m]
         Radius of the domain.
     adjacent_pairs : (0,) int
         Contact pairs that touch the tip: none, for a plate has no element on it.
     """
 
     name: str
-    crack: int
+    crack_index: int
     point: np.ndarray
     growth_direction: np.ndarray
     arc_length: float
-    radius: float
+    domain_radius: float
     adjacent_pairs: ClassVar[tuple[int, ...]] = ()
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
     """Find all crack tips of a plate (collective)."""
     tips: list[Tip] = []
-    cracks = dofs.plate.crack_paths_or_surfaces
-    boundary_points = gather_rows(dofs.comm, _outer_points(dofs))
+    cracks = dofs.part_mesh.crack_paths_or_surfaces
+    boundary_points = gather_rows(dofs.comm, _outer_boundary_points(dofs))
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
         crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
@@ -95,15 +95,17 @@ def find_tips(dofs: Dofs) -> list[Tip]:
         ]
         if not crack.has_mouth:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
-        for tip_name, points_to_tip, arc_length in tip_ends:
-            tip_point = points_to_tip[-1]
-            corner_offsets = tip_point - points_to_tip[:-1]
-            growth_direction = corner_offsets[-1] / np.linalg.norm(corner_offsets[-1])
+        for tip_name, path_points_to_tip, arc_length in tip_ends:
+            tip_point = path_points_to_tip[-1]
+            offsets_from_path_corners = tip_point - path_points_to_tip[:-1]
+            growth_direction = offsets_from_path_corners[-1] / np.linalg.norm(
+                offsets_from_path_corners[-1]
+            )
             is_off_line = np.abs(
-                corner_offsets @ [-growth_direction[1], growth_direction[0]]
-            ) > 1e-6 * np.linalg.norm(corner_offsets, axis=1)
+                offsets_from_path_corners @ [-growth_direction[1], growth_direction[0]]
+            ) > 1e-6 * np.linalg.norm(offsets_from_path_corners, axis=1)
             straight_length = np.linalg.norm(
-                corner_offsets[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
+                offsets_from_path_corners[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
             )
             crack_distances = [
                 other_crack.locate(tip_point[None])[0][0]
@@ -122,18 +124,18 @@ def find_tips(dofs: Dofs) -> list[Tip]:
                     tip_point,
                     growth_direction,
                     arc_length,
-                    MAX_RADIUS_FRACTION * tip_clearance,
+                    RADIUS_TO_CLEARANCE * tip_clearance,
                 )
             )
     return tips
 
 
-def _outer_points(dofs: Dofs) -> np.ndarray:
+def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
     """Return this rank's nodes on edges without crack faces: (n, 2) [m]."""
-    plate = dofs.plate
-    topology = plate.mesh.topology
+    part_mesh = dofs.part_mesh
+    topology = part_mesh.mesh.topology
     topology.create_connectivity(1, 2)
-    face_facets = np.concatenate([plate.facets(name) for name in CRACK_FACE_NAMES])
+    face_facets = np.concatenate([part_mesh.facets(name) for name in CRACK_FACE_NAMES])
     outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
         np.int32
     )
@@ -141,19 +143,19 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     return dofs.points[nodes[nodes < dofs.n_own_nodes]]
 
 
-def _check_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
+def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
     """Raise InputError if an element at a tip exceeds the domain.
 
     Then q falls within one element, and the integral has nothing to do with K.
     """
     for tip in tips:
         distances = np.linalg.norm(face_points - tip.point, axis=1)
-        element_length = scene.mesh.order * distances[distances > 1e-9 * tip.radius].min()
-        if tip.radius >= element_length:
+        element_length = scene.mesh.order * distances[distances > 1e-9 * tip.domain_radius].min()
+        if tip.domain_radius >= element_length:
             continue
-        clearance = tip.radius / MAX_RADIUS_FRACTION
+        clearance = tip.domain_radius / RADIUS_TO_CLEARANCE
         problem = f"{tip.name}, {clearance:.3g} m from an edge, a bend or another crack"
-        required_clearance = element_length / MAX_RADIUS_FRACTION
+        required_clearance = element_length / RADIUS_TO_CLEARANCE
         requirement = f"further away than {required_clearance:.3g} m where stress intensities are"
         requirement += " requested, or with shorter elements along the crack"
         raise InputError("crack", problem, requirement)
@@ -186,10 +188,12 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     check_matrices(structure, "stress intensities")
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.mesh_dofs
-    tips, face_normals, node_positions = find_tips(dofs), _face_normals(dofs), dofs.points
-    assemble_row, displacement_rows, contact_force_rows = _row_assembler(scene, dofs), [], []
+    tips = find_tips(dofs)
+    face_normals = _crack_face_normals_at_nodes(dofs)
+    node_positions = dofs.points
+    assemble_row, displacement_rows, contact_force_rows = _make_row_assembler(scene, dofs), [], []
     is_face_node = np.any(face_normals != 0.0, axis=1)[: dofs.n_own_nodes]
-    _check_resolved(
+    _check_tips_are_resolved(
         scene, tips, gather_rows(dofs.comm, node_positions[: dofs.n_own_nodes][is_face_node])
     )
     for tip in tips:
@@ -197,20 +201,20 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
             nodal_field = _weighted_singular_field(scene, tip, mode, node_positions, face_normals)
             displacement_rows.append(assemble_row(tip, mode, nodal_field))
             contact_force_rows.append(
-                _pressure_row(
+                _contact_force_factors(
                     scene, structure, tip, mode, dofs.restrict_to_free(nodal_field.ravel())
                 )
             )
     return tips, np.array(displacement_rows), np.array(contact_force_rows)
 
 
-def _face_normals(dofs: Dofs) -> np.ndarray:
+def _crack_face_normals_at_nodes(dofs: Dofs) -> np.ndarray:
     """Return outward normals of the crack faces at this rank's nodes: (n_nodes, 2).
 
     They are zero away from the crack faces.
     """
-    normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    form = ufl.inner(normal, test) * dofs.plate.measure_on(*CRACK_FACE_NAMES)
+    normal, test = ufl.FacetNormal(dofs.part_mesh.mesh), ufl.TestFunction(dofs.space)
+    form = ufl.inner(normal, test) * dofs.part_mesh.measure_on(*CRACK_FACE_NAMES)
     return compat.assembled_vector(form).reshape(-1, 2)
 
 
@@ -257,7 +261,7 @@ def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear_modulus * np.sqrt(2.0 * np.pi))
 
 
-def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
+def _weight_values(r: np.ndarray, radius: float) -> np.ndarray:
     """Return the weight q at distances r from a tip.
 
     q is 1 near the tip, and 0 beyond the radius."""
@@ -275,7 +279,7 @@ def _weighted_singular_field(
     """
     offsets = points - tip.point
     r = np.linalg.norm(offsets, axis=1)
-    is_near = (r < tip.radius) & (r > 1e-9 * tip.radius)
+    is_near = (r < tip.domain_radius) & (r > 1e-9 * tip.domain_radius)
     e_2 = np.array([-tip.growth_direction[1], tip.growth_direction[0]])
     weighted_field = np.zeros_like(points)
     r, x, y = r[is_near], offsets[is_near] @ tip.growth_direction, offsets[is_near] @ e_2
@@ -290,14 +294,14 @@ def _weighted_singular_field(
     derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
-    scaled_weights = field_scale * _weight_function(r, tip.radius)
+    scaled_weights = field_scale * _weight_values(r, tip.domain_radius)
     weighted_field[is_near] = (scaled_weights * derivative_1)[:, None] * tip.growth_direction + (
         scaled_weights * derivative_2
     )[:, None] * e_2
     return weighted_field
 
 
-def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
+def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
     """Return a function that assembles the factors of the displacement in K_I or K_II.
 
     The function takes a tip, a mode and the nodal field w. All tips and modes share one compiled
@@ -345,7 +349,9 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
         nodal_function.x.array[: nodal_field.size] = nodal_field.ravel()
         nodal_function.x.scatter_forward()
         for constant, value in zip(
-            tip_constants, (*tip.point, *tip.growth_direction, tip.radius, mode), strict=False
+            tip_constants,
+            (*tip.point, *tip.growth_direction, tip.domain_radius, mode),
+            strict=False,
         ):
             constant.value = value
         return dofs.restrict_to_free(compat.assembled_vector(compiled_form))
@@ -353,7 +359,7 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
     return assemble_row
 
 
-def _pressure_row(
+def _contact_force_factors(
     scene: Scene, structure: Structure, tip: Tip, mode: int, nodal_field: np.ndarray
 ) -> np.ndarray:
     """Return factors of the contact forces in K_I or K_II of a tip: (n_pairs,).
@@ -368,18 +374,20 @@ def _pressure_row(
     pairs, thickness = structure.pairs, scene.geometry.thickness or 1.0
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
     force_factors -= structure.apply_bt(nodal_field[None])[0]
-    crack_pair_index = np.flatnonzero(pairs.cracks == tip.crack)
+    crack_pair_index = np.flatnonzero(pairs.cracks == tip.crack_index)
     crack_pair_index = crack_pair_index[
         np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pair_index]))
     ]
     pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pair_index])
-    quadrature_distances, rule_weights = _singular_rule(pair_distances, tip.radius)
+    quadrature_distances, rule_weights = _singular_quadrature_rule(
+        pair_distances, tip.domain_radius
+    )
     kolosov, field_scale = _kolosov_and_field_scale(scene)
     point_weights = (
         2.0
         * (kolosov + 1.0)
         * field_scale
-        * _weight_function(quadrature_distances, tip.radius)
+        * _weight_values(quadrature_distances, tip.domain_radius)
         * rule_weights
     )
     hat_values = np.array(
@@ -394,7 +402,9 @@ def _pressure_row(
     return 0.5 * scene.material.young / thickness * force_factors
 
 
-def _singular_rule(interval_ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _singular_quadrature_rule(
+    interval_ends: np.ndarray, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return a rule for integrals of f(r) r^-1/2 up to the radius.
 
     The results are points r and weights. f is smooth between ``interval_ends``. Gauss's rule is

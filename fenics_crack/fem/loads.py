@@ -30,7 +30,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness_constant
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import force_vector_by_part
+from fenics_crack.fem.setting import list_force_harmonic_vectors
 from fenics_crack.model.nodes import (
     MAX_NODE_DISTANCE_RATIO,
     Clamp,
@@ -71,13 +71,17 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
     watched_vector = None
     excitation = scene.excitation
-    point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
+    point = (
+        excitation.point
+        if excitation.point is not None
+        else dofs.part_mesh.position_by_point_name.get("load")
+    )
     if point is not None:
-        force_vectors = force_vector_by_part(scene)
-        added_force_harmonics, displacement_weights = _point_load(
+        force_vectors = list_force_harmonic_vectors(scene)
+        load_force_harmonics, displacement_weights = _assemble_point_load(
             scene, dofs, "excitation", point, force_vectors
         )
-        nodal_force_harmonics += added_force_harmonics
+        nodal_force_harmonics += load_force_harmonics
         watched_vector = (
             displacement_weights if scene.has_other_loads or scene.speed > 0.0 else None
         )
@@ -88,30 +92,36 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     for load_number, load in enumerate(scene.loads, 1):
         key = f"loads.{load_number}"
         if load.point is not None:
-            added_force_harmonics, displacement_weights = _point_load(
+            load_force_harmonics, displacement_weights = _assemble_point_load(
                 scene, dofs, key, load.point, load.harmonic_components("force")
             )
             watched_vector = displacement_weights if watched_vector is None else watched_vector
         else:
-            added_force_harmonics = _edge_force(scene, dofs, key, load)
+            load_force_harmonics = _assemble_edge_force(scene, dofs, key, load)
             if watched_vector is None and np.any(
-                gather_rows(dofs.comm, added_force_harmonics.ravel())
+                gather_rows(dofs.comm, load_force_harmonics.ravel())
             ):
-                watched_vector = _watch_edge_middle(dofs, str(load.edge), added_force_harmonics)
-        nodal_force_harmonics[: len(added_force_harmonics)] += added_force_harmonics
+                watched_vector = _make_watch_vector_at_edge(
+                    dofs, str(load.edge), load_force_harmonics
+                )
+        nodal_force_harmonics[: len(load_force_harmonics)] += load_force_harmonics
     if scene.base is not None:
         if watched_vector is None:
             clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
             # Watch the node farthest from the clamp.
             owned_nodes = np.arange(dofs.n_own_nodes)
-            watched_vector = _watch_node(dofs, owned_nodes, clamp_center, -1, scene.base.direction)
+            watched_vector = _make_watch_vector_at_node(
+                dofs, owned_nodes, clamp_center, -1, scene.base.direction
+            )
         for row_index, acceleration in enumerate(scene.base.accelerations, 1):
             nodal_force_harmonics[row_index] -= _inertia_forces(
                 mass, np.tile(acceleration, dofs.n_own_nodes)
             )
     if watched_vector is None and point is not None and not any(map(any, force_vectors)):
         mean_and_cos_directions = [np.eye(dofs.dimension)[0].tolist()] * 2
-        _, watched_vector = _point_load(scene, dofs, "excitation", point, mean_and_cos_directions)
+        _, watched_vector = _assemble_point_load(
+            scene, dofs, "excitation", point, mean_and_cos_directions
+        )
     return nodal_force_harmonics, watched_vector
 
 
@@ -144,7 +154,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     """
     if face_point_pairs := [
         lower_and_upper_point
-        for crack in dofs.plate.crack_paths_or_surfaces
+        for crack in dofs.part_mesh.crack_paths_or_surfaces
         if (lower_and_upper_point := crack.points_beside(point)) is not None
     ]:
         (lower_point, upper_point), *_ = face_point_pairs
@@ -188,7 +198,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     return node_fractions
 
 
-def _point_load(
+def _assemble_point_load(
     scene: Scene, dofs: Dofs, key: str, point: Vector, force_vectors: Sequence[Vector]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Assemble the forces of a point load.
@@ -238,14 +248,14 @@ def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.
 # --- loads on edges -------------------------------------------------------------------------------
 
 
-def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
+def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     """Assemble tractions and pressures on an edge: (2K+1, n_dofs) [N].
 
     ``key`` names the load in errors, as "loads.1".
     """
     edge_name = load.given("edge")
-    check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
-    edge_measure = dofs.plate.measure_on(edge_name)
+    check_choice(f"{key}.edge", edge_name, sorted(set(dofs.part_mesh.tags_by_group) - {"clamp"}))
+    edge_measure = dofs.part_mesh.measure_on(edge_name)
     test_function, t = ufl.TestFunction(dofs.space), thickness_constant(scene, dofs.space)
     x_direction = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     test_function_integrals = compat.assembled_vector(
@@ -268,7 +278,9 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     return _require_free_force(dofs, f"{key}.edge", load.edge, nodal_force_harmonics)
 
 
-def _watch_edge_middle(dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray) -> np.ndarray:
+def _make_watch_vector_at_edge(
+    dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray
+) -> np.ndarray:
     """Return the vector whose product with u is the displacement at an edge's middle: (n_local,).
 
     It is 1 at the node nearest to the middle, in the direction of most of the load.
@@ -280,7 +292,7 @@ def _watch_edge_middle(dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray)
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(force_sum_by_axis))].tolist())
     edge_nodes = dofs.nodes_on(edge)
     edge_points = gather_rows(dofs.comm, dofs.points[edge_nodes])
-    return _watch_node(
+    return _make_watch_vector_at_node(
         dofs, edge_nodes, (edge_points.min(axis=0) + edge_points.max(axis=0)) / 2.0, 0, direction
     )
 
@@ -288,7 +300,7 @@ def _watch_edge_middle(dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray)
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-def clamp_of(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
+def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
     """Return the data for reactions at a mesh's clamp (collective).
 
     The mass matrix and the forces (2K+1, n_dofs) include the clamped dofs.
@@ -328,7 +340,7 @@ def _inertia_forces(mass: Any, acceleration: np.ndarray) -> np.ndarray:
     return inertia_force_array
 
 
-def _watch_node(
+def _make_watch_vector_at_node(
     dofs: Dofs, nodes: np.ndarray, position: np.ndarray, distance_rank: int, direction: Vector
 ) -> np.ndarray:
     """Return the vector whose product with u is a node's displacement in a direction: (n_local,).

@@ -37,9 +37,9 @@ from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.ranks import call_on_each_rank, on_root
 from fenics_crack.fem.cracks import (
     FACET_CORNERS_BY_CORNER_COUNT,
-    POSITION_TOLERANCE,
-    distribute_front_pressures,
+    RELATIVE_POSITION_TOLERANCE,
     find_unique_rows,
+    make_front_pressure_matrix,
 )
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
@@ -90,8 +90,8 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     except InputError as error:
         if error.key not in table.field_by_key():
             raise
-        file_setting, problem = getattr(table, error.key), error.value
-        path_text = file_setting if problem == file_setting else f"{file_setting} ({problem})"
+        given_value, problem = getattr(table, error.key), error.value
+        path_text = given_value if problem == given_value else f"{given_value} ({problem})"
         raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 
 
@@ -99,30 +99,30 @@ def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
     """Make the structure of a table ``[structure]`` from the table's files."""
-    labelled_matrices, gaps_and_forces_by_name, model = call_on_each_rank(
-        comm, lambda: _read_files(table)
+    labelled_matrix_by_name, gaps_and_forces_by_name, model = call_on_each_rank(
+        comm, lambda: _read_matrices_columns_and_model(table)
     )
-    stiffness_matrix = labelled_matrices["stiffness"].matrix
+    stiffness_matrix = labelled_matrix_by_name["stiffness"].matrix
     structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
     structure_fields |= {
-        name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrices.items()
+        name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrix_by_name.items()
     }
     n_dofs, row_order = stiffness_matrix.shape[0], np.arange(stiffness_matrix.shape[0])
-    pairs, own_nodes, row_labels = Pairs(), None, labelled_matrices["stiffness"].labels
+    pairs, own_nodes, row_labels = Pairs(), None, labelled_matrix_by_name["stiffness"].labels
     if model is not None:
         if row_labels is None:
             requirement = "given with structure.model: the file of each row's node and direction"
             raise InputError("structure.dofs", None, requirement)
-        row_order, node_dofs, node_starts = _order_by_nodes(model, row_labels, table)
-        for name in labelled_matrices:
+        row_order, node_dofs, node_starts = _order_rows_by_nodes(model, row_labels, table)
+        for name in labelled_matrix_by_name:
             structure_fields[name] = structure_fields[name][row_order][:, row_order]
         if scene.contact is not None and table.gap is None:
             has_rotations = bool(np.any(row_labels[:, 1] > 3))
-            structure_fields["gap"], pairs = find_pairs_and_gaps(
+            structure_fields["gap"], pairs = find_gap_matrix_and_pairs(
                 model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
         first_row, end_row = _own_row_range(node_starts, comm)
-        for name in labelled_matrices:
+        for name in labelled_matrix_by_name:
             structure_fields[name] = make_matrix_from_local_rows(
                 structure_fields[name][first_row:end_row], comm
             )
@@ -131,9 +131,11 @@ def _make_structure(
         name: gap_or_force[row_order] for name, gap_or_force in gaps_and_forces_by_name.items()
     }
     n_pairs = 0 if structure_fields["gap"] is None else structure_fields["gap"].shape[1]
-    structure_fields["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
+    structure_fields["clearance"] = _read_number_or_pair_values(
+        "clearance", table.clearance, n_pairs
+    )
     if table.areas is not None:
-        pairs = replace(pairs, areas=_read_per_pair("areas", table.areas, n_pairs))
+        pairs = replace(pairs, areas=_read_number_or_pair_values("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert own_nodes is not None
         _, point_dofs = own_nodes.find_nearest_position_and_dofs(
@@ -156,7 +158,7 @@ def _make_structure(
     return Structure.from_matrices(**structure_fields, comm=comm).with_places(own_nodes, pairs)
 
 
-def _read_files(
+def _read_matrices_columns_and_model(
     table: StructureTable,
 ) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
     """Read the files of a table.
@@ -170,24 +172,26 @@ def _read_files(
     model : Model or None
         Nodes and cells of the input file.
     """
-    label_file, labelled_matrices = None if table.dofs is None else Path(table.dofs), {}
+    label_file, labelled_matrix_by_name = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
     for name, letter in NASTRAN_LETTER_BY_MATRIX.items():
         if (path := getattr(table, name)) is not None:
             with report_read_errors(
                 name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"
             ):
-                labelled_matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
-            n_rows = labelled_matrices[name].matrix.shape[0]
-    labelled_stiffness = labelled_matrices["stiffness"]
+                labelled_matrix_by_name[name] = read_matrix(Path(path), letter, label_file, n_rows)
+            n_rows = labelled_matrix_by_name[name].matrix.shape[0]
+    labelled_stiffness = labelled_matrix_by_name["stiffness"]
     for name, labelled_matrix in (
-        labelled_matrices.items() if labelled_stiffness.labels is not None else ()
+        labelled_matrix_by_name.items() if labelled_stiffness.labels is not None else ()
     ):
         with report_read_errors(name, getattr(table, name), "one of the dofs of the stiffness"):
-            labelled_matrices[name] = LabelledMatrix(
+            labelled_matrix_by_name[name] = LabelledMatrix(
                 labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
-    if len(massless_rows := np.flatnonzero(labelled_matrices["mass"].matrix.diagonal() <= 0.0)):
+    if len(
+        massless_rows := np.flatnonzero(labelled_matrix_by_name["mass"].matrix.diagonal() <= 0.0)
+    ):
         place_text = f"row {massless_rows[0] + 1}"
         if labelled_stiffness.labels is not None and massless_rows[0] < len(
             labelled_stiffness.labels
@@ -205,7 +209,7 @@ def _read_files(
     }
     n_rows = labelled_stiffness.matrix.shape[0]
     return (
-        labelled_matrices,
+        labelled_matrix_by_name,
         {
             name: make_whole_csr_matrix(name, Path(path), n_rows)
             for name, path in path_by_name.items()
@@ -214,7 +218,7 @@ def _read_files(
     )
 
 
-def _order_by_nodes(
+def _order_rows_by_nodes(
     model: Model, labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Order the matrices' rows by nodes.
@@ -293,7 +297,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     return Nodes(model.points[own_nodes], node_dofs[own_nodes], renumbered_cells, vtk_type)
 
 
-def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
+def _read_number_or_pair_values(name: str, setting: float | str, n_pairs: int) -> Any:
     """Return a number, or a file's numbers (n_pairs,) for the pairs."""
     if not isinstance(setting, str):
         return setting
@@ -312,7 +316,7 @@ def table_pair_upper_bound(table: StructureTable) -> int:
         with report_read_errors("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
                 return read_matrix_market_shape(Path(table.gap))[1]
-            return len(find_coincident_nodes(read_model(Path(path)).points))
+            return len(find_coincident_node_pairs(read_model(Path(path)).points))
     except InputError:  # the reader reports the reason
         return 0
 
@@ -454,11 +458,11 @@ CELL_EDGES_BY_CORNER_COUNT = {
 """Edges between a cell's corners, in VTK's order of middle nodes."""
 
 
-def find_coincident_nodes(points: np.ndarray) -> np.ndarray:
+def find_coincident_node_pairs(points: np.ndarray) -> np.ndarray:
     """Return pairs of coincident nodes: (n, 2) int."""
     from scipy.spatial import cKDTree  # slow to import, and only foreign models need it
 
-    tolerance = POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
+    tolerance = RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
     node_pairs = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
     return np.asarray(node_pairs[np.lexsort(node_pairs.T[::-1])])
 
@@ -488,7 +492,7 @@ class _TwinNodes:
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
-        n_model_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
+        n_model_nodes, node_pairs = len(dofs), find_coincident_node_pairs(model.points)
         self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
         node_of_row = np.full(self.n_dofs, n_model_nodes)
         node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
@@ -534,7 +538,7 @@ class _TwinNodes:
         )
 
 
-def find_pairs_and_gaps(
+def find_gap_matrix_and_pairs(
     model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
     """Find a model's contact pairs, crack by crack, from front to mouth.
@@ -566,13 +570,13 @@ def find_pairs_and_gaps(
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
     if facets:
-        gap, areas, twin_pair_index, front_nodes = _patch_gaps(twins, facets)
+        gap, areas, twin_pair_index, front_nodes = _assemble_patch_gap_matrix(twins, facets)
     else:
         has_surface_cracks = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
-        gap, front_nodes = _gap_matrix_and_front_nodes(twins, 2 if has_surface_cracks else 1)
+        gap, front_nodes = _assemble_normal_gap_matrix(twins, 2 if has_surface_cracks else 1)
         areas, twin_pair_index = None, np.arange(len(twins.first_nodes))
     points = model.points[twins.first_nodes[twin_pair_index]]
-    crack_index = _number_cracks(twins, twin_pair_index)
+    crack_index = _find_crack_of_each_pair(twins, twin_pair_index)
     front_distances = np.zeros(len(twin_pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
@@ -592,7 +596,7 @@ def find_pairs_and_gaps(
     return gap[:, order], contact_pairs
 
 
-def _number_cracks(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
+def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
     """Return the crack of each pair, numbered from bottom to top: (n_pairs,) int.
 
     Pairs with connected nodes are on one crack.
@@ -600,17 +604,17 @@ def _number_cracks(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray
     from scipy.sparse.csgraph import connected_components
 
     # A first node may be on either face.
-    first_nodes = twins.first_nodes[twin_pair_index]
-    second_nodes = twins.second_nodes[twin_pair_index]
-    same_order_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
-        twins.connectivity[second_nodes][:, second_nodes]
+    first_node_of_pair = twins.first_nodes[twin_pair_index]
+    second_node_of_pair = twins.second_nodes[twin_pair_index]
+    links_in_same_order = twins.connectivity[first_node_of_pair][:, first_node_of_pair].multiply(
+        twins.connectivity[second_node_of_pair][:, second_node_of_pair]
     )
-    links = same_order_links + twins.connectivity[first_nodes][:, second_nodes].multiply(
-        twins.connectivity[second_nodes][:, first_nodes]
-    )
+    links = links_in_same_order + twins.connectivity[first_node_of_pair][
+        :, second_node_of_pair
+    ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
     n_cracks, crack_labels = connected_components(links)
     centres = [
-        twins.points[first_nodes[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
+        twins.points[first_node_of_pair[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
         for crack in range(n_cracks)
     ]
     sorted_crack_number = np.empty(n_cracks, dtype=int)
@@ -740,7 +744,7 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-def _patch_gaps(
+def _assemble_patch_gap_matrix(
     twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
     """Assemble the normal gaps of crack faces with facets, averaged over patches.
@@ -810,7 +814,7 @@ def _patch_gaps(
     gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
     integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
     overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
-    front_shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
+    front_shares = make_front_pressure_matrix(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)
     gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])
@@ -820,12 +824,12 @@ def _patch_gaps(
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _gap_matrix_and_front_nodes(
-    twins: _TwinNodes, n_tangents: int
+def _assemble_normal_gap_matrix(
+    twins: _TwinNodes, crack_dimension: int
 ) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Assemble the normal gaps between coincident nodes, without cells.
 
-    ``n_tangents`` is 2 for crack faces that are surfaces, 1 for lines.
+    ``crack_dimension`` is 2 for crack faces that are surfaces, 1 for lines.
 
     Returns
     -------
@@ -845,17 +849,17 @@ def _gap_matrix_and_front_nodes(
         nearby_crack_nodes = np.append(
             nearby_crack_nodes[twins.pair_index[nearby_crack_nodes] >= 0], front_nodes[-1]
         )
-        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= n_tangents:
+        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= crack_dimension:
             nearby_crack_nodes = twins.first_nodes
         centred_points = model_points[nearby_crack_nodes] - model_points[nearby_crack_nodes].mean(
             axis=0
         )
-        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:n_tangents]
+        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:crack_dimension]
         pair_normal = model_points[neighbours[1]].mean(axis=0) - model_points[neighbours[0]].mean(
             axis=0
         )
         pair_normal -= tangents.T @ (tangents @ pair_normal)
-        if np.linalg.norm(pair_normal) <= POSITION_TOLERANCE * model_extent:
+        if np.linalg.norm(pair_normal) <= RELATIVE_POSITION_TOLERANCE * model_extent:
             place_text = format_point(model_points[a], "g")
             requirement = "a crack with a side below and one above, or a model with its elements"
             raise InputError(
@@ -866,6 +870,6 @@ def _gap_matrix_and_front_nodes(
             for dof, normal_component in zip(
                 twins.dofs[pair_node], face_sign * pair_normal, strict=True
             ):
-                if dof >= 0 and abs(normal_component) > POSITION_TOLERANCE:
+                if dof >= 0 and abs(normal_component) > RELATIVE_POSITION_TOLERANCE:
                     gap_matrix[dof, pair_column] = normal_component
     return gap_matrix.tocsr(), np.unique(np.concatenate(front_nodes))

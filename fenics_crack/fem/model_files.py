@@ -69,7 +69,7 @@ def read_model(path: Path) -> Model:
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}
     try:
-        READERS_BY_ENDING.get(path.suffix.lower(), _read_table)(path, nodes, cells)
+        READERS_BY_ENDING.get(path.suffix.lower(), _read_node_table)(path, nodes, cells)
     except RecursionError:
         raise ValueError("its files include each other") from None
     if not nodes:
@@ -139,7 +139,7 @@ def _add_node(
         raise ValueError(f"line {line_number}: two places of node {label}")
 
 
-def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
+def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read nodes from a table with lines "node, x, y, z", into ``nodes``."""
     for row_number, (label, *coordinates) in enumerate(
         read_number_rows(path, 4, "#", ",").tolist(), 1
@@ -205,7 +205,7 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read Nastran's bulk data into ``nodes`` and ``cells``."""
-    for line_number, card in _read_cards(path):
+    for line_number, card in _yield_nastran_cards(path):
         name, *fields = card
         try:
             if name == "GRID":
@@ -238,7 +238,7 @@ def _parse_real(field: str) -> float:
     return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")) or 0.0)
 
 
-def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the entries of Nastran's bulk data.
 
     Fields have 8 or 16 characters, or stand between commas. Fields of continuation lines are

@@ -40,17 +40,17 @@ from fenics_crack.basics.untrusted_files import (
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
     FACET_CORNERS_BY_CORNER_COUNT,
-    POSITION_TOLERANCE,
+    RELATIVE_POSITION_TOLERANCE,
     Cells,
     Cracks,
     NamedParts,
+    are_rows_in,
+    check_mesh,
     find_crack_paths,
     find_crack_surfaces,
     find_unique_rows,
     label_connected_rows,
     merge_crack_nodes,
-    require,
-    rows_in,
     split_cracks,
 )
 
@@ -74,7 +74,7 @@ _POINT_KIND = 15
 """gmsh's kind of a point element."""
 _LINEAR_KIND_BY_SHAPE = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
 """gmsh's kind of first-order cells, for each dimension and number of corners."""
-_GROUP_TEXTS_BY_DIMENSION = {
+_CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION = {
     2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
@@ -128,7 +128,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         split_cell_nodes, copied_nodes, face_facet_pairs = split_cracks(
             merged_cells, merged_node_map[crack_facets], mesh_positions[kept_nodes]
         )
-        facets_by_name = _facets_after_split(
+        facets_by_name = _renumber_facets_after_split(
             facets_by_name, cells, split_cell_nodes, merged_node_map
         )
         for name, crack_face_facets in zip(
@@ -149,18 +149,18 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         if name in facets_by_name
     ]
     requirement = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
-    require(len(face_corners) != 1, "one lip", requirement)
+    check_mesh(len(face_corners) != 1, "one lip", requirement)
     crack_paths_or_surfaces: Cracks = ()
     if face_corners and dimension == 2:
         crack_paths_or_surfaces = find_crack_paths(face_corners[0], face_corners[1], mesh_positions)
-        _check_tips(cells, mesh_positions, face_corners)
+        _check_mouths_are_open(cells, mesh_positions, face_corners)
     elif face_corners:
         crack_paths_or_surfaces = find_crack_surfaces(
             face_corners[0], face_corners[1], mesh_positions
         )
-    check_parts(cells, mesh_positions, facets_by_name["clamp"], face_corners)
-    check_boundary(kind, cells, mesh_positions, face_corners)
-    tags_by_name, facet_groups = _tag_combinations(facets_by_name)
+    check_parts_are_clamped(cells, mesh_positions, facets_by_name["clamp"], face_corners)
+    check_parts_do_not_overlap(kind, cells, mesh_positions, face_corners)
+    tags_by_name, facet_groups = _tag_name_combinations(facets_by_name)
     cell_and_facet_groups = [
         (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
     ]
@@ -168,7 +168,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         (dimension - 1, tag, name, _FACET_KIND_BY_CELL_KIND[dimension][kind], group_nodes)
         for tag, name, group_nodes in facet_groups
     ]
-    _fill_model(positions, cell_and_facet_groups + point_groups)
+    _fill_gmsh_model(positions, cell_and_facet_groups + point_groups)
     positions_by_point_name = {
         name: np.unique(mesh_positions[group_nodes], axis=0)
         for _, _, name, _, group_nodes in point_groups
@@ -252,18 +252,18 @@ def _select_cells(
         Groups of named points.
     """
     node_numbers, positions, groups = raw_mesh
-    cells_requirement, facet_name = _GROUP_TEXTS_BY_DIMENSION[dimension]
+    cells_requirement, facet_name = _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION[dimension]
     if dimension == 2:
         is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-        require(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
+        check_mesh(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
     cell_kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
     requirement = "one of tetrahedra, or of hexahedra with 27 nodes"
     requirement += ": the load of a unit pressure is negative at corners of these"
-    require(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
+    check_mesh(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
     is_one_cell_kind = (
         len(cell_kinds) == 1 and cell_kinds <= _FACET_KIND_BY_CELL_KIND[dimension].keys()
     )
-    require(
+    check_mesh(
         is_one_cell_kind,
         f"{len(cell_kinds)} kinds of cells",
         f"one whose physical {cells_requirement}",
@@ -274,7 +274,7 @@ def _select_cells(
         [nodes for group_dimension, *_, nodes in groups if group_dimension == dimension]
     )
     used_numbers, cell_node_index = np.unique(cell_node_numbers, return_inverse=True)
-    require(
+    check_mesh(
         np.isin(used_numbers, node_numbers).all(),
         "cells with nodes that do not exist",
         "a whole file",
@@ -283,7 +283,7 @@ def _select_cells(
     nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
     sorted_nodes = np.sort(nodes, axis=1)
     has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
-    require(
+    check_mesh(
         not has_repeated_node, "a cell with a node twice", "one whose cells have different nodes"
     )
     facets_by_name, point_groups = _select_named_groups(
@@ -297,9 +297,9 @@ def _select_cells(
         else f"no {facet_name} has a name"
     )
     requirement = f"one with a physical {facet_name} named 'clamp'"
-    require("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
+    check_mesh("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
     used_positions = positions[first_number_index][np.searchsorted(node_numbers, used_numbers)]
-    return kind, cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
+    return kind, make_cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
 
 
 def _select_named_groups(
@@ -325,7 +325,7 @@ def _select_named_groups(
                 kind == kind_by_dimension[dimension] and np.isin(nodes, used_numbers).all()
             )
             requirement = "one whose named groups hold facets, and corners, of its cells"
-            require(is_right_kind, f"other elements in the group {name!r}", requirement)
+            check_mesh(is_right_kind, f"other elements in the group {name!r}", requirement)
             n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
             row_lists_by_group.setdefault((dimension, name), []).append(rows)
@@ -333,7 +333,7 @@ def _select_named_groups(
         group_key: np.concatenate(rows) for group_key, rows in row_lists_by_group.items()
     }
     n_load_points = len(rows_by_group.get((0, "load"), [0]))
-    require(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
+    check_mesh(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
     facets_by_name = {name: rows for (dimension, name), rows in rows_by_group.items() if dimension}
     point_nodes_by_name = {
         name: rows[:, 0] for (dimension, name), rows in rows_by_group.items() if not dimension
@@ -344,14 +344,17 @@ def _select_named_groups(
     ]
 
 
-def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
+def make_cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
     """Make :class:`Cells` from nodes (n_cells, k) and gmsh's kind of cells.
 
     A node lies between the corners whose linear basis functions are not zero at the node.
     """
     _, dimension, *_, n_corners = gmsh.model.mesh.getElementProperties(kind)
     is_supporting_corner = (
-        _basis_functions(_LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_nodes(kind)) > 1e-9
+        _evaluate_basis_functions(
+            _LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_node_positions(kind)
+        )
+        > 1e-9
     )
     corner_indices = np.arange(n_corners)
     facets = (
@@ -362,7 +365,7 @@ def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
     return Cells(nodes, facets, is_supporting_corner)
 
 
-def _facets_after_split(
+def _renumber_facets_after_split(
     facets_by_name: dict[str, np.ndarray],
     cells: Cells,
     split_cell_nodes: np.ndarray,
@@ -405,14 +408,16 @@ def _facets_after_split(
     return new_facets_by_name
 
 
-def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]) -> None:
+def _check_mouths_are_open(
+    cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]
+) -> None:
     """Raise InputError if a crack is closed at the plate's edge.
 
     At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
     corners of the lower and upper face's edges, (n, 2) each.
     """
-    boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary]
-    boundary_edges = boundary_edges[~rows_in(boundary_edges, np.concatenate(face_edges))]
+    boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary_facet]
+    boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]
     closed_mouth_nodes = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
     if len(closed_mouth_nodes):
         position_text = "({:g}, {:g})".format(*positions[closed_mouth_nodes[0]])
@@ -421,7 +426,7 @@ def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.nda
         raise InputError("lips", problem, f"{requirement}, which is split")
 
 
-def _tag_combinations(
+def _tag_name_combinations(
     edges_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
     """Tag the edges of named curves, with one tag for each combination of names.
@@ -457,7 +462,7 @@ def _tag_combinations(
     return dict(zip(edges_by_name, curve_tags, strict=True)), tagged_edges
 
 
-def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
+def _fill_gmsh_model(positions: np.ndarray, groups: list[Group]) -> None:
     """Fill gmsh's current model with nodes and physical groups.
 
     The groups (:func:`unpack_groups`) begin with those of cells. Nodes are rows of ``positions``
@@ -475,7 +480,7 @@ def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
 
 # --- checks of a mesh -----------------------------------------------------------------------------
 
-MIN_DETERMINANT = 1e-9
+MIN_RELATIVE_DETERMINANT = 1e-9
 """Minimum determinant, relative to the cell's maximum or to size^d."""
 
 
@@ -500,8 +505,8 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         Positions of all nodes.
     """
     dimension, facet_word = positions.shape[1], _FACET_WORD_BY_DIMENSION[positions.shape[1]]
-    cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_nodes(kind)
-    gradients = _basis_functions(kind, reference_nodes, "GradLagrange").reshape(
+    cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_node_positions(kind)
+    gradients = _evaluate_basis_functions(kind, reference_nodes, "GradLagrange").reshape(
         len(reference_nodes), len(reference_nodes), 3
     )[..., :dimension]
     # Jacobian determinants at the nodes of each cell [m^d].
@@ -517,9 +522,10 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     # In a plane a corner may have 180 degrees.
     is_flat = (
         max_abs_determinants if dimension == 2 else min_abs_determinants
-    ) <= MIN_DETERMINANT * cube_volumes
+    ) <= MIN_RELATIVE_DETERMINANT * cube_volumes
     is_folded = (
-        np.minimum(-min_determinants, max_determinants) > MIN_DETERMINANT * max_abs_determinants
+        np.minimum(-min_determinants, max_determinants)
+        > MIN_RELATIVE_DETERMINANT * max_abs_determinants
     )
     for problem, is_wrong in (
         (f"a cell without {extent_word}", is_flat),
@@ -565,7 +571,8 @@ def _check_inner_surfaces(
     ``facets_by_name`` are the nodes of facets by name. Such a surface would not separate anything.
     """
     sorted_facets, _, _ = cells.sorted_facets_and_owners
-    shared_facets, n_corners = sorted_facets[1:][cells.is_shared], sorted_facets.shape[1]
+    shared_facets = sorted_facets[1:][cells.is_shared]
+    n_corners = sorted_facets.shape[1]
     corners_by_name = {
         name: np.sort(facet_rows[:, :n_corners], axis=1)
         for name, facet_rows in facets_by_name.items()
@@ -574,7 +581,9 @@ def _check_inner_surfaces(
         [sorted_facets[:0], *(corners_by_name[name] for name in crack_names)]
     )
     for name, facet_rows in corners_by_name.items():
-        is_inner_facet = rows_in(facet_rows, shared_facets) & ~rows_in(facet_rows, crack_facets)
+        is_inner_facet = are_rows_in(facet_rows, shared_facets) & ~are_rows_in(
+            facet_rows, crack_facets
+        )
         if name != "clamp" and np.any(is_inner_facet):
             requirement = (
                 "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
@@ -582,7 +591,7 @@ def _check_inner_surfaces(
             raise InputError("mesh", f"a surface {name!r} inside the solid", requirement)
 
 
-def check_parts(
+def check_parts_are_clamped(
     cells: Cells,
     positions: np.ndarray,
     clamped_nodes: np.ndarray,
@@ -625,7 +634,7 @@ def check_parts(
         )
 
 
-def check_boundary(
+def check_parts_do_not_overlap(
     kind: int, cells: Cells, positions: np.ndarray, face_facets: Sequence[np.ndarray]
 ) -> None:
     """Raise InputError if parts overlap, or touch without common nodes.
@@ -648,17 +657,17 @@ def check_boundary(
     from scipy.spatial import cKDTree
 
     boundary_facets, owner, local_corners = (
-        rows[cells.is_boundary] for rows in cells.sorted_facets_and_owners
+        rows[cells.is_boundary_facet] for rows in cells.sorted_facets_and_owners
     )
-    is_outer = ~rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
+    is_outer = ~are_rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
     owner, local_corners = owner[is_outer], local_corners[is_outer]
-    reference_corners = _reference_nodes(kind)[local_corners]
+    reference_corners = _reference_node_positions(kind)[local_corners]
     reference_centre = reference_corners.mean(axis=1, keepdims=True)
     reference_points = np.concatenate(
         [reference_centre, 0.5 * (reference_centre + reference_corners)], axis=1
     )
     owner = np.repeat(owner, reference_points.shape[1])
-    basis_values = _basis_functions(kind, reference_points.reshape(-1, 3))
+    basis_values = _evaluate_basis_functions(kind, reference_points.reshape(-1, 3))
     points = np.einsum("in,inx->ix", basis_values, positions[cells.cell_nodes[owner]])
 
     cell_positions = positions[cells.cell_nodes]
@@ -695,8 +704,8 @@ def _are_in_cells(
     Points are (n, d) [m], and nodes of the cells (n, n_nodes, d) [m].
     """
     dimension = points.shape[1]
-    linear_values = _basis_functions(
-        _LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_nodes(kind)
+    linear_values = _evaluate_basis_functions(
+        _LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_node_positions(kind)
     )
     curvature_offsets = cell_positions - np.einsum(
         "nc,icx->inx", linear_values, cell_positions[:, :n_corners]
@@ -704,31 +713,35 @@ def _are_in_cells(
     lower_bounds, upper_bounds = cell_positions.min(axis=1), cell_positions.max(axis=1)
     cell_sizes = (upper_bounds - lower_bounds).max(axis=1)
     # Lebesgue's constant of cells of order 2 is at most 1.63^2.
-    margin = (POSITION_TOLERANCE * cell_sizes + 3.0 * np.abs(curvature_offsets).max(axis=(1, 2)))[
-        :, None
-    ]
+    margin = (
+        RELATIVE_POSITION_TOLERANCE * cell_sizes + 3.0 * np.abs(curvature_offsets).max(axis=(1, 2))
+    )[:, None]
     is_inside = np.all((points > lower_bounds - margin) & (points < upper_bounds + margin), axis=1)
     if not np.any(is_inside):
         return is_inside
     cell_positions = cell_positions[is_inside]
     points = points[is_inside]
     cell_sizes = cell_sizes[is_inside]
-    reference_points = np.tile(_reference_nodes(kind)[:n_corners].mean(axis=0), (len(points), 1))
+    reference_points = np.tile(
+        _reference_node_positions(kind)[:n_corners].mean(axis=0), (len(points), 1)
+    )
     # Newton's method: exact in one step for straight cells.
     active_points = np.arange(len(reference_points))
     for _ in range(8):
         residuals = points[active_points] - np.einsum(
             "in,inx->ix",
-            _basis_functions(kind, reference_points[active_points]),
+            _evaluate_basis_functions(kind, reference_points[active_points]),
             cell_positions[active_points],
         )
-        is_unconverged = np.abs(residuals).max(axis=1) > MIN_DETERMINANT * cell_sizes[active_points]
+        is_unconverged = (
+            np.abs(residuals).max(axis=1) > MIN_RELATIVE_DETERMINANT * cell_sizes[active_points]
+        )
         active_points, residuals = active_points[is_unconverged], residuals[is_unconverged]
         if not len(active_points):
             break
-        gradients = _basis_functions(kind, reference_points[active_points], "GradLagrange").reshape(
-            len(active_points), -1, 3
-        )
+        gradients = _evaluate_basis_functions(
+            kind, reference_points[active_points], "GradLagrange"
+        ).reshape(len(active_points), -1, 3)
         jacobians = np.einsum(
             "inx,inr->ixr", cell_positions[active_points], gradients[..., :dimension]
         )
@@ -737,19 +750,21 @@ def _are_in_cells(
         )
         reference_points[active_points] = np.clip(reference_points[active_points], -2.0, 2.0)
     residuals = points - np.einsum(
-        "in,inx->ix", _basis_functions(kind, reference_points), cell_positions
+        "in,inx->ix", _evaluate_basis_functions(kind, reference_points), cell_positions
     )
     is_in_reference_cell = (
-        _basis_functions(_LINEAR_KIND_BY_SHAPE[dimension, n_corners], reference_points).min(axis=1)
-        >= -POSITION_TOLERANCE
+        _evaluate_basis_functions(
+            _LINEAR_KIND_BY_SHAPE[dimension, n_corners], reference_points
+        ).min(axis=1)
+        >= -RELATIVE_POSITION_TOLERANCE
     )
     is_inside[is_inside] = is_in_reference_cell & (
-        np.abs(residuals).max(axis=1) <= POSITION_TOLERANCE * cell_sizes
+        np.abs(residuals).max(axis=1) <= RELATIVE_POSITION_TOLERANCE * cell_sizes
     )
     return is_inside
 
 
-def _reference_nodes(kind: int) -> np.ndarray:
+def _reference_node_positions(kind: int) -> np.ndarray:
     """Return the nodes of a reference cell, by gmsh's kind: (n_nodes, 3)."""
     _, dimension, _, n_nodes_per_cell, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
     positions = np.zeros((n_nodes_per_cell, 3))
@@ -757,7 +772,7 @@ def _reference_nodes(kind: int) -> np.ndarray:
     return positions
 
 
-def _basis_functions(
+def _evaluate_basis_functions(
     kind: int, reference_points: np.ndarray, function_name: str = "Lagrange"
 ) -> np.ndarray:
     """Evaluate basis functions of a kind of cells: (n, n_functions).

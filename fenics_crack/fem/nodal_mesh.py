@@ -81,14 +81,14 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def pair_centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
+    def pair_centre_and_pressure_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns
         -------
-        centre_functions : (n_nodes, n_pairs)
+        centre_matrix : (n_nodes, n_pairs)
             1 at the two nodes in the centre of each patch.
-        pressure_functions : (n_nodes, n_pairs)
+        nodal_pressure_matrix : (n_nodes, n_pairs)
             Pressure functions on the crack faces, linear between corners of facets. If the
             pairs' shares are unknown, each corner has the nearest pair, and fronts have none.
         """
@@ -102,16 +102,16 @@ class NodalMesh:
             cKDTree(corner_points).query_ball_point(corner_points, tolerance, return_length=True)
             > 1
         )
-        centre_functions, pressure_functions = np.zeros((2, len(points), self.structure.n_pairs))
-        centre_functions[
+        centre_matrix, nodal_pressure_matrix = np.zeros((2, len(points), self.structure.n_pairs))
+        centre_matrix[
             corners[distances <= tolerance], nearest_pair_index[distances <= tolerance]
         ] = 1.0
         if structure_pairs.nodes is not None and structure_pairs.pressure_matrix is not None:
-            pressure_functions[corners] = structure_pairs.pressure_matrix[
+            nodal_pressure_matrix[corners] = structure_pairs.pressure_matrix[
                 cKDTree(structure_pairs.nodes).query(corner_points)[1]
             ].toarray()
         else:
-            pressure_functions[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
+            nodal_pressure_matrix[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
         edge_end_nodes = np.stack(
             [crack_facets, np.roll(crack_facets, -1, axis=1)], axis=2
         ).reshape(-1, 2)
@@ -125,10 +125,10 @@ class NodalMesh:
             points[non_corner_nodes]
         )
         is_on_edge = distances <= tolerance
-        pressure_functions[non_corner_nodes[is_on_edge]] = pressure_functions[
+        nodal_pressure_matrix[non_corner_nodes[is_on_edge]] = nodal_pressure_matrix[
             edge_end_nodes[nearest_edge_index[is_on_edge]]
         ].mean(axis=1)
-        return centre_functions, pressure_functions
+        return centre_matrix, nodal_pressure_matrix
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -171,7 +171,7 @@ class NodalMesh:
         return self._sides[0]
 
     @cached_property
-    def boundary(self) -> np.ndarray:
+    def boundary_sides(self) -> np.ndarray:
         """Return sides that belong to one cell only, as nodes (n, k).
 
         A plate has edges, as in ``edges``. A solid has facets with 3 or 4 corners, anticlockwise
@@ -197,8 +197,8 @@ class NodalMesh:
         """Return the boundary sides that coincide with another side: (n, k) nodes."""
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
-        side_centres = self.points[self.boundary].mean(axis=1)
+        side_centres = self.points[self.boundary_sides].mean(axis=1)
         coincident_side_pairs = cKDTree(side_centres).query_pairs(
             1e-6 * self.size, output_type="ndarray"
         )
-        return np.asarray(self.boundary[np.unique(coincident_side_pairs)])
+        return np.asarray(self.boundary_sides[np.unique(coincident_side_pairs)])

@@ -42,11 +42,11 @@ class PartMesh:
     ----------
     mesh, facet_tags : dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags
         Mesh, and tags of its facets.
-    groups : dict of str to tuple of int
+    tags_by_group : dict of str to tuple of int
         Facet tags of each named curve or surface: ``clamp``, and with a crack ``lower_lip`` and
         ``upper_lip``. A plate made here also has ``left``, ``right``, ``top`` and ``bottom``. A
         mesh file may name others. A facet in several groups has a tag of its own.
-    points : dict of str to tuple of float
+    position_by_point_name : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
     crack_paths_or_surfaces : tuple of CrackPath or of CrackSurface
         Cracks in the order of the scene or, for a mesh file, from bottom to top.
@@ -54,22 +54,24 @@ class PartMesh:
 
     mesh: Any
     facet_tags: Any
-    groups: dict[str, tuple[int, ...]]
-    points: dict[str, tuple[float, ...]]
+    tags_by_group: dict[str, tuple[int, ...]]
+    position_by_point_name: dict[str, tuple[float, ...]]
     crack_paths_or_surfaces: Cracks
 
     @property
     def has_cracks(self) -> bool:
         """Return True if there are crack faces."""
-        return "lower_lip" in self.groups
+        return "lower_lip" in self.tags_by_group
 
-    def facets(self, group: str) -> np.ndarray:
+    def facets(self, group_name: str) -> np.ndarray:
         """Return this rank's facets of a named curve or surface."""
-        return np.sort(np.concatenate([self.facet_tags.find(tag) for tag in self.groups[group]]))
+        return np.sort(
+            np.concatenate([self.facet_tags.find(tag) for tag in self.tags_by_group[group_name]])
+        )
 
     def measure_on(self, *groups: str) -> Any:
         """Return the measure ds for integrals over named curves or surfaces."""
-        tags = tuple(tag for group in groups for tag in self.groups[group])
+        tags = tuple(tag for group in groups for tag in self.tags_by_group[group])
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
 
 
@@ -83,11 +85,13 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
         group.
     """
     with _gmsh_on_root(comm):
-        (facet_tags_by_group, point_by_name), crack_paths_or_surfaces = on_root(
+        (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
             comm, lambda: _mesh_scene(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
-    return PartMesh(mesh, facet_tags, facet_tags_by_group, point_by_name, crack_paths_or_surfaces)
+    return PartMesh(
+        mesh, facet_tags, facet_tags_by_group, position_by_point_name, crack_paths_or_surfaces
+    )
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
@@ -175,17 +179,21 @@ class Dofs:
     node_to_global_rotations: np.ndarray | None = None
     """Matrix for each node that rotates its displacement into the spatial frame: (n_nodes, d, d).
     """
-    _rotation: sparse.csr_matrix | None = None
+    _rotation_matrix: sparse.csr_matrix | None = None
 
     def __init__(
-        self, plate: PartMesh, space: Any, comm: MPI.Comm, is_constrained: np.ndarray | None = None
+        self,
+        part_mesh: PartMesh,
+        space: Any,
+        comm: MPI.Comm,
+        is_constrained: np.ndarray | None = None,
     ) -> None:
         """Number the free dofs.
 
         ``is_constrained`` (n_dofs,) is True for this rank's dofs that are held at zero; by default
         the dofs at the clamp.
         """
-        self.comm, self.plate, self.space = comm, plate, space
+        self.comm, self.part_mesh, self.space = comm, part_mesh, space
         self.dimension = space.mesh.geometry.dim
         self.n_own_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
@@ -208,12 +216,12 @@ class Dofs:
             self.space.tabulate_dof_coordinates()[: self.n_own_nodes, : self.dimension]
         )
 
-    def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
+    def nodes_on(self, group_name: str, space: Any = None) -> np.ndarray:
         """Return this rank's local nodes in a facet group.
 
         They are nodes of another function space if ``space`` is given.
         """
-        facets, topology = self.plate.facets(group), self.plate.mesh.topology
+        facets, topology = self.part_mesh.facets(group_name), self.part_mesh.mesh.topology
         facet_dimension = topology.dim - 1
         topology.create_connectivity(facet_dimension, facet_dimension + 1)
         space = self.space if space is None else space
@@ -241,13 +249,17 @@ class Dofs:
         block_diagonal_rotation = sparse.bsr_matrix(
             (self.node_to_global_rotations, block_row_pointers[:-1], block_row_pointers)
         ).tocsr()
-        self._rotation = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
-        self._rotation.eliminate_zeros()
+        self._rotation_matrix = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
+        self._rotation_matrix.eliminate_zeros()
 
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
         free_forces = forces[..., self.free_dofs]
-        return free_forces if self._rotation is None else np.asarray(free_forces @ self._rotation)
+        return (
+            free_forces
+            if self._rotation_matrix is None
+            else np.asarray(free_forces @ self._rotation_matrix)
+        )
 
     def restrict_matrix(self, matrix: Any) -> Any:
         """Return the free rows and columns of a matrix, which is destroyed.
@@ -261,9 +273,9 @@ class Dofs:
         index_set = PETSc.IS().createGeneral(global_free_dofs, comm=matrix.comm)
         block = matrix.createSubMatrix(index_set, index_set)
         local_rows_matrix = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
-        if self._rotation is not None:
+        if self._rotation_matrix is not None:
             local_rows_matrix = sparse.csr_matrix(
-                self._rotation.T @ local_rows_matrix @ self._rotation
+                self._rotation_matrix.T @ local_rows_matrix @ self._rotation_matrix
             )
         local_rows_matrix.eliminate_zeros()
         csr = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
@@ -279,7 +291,7 @@ class Dofs:
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (
-            displacement if self._rotation is None else self._rotation @ displacement
+            displacement if self._rotation_matrix is None else self._rotation_matrix @ displacement
         )
         function.x.array[self.free_dofs] = rotated_displacement
         function.x.scatter_forward()

@@ -46,7 +46,7 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     return np.asarray(crack_clearances[pairs.cracks % len(crack_clearances)])
 
 
-def force_vector_by_part(scene: Scene) -> list[Vector]:
+def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
     """Return the excitation's force by harmonic part [N].
 
     The first vector is the mean, followed by the cosine and sine parts of each order. The orders
@@ -62,12 +62,16 @@ def force_vector_by_part(scene: Scene) -> list[Vector]:
         excitation.require(is_complete, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
-        for row_index, part in enumerate(read_load_table_harmonics(excitation, scene.dimension)[0]):
+        for row_index, part in enumerate(
+            read_load_coefficients_and_residual(excitation, scene.dimension)[0]
+        ):
             rows[row_index] = tuple(np.add(rows[row_index], part).tolist())
     return rows
 
 
-def read_load_table_harmonics(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
+def read_load_coefficients_and_residual(
+    load: Excitation, dimension: int
+) -> tuple[np.ndarray, float]:
     """Return the Fourier coefficients of a load's table of one period.
 
     Returns

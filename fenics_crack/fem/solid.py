@@ -31,10 +31,10 @@ from fenics_crack.fem.blocks import (
     DiskRim,
     check_cell_count,
     meshing_refusal,
-    scale_to_mesh_unit,
+    scale_scene_to_mesh_unit,
 )
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import CRACK_FACE_NAMES, Cracks, NamedParts, rows_in
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, Cracks, NamedParts, are_rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
@@ -49,7 +49,7 @@ ALLOWED_MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
 ALLOWED_MESHING_BYTES = 2**33
 """Maximum address space for meshing a part [byte]."""
-INNER_FRONT_DISTANCE_RATIO = 0.4
+MEASURED_FRACTION_FROM_FRONT_MIDDLE = 0.4
 """Distance from a front's middle up to which depth and ligament are measured, over its length."""
 MAX_CELLS = 2e6
 """Maximum number of cells of a part. gmsh makes about 1e4 in a second."""
@@ -119,11 +119,11 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
     assert structure.nodes is not None
-    plate, comm, text_by_name = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
-    scalar_space = compat.function_space(plate.mesh, 1, vectors=False)
-    for face_name in sorted(set(plate.groups) - {*CRACK_FACE_NAMES}):
+    part_mesh, comm, text_by_name = structure.nodes.mesh_dofs.part_mesh, structure.comm, {}  # type: ignore[union-attr]
+    scalar_space = compat.function_space(part_mesh.mesh, 1, vectors=False)
+    for face_name in sorted(set(part_mesh.tags_by_group) - {*CRACK_FACE_NAMES}):
         node_areas = compat.assembled_vector(
-            ufl.TestFunction(scalar_space) * plate.measure_on(face_name)
+            ufl.TestFunction(scalar_space) * part_mesh.measure_on(face_name)
         )
         node_positions = scalar_space.tabulate_dof_coordinates()[: len(node_areas)]
         face_area = comm.allreduce(node_areas.sum())
@@ -134,7 +134,9 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             f"{1e6 * face_area:.4g} mm^2 around {face_centre_text} m"
         )
     nodal_mesh = NodalMesh(structure)
-    surface_facets = nodal_mesh.boundary[~rows_in(nodal_mesh.boundary, nodal_mesh.crack_face_sides)]
+    surface_facets = nodal_mesh.boundary_sides[
+        ~are_rows_in(nodal_mesh.boundary_sides, nodal_mesh.crack_face_sides)
+    ]
     surface_triangles = nodal_mesh.points[surface_facets]
     text_by_name |= {
         f"{crack_key}.point": (
@@ -145,25 +147,25 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             np.reshape(crack.point or (), (-1, 3)), surface_triangles
         )
     }
-    for crack_front in find_fronts(structure):
+    for front in find_fronts(structure):
         front_node_arc_lengths = np.append(
-            0.0, np.linalg.norm(np.diff(crack_front.node_positions, axis=0), axis=1).cumsum()
+            0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
         )
-        is_inner = crack_front.is_closed | (
+        is_inner = front.is_closed | (
             np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
-            <= INNER_FRONT_DISTANCE_RATIO
+            <= MEASURED_FRACTION_FROM_FRONT_MIDDLE
         )
-        inner_nodes = crack_front.node_positions[is_inner]
-        inner_frames = crack_front.frame_and_curvature(crack_front.parameters[is_inner])[0]
+        inner_nodes = front.node_positions[is_inner]
+        inner_frames = front.frame_and_curvature(front.node_parameters[is_inner])[0]
         ligament = min(
             (
-                ray_length(node, frame[0], surface_triangles)
+                find_ray_hit_distance(node, frame[0], surface_triangles)
                 for node, frame in zip(inner_nodes, inner_frames, strict=True)
             ),
             default=np.nan,
         )
         are_corners_in_crack_plane = (
-            np.abs((surface_triangles - crack_front.node_positions[0]) @ crack_front.normals[0])
+            np.abs((surface_triangles - front.node_positions[0]) @ front.node_normals[0])
             < 1e-6 * nodal_mesh.size
         )
         mouth_triangles = surface_triangles[
@@ -175,14 +177,14 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
         depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{format_quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
-        text_by_name[crack_front.name] = (
+        text_by_name[front.name] = (
             f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
             f"{format_quantity(ligament, 'm')} from the surface straight ahead at least"
         )
     return text_by_name
 
 
-def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
+def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
     """Return the distance to the first triangle along a ray.
 
     The ray begins at a point, and its direction has the length 1. Triangles are (n, 3, 3). Without
@@ -197,27 +199,38 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     offset_cross_side_1 = np.cross(offsets, side_1)
     v = offset_cross_side_1 @ direction / determinants
     distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
-    extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
-    is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distances > 1e-6 * extent)
-    return float(distances[is_hit].min(initial=extent))
+    longest_box_side = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
+    is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distances > 1e-6 * longest_box_side)
+    return float(distances[is_hit].min(initial=longest_box_side))
 
 
-def find_section_reaches(scene: Scene) -> tuple[float, float]:
+def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
     """Find how far a solid reaches along its first crack, backwards and ahead [m].
 
     Both lengths are measured in the crack's plane from its middle.
     """
-    crack, geometry = _mesher_cracks(scene, 1.0)[0], scene.geometry
+    crack, geometry = _make_mesher_cracks(scene, 1.0)[0], scene.geometry
     triangles = (
-        np.array([*combinations(product(*((0.0, side) for side in geometry.sides)), 3)])
+        np.array(
+            [*combinations(product(*((0.0, side_length) for side_length in geometry.sides)), 3)]
+        )
         if geometry.file is None
         else read_part_triangles_and_owners(str(geometry.file), geometry.unit)["triangles"]
     )
-    x, _, height = np.moveaxis((triangles - crack["middle"]) @ np.transpose(crack["frame"]), -1, 0)
-    x_step, height_step = (np.roll(values, -1, axis=1) - values for values in (x, height))
-    is_crossed = (height * (height + height_step) <= 0.0) & (height_step != 0.0)
-    crossings = (x - height * x_step / np.where(is_crossed, height_step, 1.0))[is_crossed]
-    return -float(crossings.min(initial=0.0)), float(crossings.max(initial=0.0))
+    corner_x, _, corner_heights_above_crack = np.moveaxis(
+        (triangles - crack["middle"]) @ np.transpose(crack["frame"]), -1, 0
+    )
+    x_step, height_step = (
+        np.roll(corner_coordinates, -1, axis=1) - corner_coordinates
+        for corner_coordinates in (corner_x, corner_heights_above_crack)
+    )
+    is_crossed = (
+        corner_heights_above_crack * (corner_heights_above_crack + height_step) <= 0.0
+    ) & (height_step != 0.0)
+    crossing_x = (
+        corner_x - corner_heights_above_crack * x_step / np.where(is_crossed, height_step, 1.0)
+    )[is_crossed]
+    return -float(crossing_x.min(initial=0.0)), float(crossing_x.max(initial=0.0))
 
 
 def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
@@ -230,7 +243,7 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     float
         Unit of the mesh's lengths [m].
     """
-    unit_scene, unit = scale_to_mesh_unit(scene, MILLIMETRE)
+    unit_scene, unit = scale_scene_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh
     keys_and_face_points = [
         (face.key, face_point) for face in geometry.faces for face_point in face.values
@@ -240,7 +253,7 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
         "faces": [
             (face_key, np.divide(point, unit).tolist()) for face_key, point in keys_and_face_points
         ],
-        "cracks": _mesher_cracks(unit_scene, unit), "cells": MAX_CELLS,
+        "cracks": _make_mesher_cracks(unit_scene, unit), "cells": MAX_CELLS,
     }  # fmt: skip
     return _run_mesher(str(geometry.file), mesher_request, scene), unit
 
@@ -282,7 +295,7 @@ def _value_for_message(scene: Scene, key: str) -> object:
     return [face_table.key for face_table in value] if field_name == "faces" else value
 
 
-def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
+def _make_mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
     """Return cracks as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them.
 
     ``unit`` is the length [m] of the mesh's unit; lengths of the scene [m] are divided by it.
@@ -290,7 +303,7 @@ def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
     mesher_cracks = []
     for crack_key, crack in scene.all_cracks.items():
         if crack.point is None:
-            geometry_fields = _box_crack(crack, scene.geometry.sides)
+            geometry_fields = _make_box_crack_geometry(crack, scene.geometry.sides)
         else:
             ellipse_half_axes = crack.half_axes if crack.front != "through" else None
             offset = (crack.length or 0.0) * crack.frame[0] * (ellipse_half_axes is None)
@@ -312,7 +325,7 @@ def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
     return mesher_cracks
 
 
-def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
+def _make_box_crack_geometry(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
     """Return the geometry of a box's crack in a plane y = height.
 
     The crack is an ellipse or rectangle centred on the face z = thickness.
@@ -339,7 +352,7 @@ def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
 
 def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """Mesh a box or a disk's sector; the results are those of :func:`_mesh_cad_part`."""
-    unit_scene, unit = scale_to_mesh_unit(scene)
+    unit_scene, unit = scale_scene_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
     solid_dim_tags = (
@@ -350,16 +363,16 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     occ.synchronize()
     triangles = np.zeros((0, 3, 3))
     if any(crack.point is not None for crack in scene.all_cracks.values()):
-        triangles, _ = solid_mesher.mesh_faces()
+        triangles, _ = solid_mesher.mesh_faces_coarsely()
     try:
         crack_surface_tags, fronts = solid_mesher.insert_cracks(
-            solid_dim_tags, _mesher_cracks(unit_scene, unit), triangles
+            solid_dim_tags, _make_mesher_cracks(unit_scene, unit), triangles
         )
     except solid_mesher.Refusal as refusal:
         refused_key, requirement = refusal.args
-        if (message_value := _value_for_message(scene, refused_key)) is None:
+        if (value_in_message := _value_for_message(scene, refused_key)) is None:
             raise meshing_refusal(scene, requirement) from None
-        raise InputError(refused_key, message_value, requirement) from None
+        raise InputError(refused_key, value_in_message, requirement) from None
     _check_cell_number(scene, unit, fronts)
     box_side_planes = [
         ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),

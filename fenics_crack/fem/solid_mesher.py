@@ -30,25 +30,25 @@ FrontData = dict[str, Any]
 
 MILLIMETRES_BY_UNIT = {"m": 1e3, "mm": 1.0, "inch": 25.4}
 """Lengths of the units for files without one [mm]."""
-CELLS_PER_VOLUME = 5.0
+CELLS_PER_CUBED_LENGTH = 5.0
 """Number of tetrahedra of length h that gmsh makes in a volume h^3."""
 COARSE_TRIANGLES_PER_DIAGONAL = 25.0
 """Number of triangles along a part's diagonal in the coarse mesh."""
-STRAIGHT_CELL_DISTANCE_RATIO = 2.5
+STRAIGHT_CELL_DISTANCE_IN_ELEMENTS = 2.5
 """Distance from a front up to which cells are straight, in elements at the front."""
 MIN_JACOBIAN_RATIO_IN_CELL = 0.2
 """Minimum ratio of a cell's smallest to largest Jacobian determinant. Below it, a curved cell
 becomes straight."""
-MIN_SIZE_RATIO = 0.1
+MIN_CURVED_LENGTH_TO_SIZE = 0.1
 """Minimum element length due to curvature, relative to the size."""
-MIN_LIGAMENT_RATIO = 0.1
+MIN_LIGAMENT_IN_ELEMENTS = 0.1
 """Minimum ligament at a front, relative to the front's elements."""
 MAX_FACE_POINT_DISTANCE_RATIO = 0.1
 """Maximum distance of a named point from a face, relative to the part's size."""
 ELLIPSE_START_ANGLE = 1.0 + math.pi
 """Angle at which an ellipse begins and ends [rad]. On an axis, its vertex would be beside the mouth
 of a half ellipse, and rounded numbers would make a short edge there."""
-MAX_ELLIPSE_AXIS_RATIO = 1.0 - 1e-9
+MAX_SHORT_TO_LONG_RADIUS = 1.0 - 1e-9
 """Maximum ratio of an ellipse's radii. Intersections with one that is a circle fail in gmsh 4.8."""
 N_CURVE_INTERVALS = 40
 """Number of intervals on a curve between sample points, and of triangles that identify a face."""
@@ -77,8 +77,8 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     -------
     dict
         Mesh in the form of :func:`collect_groups`. Of a part: mesh of :func:`collect_mesh` with
-        "straight", the number of straightened cells; or faces of :func:`mesh_faces`, "triangles"
-        and "owners"; or "refused": key and requirement.
+        "straight", the number of straightened cells; or faces of :func:`mesh_faces_coarsely`,
+        "triangles" and "owners"; or "refused": key and requirement.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -109,11 +109,11 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     """Mesh a CAD part, or only its faces; ``request`` and the result are those of :func:`read`."""
     solid_dim_tags = _import_part(path, request["unit"])
-    triangles, owners = mesh_faces()
+    triangles, owners = mesh_faces_coarsely()
     if "size" not in request:
         return {"triangles": triangles, "owners": owners}
     names_and_face_tags = _find_names_and_face_tags(request["faces"], triangles, owners)
-    crack_surfaces, fronts = insert_cracks(solid_dim_tags, request["cracks"], triangles)
+    crack_surface_tags, fronts = insert_cracks(solid_dim_tags, request["cracks"], triangles)
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
@@ -126,8 +126,8 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     except Exception as error:
         requirement = f"such that gmsh can mesh the part ({error})"
         raise Refusal("mesh.size", requirement) from None
-    face_of_surface = _match_surfaces(crack_surfaces, triangles, owners)
-    surfaces_by_name = {
+    face_of_surface = _match_surfaces(crack_surface_tags, triangles, owners)
+    surface_tags_by_name = {
         name: [
             surface_tag
             for surface_tag, face_tag in face_of_surface.items()
@@ -135,7 +135,7 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
         ]
         for name, face_tags in names_and_face_tags
     }
-    contents = collect_mesh(crack_surfaces, surfaces_by_name)
+    contents = collect_mesh(crack_surface_tags, surface_tags_by_name)
     contents["positions"], contents["straight"] = straighten_edges(contents, fronts)
     return contents
 
@@ -160,7 +160,7 @@ def _import_part(path: str, unit: str) -> Tags:
     return solid_dim_tags
 
 
-def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
+def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     """Mesh the part's faces coarsely.
 
     Returns
@@ -172,7 +172,7 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
     """
     bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES_PER_DIAGONAL
-    _set_sizes(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
+    _set_size_options(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
@@ -193,9 +193,9 @@ def _face_triangles(tag: int) -> np.ndarray:
         return np.zeros((0, 3, 3))
     n_nodes_per_element = gmsh.model.mesh.getElementProperties(kinds[0])[3]
     numbers, positions, _ = gmsh.model.mesh.getNodes()
-    order_by_number = np.argsort(numbers)
+    number_order = np.argsort(numbers)
     corner_numbers = nodes[0].reshape(-1, n_nodes_per_element)[:, :3]
-    node_index = order_by_number[np.searchsorted(numbers, corner_numbers, sorter=order_by_number)]
+    node_index = number_order[np.searchsorted(numbers, corner_numbers, sorter=number_order)]
     return positions.reshape(-1, 3)[node_index]
 
 
@@ -243,7 +243,7 @@ def _find_names_and_face_tags(
     names_and_points : pairs of (str, (3,))
         Name and point; a name may have several points.
     part_triangles, triangle_faces
-        From :func:`mesh_faces`.
+        From :func:`mesh_faces_coarsely`.
 
     Returns
     -------
@@ -263,16 +263,16 @@ def _find_names_and_face_tags(
 
 
 def _match_surfaces(
-    crack_surfaces: list[int], part_triangles: np.ndarray, triangle_faces: np.ndarray
+    crack_surface_tags: list[int], part_triangles: np.ndarray, triangle_faces: np.ndarray
 ) -> dict[int, int]:
     """Match the surfaces of the cracked part to the faces of the uncracked part.
 
-    ``crack_surfaces`` are the tags of the cracks, which are left out. Returns the face's tag by the
-    tag of each other surface; faces are those of :func:`mesh_faces`.
+    ``crack_surface_tags`` are the tags of the cracks, which are left out. Returns the face's tag by
+    the tag of each other surface; faces are those of :func:`mesh_faces_coarsely`.
     """
     face_of_surface = {}
     for _, surface_tag in gmsh.model.getEntities(2):
-        if surface_tag not in crack_surfaces:
+        if surface_tag not in crack_surface_tags:
             triangle_centres = _face_triangles(surface_tag).mean(axis=1)
             sample_points = triangle_centres[:: max(1, len(triangle_centres) // N_CURVE_INTERVALS)]
             nearest_faces = triangle_faces[
@@ -333,7 +333,8 @@ def insert_cracks(
                 part_triangles
             )
             problem = (
-                f"misses the part{_describe_box(crack, part_triangles)}" if not inner_dim_tags
+                f"misses the part{_describe_part_extent(crack, part_triangles)}"
+                if not inner_dim_tags
                 else "lies in a face of it" if np.any(is_on_part_face)
                 else f"is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
@@ -375,7 +376,7 @@ def insert_cracks(
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
-def _describe_box(crack: CrackData, part_triangles: np.ndarray) -> str:
+def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
     start, end = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
     start_text, end_text = (
@@ -399,7 +400,7 @@ def _draw_crack_face(crack: CrackData) -> Tags:
         a, b, e_1 = b, a, e_2
     if crack["is_round"]:
         ellipse_tag = occ.addEllipse(
-            0.0, 0.0, 0.0, a, min(b, MAX_ELLIPSE_AXIS_RATIO * a),
+            0.0, 0.0, 0.0, a, min(b, MAX_SHORT_TO_LONG_RADIUS * a),
             angle1=ELLIPSE_START_ANGLE, angle2=ELLIPSE_START_ANGLE + 2.0 * math.pi,
         )  # fmt: skip
         face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([ellipse_tag])]))]
@@ -450,7 +451,7 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
             front_curves.append(rim_curve)
             point_arrays.append(rim_points)
     extent_behind_front = extent_behind_front if is_straight else crack["reach"]
-    element_length_ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
+    length_over_previous = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
     curve_end_points = np.array(
         [curve_points[end_index] for curve_points in point_arrays[1:] for end_index in (0, -1)]
     ).reshape(-1, 3)
@@ -462,9 +463,9 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
         "curves": front_curves, "points": np.concatenate(point_arrays),
         "ends": curve_end_points[is_same_end.sum(axis=1) == 1],
         "shortest": float(
-            extent_behind_front / (element_length_ratio ** np.arange(crack["elements"])).sum()
+            extent_behind_front / (length_over_previous ** np.arange(crack["elements"])).sum()
         ),
-        "growth": max(element_length_ratio - 1.0, 1.0 / 3.0),
+        "growth": max(length_over_previous - 1.0, 1.0 / 3.0),
         "length": sum(
             np.linalg.norm(np.diff(curve_points, axis=0), axis=1).sum()
             for curve_points in point_arrays
@@ -484,7 +485,7 @@ def _check_crack_is_inside(
     if (
         not front["curves"]
         or pairwise_triangle_distances(centre, part_triangles).min()
-        < MIN_LIGAMENT_RATIO * shortest_length
+        < MIN_LIGAMENT_IN_ELEMENTS * shortest_length
     ):
         problem = "lies in a face of it" if front["curves"] else "has no front in it"
         raise Refusal(key, f"such that the crack is inside the part: it {problem}")
@@ -494,7 +495,7 @@ def _check_crack_is_inside(
     )
     points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
     ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(initial=np.inf)
-    if ligament < MIN_LIGAMENT_RATIO * shortest_length:
+    if ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
         raise Refusal(key, "farther from the surface: of its front some is"
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
@@ -519,7 +520,7 @@ def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple
         shortest_length = min(front["shortest"], size)
         radial_integral = 0.5 / shortest_length - 1.0 / size + 0.5 * shortest_length / size**2
         front_integral += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * radial_integral
-    return CELLS_PER_VOLUME * relative_volume, CELLS_PER_VOLUME * front_integral
+    return CELLS_PER_CUBED_LENGTH * relative_volume, CELLS_PER_CUBED_LENGTH * front_integral
 
 
 # --- the mesh -------------------------------------------------------------------------------------
@@ -560,30 +561,32 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
         field_module.setNumbers(minimum_field, "FieldsList", graded_fields)
         field_module.setAsBackgroundMesh(minimum_field)
     # Small faces of a part are not resolved, as some meshes would not end.
-    min_size = min([MIN_SIZE_RATIO * size, *(front["shortest"] for front in fronts)])
-    _set_sizes(FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size)
+    min_size = min([MIN_CURVED_LENGTH_TO_SIZE * size, *(front["shortest"] for front in fronts)])
+    _set_size_options(
+        FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size
+    )
     try:
         gmsh.model.mesh.generate(3)
     finally:
-        _set_sizes(FromCurvature=0, Max=1e22, Min=0)  # defaults for the next mesh
+        _set_size_options(FromCurvature=0, Max=1e22, Min=0)  # defaults for the next mesh
 
 
-def _set_sizes(**options: float) -> None:
+def _set_size_options(**options: float) -> None:
     """Set gmsh's options for element lengths."""
     for name, value in options.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", value)
 
 
 def collect_mesh(
-    crack_surfaces: list[int], surfaces_by_name: dict[str, list[int]]
+    crack_surface_tags: list[int], surface_tags_by_name: dict[str, list[int]]
 ) -> dict[str, Any]:
     """Collect gmsh's current mesh with named surfaces and cracks.
 
     Parameters
     ----------
-    crack_surfaces : list of int
+    crack_surface_tags : list of int
         Tags of the cracks.
-    surfaces_by_name : dict of str to list of int
+    surface_tags_by_name : dict of str to list of int
         Tags of the surfaces with a name.
 
     Returns
@@ -593,11 +596,12 @@ def collect_mesh(
         cracks (n, 3).
     """
     group_rows = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
-    group_rows += [(2, name, entities) for name, entities in surfaces_by_name.items()]
+    group_rows += [(2, name, entities) for name, entities in surface_tags_by_name.items()]
     group_rows += [
-        (2, f"crack {crack_number}", [tag]) for crack_number, tag in enumerate(crack_surfaces, 1)
+        (2, f"crack {crack_number}", [tag])
+        for crack_number, tag in enumerate(crack_surface_tags, 1)
     ]
-    crack_centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in crack_surfaces]
+    crack_centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in crack_surface_tags]
     contents = collect_groups(
         [
             (dimension, tag, *name_and_entities)
@@ -653,12 +657,12 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
         Number of cells that change.
     """
     positions, node_numbers = contents["positions"].copy(), contents["numbers"]
-    order_by_number = np.argsort(node_numbers)
+    number_order = np.argsort(node_numbers)
     cell_node_numbers = contents["nodes"][
         : contents["heads"][contents["heads"][:, 0] == 3, 3].sum()
     ]
-    cells = order_by_number[
-        np.searchsorted(node_numbers, cell_node_numbers, sorter=order_by_number)
+    cells = number_order[
+        np.searchsorted(node_numbers, cell_node_numbers, sorter=number_order)
     ].reshape(-1, 10)
     kind = gmsh.model.mesh.getElementType("tetrahedron", 2)
     reference_points = gmsh.model.mesh.getElementProperties(kind)[4]
@@ -680,7 +684,7 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
             )
             must_straighten_cell |= (
                 corner_distances
-                < STRAIGHT_CELL_DISTANCE_RATIO * front["shortest"]
+                < STRAIGHT_CELL_DISTANCE_IN_ELEMENTS * front["shortest"]
                 + front["length"] / N_CURVE_INTERVALS
             )
     edge_centres = positions[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)

@@ -2,10 +2,10 @@
 #ifndef GRADING_H
 #define GRADING_H
 
-/* h = shortest + growth d, d from the nearest of points on a line y = height: x (count). */
+/* h = min_length + length_per_distance d, d from the nearest point (x_positions, y_position). */
 typedef struct {
     int count;
-    double height, min_length, growth;
+    double y_position, min_length, length_per_distance;
     const double *x_positions;
 } grading;
 

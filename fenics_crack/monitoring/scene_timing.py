@@ -20,7 +20,7 @@ from fenics_crack.basics.ranks import MPI, gather_rows
 from fenics_crack.basics.tables import RAD_PER_TURN, format_speed
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.cracks import POSITION_TOLERANCE
+from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import scene_with_full_paths
 from fenics_crack.monitoring.simulate import find_run_up_points, tip_timing
@@ -444,7 +444,7 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
     axis_point, axis = scene.axis
     direction = np.cross(axis, point - axis_point)
     distance_from_axis = float(np.linalg.norm(direction))
-    if distance_from_axis <= POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
+    if distance_from_axis <= RELATIVE_POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
         coordinates = [float(x) for x in point]
         raise InputError(
             "output.points", coordinates, "a blade tip first, off the axis of the rotation"

@@ -24,7 +24,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import gather_rows, on_root
-from fenics_crack.fem.setting import clearance_of, damping_rule_of, force_vector_by_part
+from fenics_crack.fem.setting import clearance_of, damping_rule_of, list_force_harmonic_vectors
 from fenics_crack.files.codec import pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
 from fenics_crack.model.body import DEFAULT_SETTING, Body
@@ -472,7 +472,9 @@ def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
     # Equal loads are not computed: the file of a wave may be gone.
     if load_dependencies(file_scene) == load_dependencies(scene):
         return np.eye(1 + 2 * file_scene.highest_order)
-    return load_weights_from_rows(np.array(force_vector_by_part(file_scene), dtype=float), scene)
+    return load_weights_from_rows(
+        np.array(list_force_harmonic_vectors(file_scene), dtype=float), scene
+    )
 
 
 def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
@@ -493,7 +495,7 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
         The scene's excitation is no linear combination of the file's rows, or changes beside other
         loads.
     """
-    scene_load_rows = np.array(force_vector_by_part(scene), dtype=float)
+    scene_load_rows = np.array(list_force_harmonic_vectors(scene), dtype=float)
     has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
     weights = (
         np.eye(len(scene_load_rows))

@@ -33,8 +33,8 @@ from fenics_crack.basics.tables import (
     format_in_unit,
     frequency_axis,
 )
-from fenics_crack.fem.cracks import POSITION_TOLERANCE
-from fenics_crack.fem.setting import read_load_table_harmonics
+from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE
+from fenics_crack.fem.setting import read_load_coefficients_and_residual
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
@@ -1071,7 +1071,7 @@ SCENE_RULES = (
         0.0,
         "{1} harmonics leave out {0:.2%} of what changes in it (root mean square)",
         lambda _, scene: (
-            read_load_table_harmonics(scene.excitation, scene.dimension)[1],
+            read_load_coefficients_and_residual(scene.excitation, scene.dimension)[1],
             scene.excitation.wave_harmonics,
         ),
     ),
@@ -1094,7 +1094,7 @@ STRUCTURE_RULES = (
     RemarkRule(
         "excitation.point",
         0.0,
-        POSITION_TOLERANCE,
+        RELATIVE_POSITION_TOLERANCE,
         "no node is there: the force acts on the nearest one, at {1}",
         _distance_to_node,
     ),

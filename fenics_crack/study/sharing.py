@@ -93,9 +93,9 @@ def assemble_or_reuse(
             "damping": damping_rule_of(scene.damping),
         }
         if last_entry.dependencies[1] != dependencies[1]:
-            from fenics_crack.fem.build import assemble_load_fields
+            from fenics_crack.fem.build import assemble_body_fields_of_load
 
-            setting_changes |= assemble_load_fields(scene, last_entry.structure)
+            setting_changes |= assemble_body_fields_of_load(scene, last_entry.structure)
         last_entries[:] = [
             SharedStructure(
                 last_entry.structure._in_setting(DEFAULT_SETTING, **setting_changes),

@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.fem.setting import force_vector_by_part
+from fenics_crack.fem.setting import list_force_harmonic_vectors
 from fenics_crack.files.codec import DATASET_ERRORS, pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import program_fingerprint, read_result_file, write_result_file
 from fenics_crack.model.factor import local_rows
@@ -149,7 +149,7 @@ def _gather_datasets(entry: SharedStructure, scene: Scene) -> PreparedStructure:
         mass=SparseRows.gather(local_rows(entry.structure.mass), entry.comm),
         key=dependencies_key(entry.dependencies),
         stiffness=SparseRows.gather(local_rows(entry.structure.stiffness), entry.comm),
-        excitation=np.array(force_vector_by_part(scene), dtype=float),
+        excitation=np.array(list_force_harmonic_vectors(scene), dtype=float),
     )  # fmt: skip
 
 

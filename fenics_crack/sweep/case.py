@@ -25,7 +25,7 @@ from fenics_crack.basics.tables import add_frequency_entries
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
-from fenics_crack.fem.setting import clearance_of, force_vector_by_part
+from fenics_crack.fem.setting import clearance_of, list_force_harmonic_vectors
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, bilinear_frequencies
@@ -507,7 +507,7 @@ def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[s
     The direction follows the largest sine or cosine part, or the mean if both are zero. A force F
     at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
     """
-    force_norms = np.linalg.norm(force_vector_by_part(case), axis=1)
+    force_norms = np.linalg.norm(list_force_harmonic_vectors(case), axis=1)
     row_index = (
         len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if np.any(force_norms[1:]) else 0
     )

@@ -237,7 +237,7 @@ def test_lips_and_boundary_are_found(paper_scene: fc.Scene, cells: str, order: i
     """The boundary's edges are as long as the plate's sides and both lips."""
     structure = fc.build_structure(graded(paper_scene, cells, order))
     mesh = NodalMesh(structure)
-    for edges, length in ((mesh.boundary, 0.5), (mesh.crack_face_sides, 0.1)):
+    for edges, length in ((mesh.boundary_sides, 0.5), (mesh.crack_face_sides, 0.1)):
         assert edges.shape[1] == order + 1
         ends = mesh.points[edges]
         assert np.linalg.norm(ends[:, -1] - ends[:, 0], axis=1).sum() == pytest.approx(length)

@@ -23,7 +23,7 @@ from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.fem.matrix_files import find_pairs_and_gaps
+from fenics_crack.fem.matrix_files import find_gap_matrix_and_pairs
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.matrices import read_matrix
 
@@ -440,7 +440,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     points, dofs = structure.nodes.points, structure.nodes.dofs
     stiffness = csr(structure.stiffness)
     model = Model(np.arange(len(points)), points, {24: structure.nodes.cells})
-    gap, pairs = find_pairs_and_gaps(model, dofs, stiffness, has_rotations=False)
+    gap, pairs = find_gap_matrix_and_pairs(model, dofs, stiffness, has_rotations=False)
     here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, structure.pair_points))
     assert abs(gap[:, here] - structure.gap[:, there]).max() < 1e-12
     assert pairs.areas[here] == pytest.approx(structure.pair_areas[there], rel=1e-12)
@@ -454,7 +454,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
         assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
     node_order = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
     cells = np.argsort(node_order)[structure.nodes.cells]
-    other_pairs = find_pairs_and_gaps(
+    other_pairs = find_gap_matrix_and_pairs(
         Model(model.labels, points[node_order], {24: cells}),
         dofs[node_order],
         stiffness,
@@ -462,7 +462,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     )[1]
     places = [np.lexsort(found.round(9).T) for found in (pairs.points, other_pairs.points)]
     np.testing.assert_array_equal(pairs.cracks[places[0]], other_pairs.cracks[places[1]])
-    nodes, _ = find_pairs_and_gaps(
+    nodes, _ = find_gap_matrix_and_pairs(
         Model(model.labels, points, {}), dofs, stiffness, has_rotations=False
     )
     assert nodes.shape[1] > 2 * gap.shape[1]
@@ -505,7 +505,7 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     dofs = np.arange(6 * n).reshape(-1, 3)
     joined_matrix = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
     model = Model(np.arange(2 * n), points, {kind: cells})
-    gap, pairs = find_pairs_and_gaps(model, dofs, joined_matrix, has_rotations=False)
+    gap, pairs = find_gap_matrix_and_pairs(model, dofs, joined_matrix, has_rotations=False)
     area = 2.0 if kind in (12, 25) else 1.0
     assert pairs.areas is not None and len(pairs.areas) == len(base)
     assert pairs.areas.sum() == pytest.approx(area, rel=1e-13)
@@ -521,7 +521,7 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     order = np.argmin(np.abs(corners_at - (pairs.points @ along_direction)[:, None]), axis=1)
     expected[3] = np.array(means[tuple(ends)])[order]
     assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
-    nodes, _ = find_pairs_and_gaps(
+    nodes, _ = find_gap_matrix_and_pairs(
         Model(np.arange(2 * n), points, {}), dofs, joined_matrix, has_rotations=False
     )
     assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
@@ -680,7 +680,9 @@ def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
         (structure.nodes.points, 0.0), (structure.nodes.dofs, -1)))  # fmt: skip
     model = Model(np.arange(len(points)), points, {})
-    gap, pairs = find_pairs_and_gaps(model, dofs, csr(structure.stiffness), has_rotations=False)
+    gap, pairs = find_gap_matrix_and_pairs(
+        model, dofs, csr(structure.stiffness), has_rotations=False
+    )
     assert pairs.points is not None and pairs.areas is None
     pair_order, structure_order = (
         np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, structure.pair_points)
@@ -693,7 +695,7 @@ def test_cracks_that_cross_are_refused() -> None:
     points = np.array([[0.0, 0.0, 0.0]] * 3 + [[1.0, 0.0, 0.0]])
     dofs = np.arange(12).reshape(-1, 3)
     with pytest.raises(InputError, match="more than two nodes at"):
-        find_pairs_and_gaps(
+        find_gap_matrix_and_pairs(
             Model(np.arange(4), points, {}),
             dofs,
             sparse.identity(12, format="csr"),

@@ -22,7 +22,7 @@ from surroundings import MPI_ENVIRONMENT, ROOT, RunCommand
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.fem.solid_mesher import (
-    STRAIGHT_CELL_DISTANCE_RATIO,
+    STRAIGHT_CELL_DISTANCE_IN_ELEMENTS,
     TETRAHEDRON_EDGES,
     collect_groups,
     straighten_edges,
@@ -377,7 +377,7 @@ def test_cells_near_a_front_are_straight() -> None:
     distances = np.linalg.norm(positions_before[cells[:, :4]] - front["points"][0], axis=2).min(
         axis=1
     )
-    is_near = distances < STRAIGHT_CELL_DISTANCE_RATIO * 0.2
+    is_near = distances < STRAIGHT_CELL_DISTANCE_IN_ELEMENTS * 0.2
     is_curved = np.abs(positions_before[cells[:, 4:]] - centres).max(axis=(1, 2)) > 1e-9
     assert count == np.sum(is_near & is_curved) and 0 < count < np.sum(is_curved)
     assert np.allclose(positions[cells[is_near, 4:]], centres[is_near], atol=1e-12)

@@ -18,11 +18,11 @@ from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure, solve_modes
 from fenics_crack.fem.msh_file import (
-    cells_of_kind,
-    check_boundary,
     check_cells,
-    check_parts,
+    check_parts_are_clamped,
+    check_parts_do_not_overlap,
     load_mesh_into_gmsh,
+    make_cells_of_kind,
 )
 from fenics_crack.fem.plate import build_mesh
 
@@ -275,10 +275,10 @@ def test_text_of_the_documentation(tmp_path: Path) -> None:
 def test_named_points_and_curves(plugin: Callable[..., Path]) -> None:
     """All of them, and curves that share edges too; a clamp may also be part of an outline."""
     mesh = build_mesh(file_plate(plugin("edge")), MPI.COMM_SELF)
-    assert mesh.points == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
-    assert mesh.groups.keys() == {"clamp", "lower_lip", "upper_lip"}
+    assert mesh.position_by_point_name == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
+    assert mesh.tags_by_group.keys() == {"clamp", "lower_lip", "upper_lip"}
     mesh = build_mesh(file_plate(plugin("edge", outline=True)), MPI.COMM_SELF)
-    counts = {name: len(mesh.facets(name)) for name in mesh.groups}
+    counts = {name: len(mesh.facets(name)) for name in mesh.tags_by_group}
     assert counts["outline"] > counts["clamp"] > 0
     assert set(mesh.facets("clamp")) < set(mesh.facets("outline"))
     assert build_structure(file_plate(plugin("edge", outline=True))).n_pairs > 0
@@ -332,11 +332,11 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
     """Check cells (n, k) and places (m, 2), with the edges of curves by their names."""
     lips = [edge for name in ("lower_lip", "upper_lip") for edge in curves.get(name, ())]
     with gmsh_model():
-        typed_cells = cells_of_kind(kind, np.array(cells))
+        typed_cells = make_cells_of_kind(kind, np.array(cells))
         check_cells(kind, typed_cells, places)
         lip_edges = [np.reshape(lips, (-1, 2)).astype(int)]
-        check_parts(typed_cells, places, np.unique(curves["clamp"]), lip_edges)
-        check_boundary(kind, typed_cells, np.array(places), lip_edges)
+        check_parts_are_clamped(typed_cells, places, np.unique(curves["clamp"]), lip_edges)
+        check_parts_do_not_overlap(kind, typed_cells, np.array(places), lip_edges)
 
 
 def refused(words: str, *mesh: Any, **curves: Any) -> np.ndarray:

@@ -68,7 +68,7 @@ def given(scene: fc.Scene, comm: MPI.Comm) -> tuple[list[Any], dict[str, Any], P
     stiffness = t * material.young / (1.0 + nu) * ufl.inner(stress, ufl.sym(ufl.grad(v)))
     mass = t * material.density * ufl.inner(u, v) * ufl.dx
     nodes = dolfinx.fem.locate_dofs_topological(space, d - 1, plate.facets("clamp"))
-    tags = (plate.groups[name][0] for name in ("lower_lip", "upper_lip"))
+    tags = (plate.tags_by_group[name][0] for name in ("lower_lip", "upper_lip"))
     options = {
         "bcs": [dolfinx.fem.dirichletbc(np.zeros(d), nodes, space)],
         "crack": (plate.facet_tags, *tags),
@@ -334,7 +334,7 @@ def test_refused() -> None:
             {"crack": (marks, 9, 8)},
             f"{len(facets)} facets of tag 9, {len(facets)} of them",
         ),
-        ("crack", {"crack": (tags, lower, plate.groups["top"][0])}, "from the lower|meshed"),
+        ("crack", {"crack": (tags, lower, plate.tags_by_group["top"][0])}, "from the lower|meshed"),
         ("thickness", {"thickness": 0.0}, "> 0"),
         ("clearance", {"clearance": [1.0]}, "one finite number"),
     ]

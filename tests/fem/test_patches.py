@@ -129,7 +129,7 @@ def test_pressures_are_drawn_between_middles(scene: Scene) -> None:
     places = fields.mesh.points[shown_cells]
     assert places[:, 1] == pytest.approx(scene.crack.height)  # type: ignore[union-attr]
     assert len(shown_cells) == 2 * 24 if scene.dimension == 2 else len(full_cells) > 2 * 4
-    grid = fields.nodal_pair_forces.sum(axis=0)
+    grid = fields.nodal_force_per_pair_force.sum(axis=0)
     assert grid[:-1] == pytest.approx(2.0) and 1.0 < grid[-1] <= 2.0  # without the tip's part
     values = [np.max(x.get_array()) for x in fc.draw_contact_map(solution).axes[0].collections]
     assert max(values) == pytest.approx(1e-6 * STRESS, rel=1e-4)

@@ -36,8 +36,8 @@ from fenics_crack.fem.cracks import (
     split_cracks,
 )
 from fenics_crack.fem.loads import assemble_loads
-from fenics_crack.fem.matrix_files import find_coincident_nodes
-from fenics_crack.fem.msh_file import cells_of_kind
+from fenics_crack.fem.matrix_files import find_coincident_node_pairs
+from fenics_crack.fem.msh_file import make_cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import multiply
@@ -175,7 +175,7 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     (crack,) = find_crack_surfaces(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
-    assert not len(crack.front_edges) and crack.points_beside((0.5, 1.0, 0.5)) is not None
+    assert not len(crack.front_chords) and crack.points_beside((0.5, 1.0, 0.5)) is not None
 
 
 def test_plates_cells_are_refused() -> None:
@@ -281,7 +281,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         for tag in gmsh.model.getEntitiesForPhysicalGroup(2, crack):
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
-        solid_cells = cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
+        solid_cells = make_cells_of_kind(gmsh.model.mesh.getElements(3)[0][0], cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
         sharing_by_program = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
@@ -559,7 +559,7 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
     full_structure = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
     dofs, twins = (
         cracked_structure.nodes.dofs,
-        find_coincident_nodes(cracked_structure.nodes.points),
+        find_coincident_node_pairs(cracked_structure.nodes.points),
     )
     assert cracked_structure.n_dofs == full_structure.n_dofs + 3 * len(twins)
     kept_dofs = np.arange(cracked_structure.n_dofs)

@@ -76,7 +76,7 @@ def test_lengths_of_a_circle() -> None:
     no_ends = False, False
     front = Front("front", 0, curve(angles), normals, angles, curve, True, no_ends, DEEP)
     count = len(front.station_parameters)
-    assert front.hat_lengths() == pytest.approx(
+    assert front.hat_integrals() == pytest.approx(
         2.0 * np.pi * DEEP / count * np.ones(count), rel=1e-12
     )
 

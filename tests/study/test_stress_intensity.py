@@ -411,11 +411,13 @@ def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
 def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are .8 of the straight piece at the tip wide, and point along it."""
     corners = np.array([[0.0, 0.0], [0.03, 0.0], [0.04, 0.0], [0.07, 0.04], [0.1, 0.08]])
-    monkeypatch.setattr(interaction_integral, "_outer_points", lambda _: np.full((1, 2), 1.0))
+    monkeypatch.setattr(
+        interaction_integral, "_outer_boundary_points", lambda _: np.full((1, 2), 1.0)
+    )
     plate = SimpleNamespace(crack_paths_or_surfaces=[CrackPath(corners, has_mouth=False)])
-    dofs: Any = SimpleNamespace(plate=plate, comm=MPI.COMM_SELF)
+    dofs: Any = SimpleNamespace(part_mesh=plate, comm=MPI.COMM_SELF)
     right, left = interaction_integral.find_tips(dofs)
-    assert (right.radius, left.radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
+    assert (right.domain_radius, left.domain_radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
     assert right.growth_direction == pytest.approx(
         [0.6, 0.8]
     ) and left.growth_direction == pytest.approx([-1.0, 0.0])
