@@ -534,9 +534,9 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     if scene.disk is not None:
-        from fenics_crack.disk.sector import match_sides
+        from fenics_crack.disk.sector import record_matched_side_nodes
 
-        match_sides(scene, dofs)
+        record_matched_side_nodes(scene, dofs)
     stiffness_with_clamped_dofs, mass_with_clamped_dofs = map(
         compat.assembled_petsc_matrix, _matrix_forms(scene, space)
     )
