@@ -5,6 +5,6 @@ from importlib import resources
 VERSION = "0.4.0"
 
 
-def packaged(path: str) -> str:
+def read_packaged_text(path: str) -> str:
     """A text of the package, by its path in it."""
     return resources.files("fenics_crack").joinpath(path).read_text("utf-8")

@@ -56,7 +56,7 @@ from fenics_crack.runs.conclusion import (
 )
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
-from fenics_crack.scene.scene import quantities_on_request
+from fenics_crack.scene.scene import list_requested_extra_quantities
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import observe_quantities
 from fenics_crack.study.plausibility import highest_harmonic_omega
@@ -231,7 +231,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     The result is empty in two dimensions, or if the scene requests none.
     """
     requested_places = [
-        OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(run.scene)
+        OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
     ]
     if run.scene.dimension == 2 or Place.TIPS not in requested_places:
         return {}

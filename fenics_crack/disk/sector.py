@@ -84,7 +84,7 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     """
     from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
-    disk, (center, axis) = scene.given("disk"), scene.axis
+    disk, (center, axis) = scene.given("disk"), scene.axis_point_and_direction
     points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     side_names = RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.plate.groups else ("left", "right")
     for side_name in side_names:
@@ -163,7 +163,8 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
             f"away from the sides of its sector, not at {format_point(points[common_nodes[0]])}"
         )
         raise InputError("lips", "a crack", requirement)
-    center, rotation = scene.axis[0][: points.shape[1]], node_rotations[side_node_pairs[1, 0]]
+    center = scene.axis_point_and_direction[0][: points.shape[1]]
+    rotation = node_rotations[side_node_pairs[1, 0]]
     n_sectors = scene.given("disk").sectors
     return Sector(
         structure,

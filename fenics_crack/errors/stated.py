@@ -528,7 +528,7 @@ class StatedCase(Case):
     @property
     def _relative_dent(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
-        if self.study.scene.points:
+        if self.study.scene.output_points:
             return 0.0
         amplitude = self.wave.amplitude(self.study.watched[0].dof)
         return dent_by_force(self.study.scene) / amplitude

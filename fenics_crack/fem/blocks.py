@@ -420,7 +420,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     """
     unit_scene, unit = scale_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
-    if scene.has_element_lengths:
+    if scene.has_graded_lengths:
         rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
@@ -472,7 +472,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     interval_by_face_block = {
         (i, row): columns[i] for row, crack_columns in slits for i in crack_columns
     }
-    if scene.has_element_lengths:  # only crack faces have a number of elements
+    if scene.has_graded_lengths:  # only crack faces have a number of elements
         columns, rows = (
             [replace(interval, n_elements=0) for interval in intervals]
             for intervals in (columns, rows)
@@ -593,7 +593,7 @@ def _add_physical_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, 
 
 def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
     """Set the cells that fill the surfaces."""
-    if scene.has_element_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
+    if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
         surfaces = []
     for surface in surfaces:
@@ -643,7 +643,7 @@ class DiskRim:
 
     def __init__(self, scene: Scene) -> None:
         """Read the rim from a scene whose disk is meshed here."""
-        self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis[0]
+        self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis_point_and_direction[0]
         self.blade_middle, self.axis_height = (
             float(axis_point[0 if scene.dimension == 2 else 2]),
             float(axis_point[1]),

@@ -653,7 +653,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
     if (known_length := comm.bcast(dict(_LAST_TABLES_AND_LENGTH).get(tables_text))) is not None:
         return float(known_length)
-    target_omega, scene_at_rest = crack.first_omega, scene.at_rest()
+    target_omega, scene_at_rest = crack.first_omega, scene.without_rotation()
 
     @cache
     def excess_frequency(length: float) -> float:

@@ -104,7 +104,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
             # Watch the node farthest from the clamp.
             owned_nodes = np.arange(dofs.n_own_nodes)
-            watched_vector = _watch_node(dofs, owned_nodes, clamp_center, -1, scene.base.direction)
+            watched_vector = _watch_node(
+                dofs, owned_nodes, clamp_center, -1, scene.base.dominant_unit_vector
+            )
         for row_index, acceleration in enumerate(scene.base.accelerations, 1):
             nodal_force_harmonics[row_index] -= _inertia_forces(
                 mass, np.tile(acceleration, dofs.n_own_nodes)

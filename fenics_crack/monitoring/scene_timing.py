@@ -405,11 +405,11 @@ def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
     timing_table = scene.given("tip_timing")
     rotation = _find_tip_rotation(timing_table, scene)
     if rotation is None:
-        return [*scene.point_names, ""][0], (timing_table.tangential or 1.0) < 0.0
-    if not scene.points:
+        return [*scene.label_by_point_name, ""][0], (timing_table.tangential or 1.0) < 0.0
+    if not scene.output_points:
         requirement_text = "given with arrivals of a solid blade: its tip first"
         raise InputError("output.points", None, requirement_text)
-    tip_point = scene.points[0]
+    tip_point = scene.output_points[0]
     direction = _find_circumferential_direction(scene, np.array(tip_point.values))
     axis_index = int(np.abs(direction).argmax())
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
@@ -441,7 +441,7 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
     InputError
         The point lies on the axis.
     """
-    axis_point, axis = scene.axis
+    axis_point, axis = scene.axis_point_and_direction
     direction = np.cross(axis, point - axis_point)
     distance_from_axis = float(np.linalg.norm(direction))
     if distance_from_axis <= POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):

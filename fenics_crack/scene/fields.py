@@ -56,14 +56,14 @@ class Axis:
         return f"{_value_as_toml(self.key)} = {_value_as_toml(self.values)}"
 
 
-class Point(Axis):
+class NamedPoint(Axis):
     """Named point.
 
     ``key`` is the name, ``values`` are x, y and, in a solid, z [m].
     """
 
 
-class Face(Axis):
+class FacePoints(Axis):
     """Named face of a part.
 
     ``key`` is the name, ``values`` are points (x, y, z) on the face [m].
@@ -307,12 +307,12 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
     "float | tuple[float, ...]": _read_number_or_numbers,
     "int | str": lambda value: value if value == "all" else _read_int(value),
     "tuple[Axis, ...]": _make_axes_reader(Axis, _read_axis_values),
-    "tuple[Face, ...]": _make_axes_reader(
-        Face,
+    "tuple[FacePoints, ...]": _make_axes_reader(
+        FacePoints,
         lambda _, given: tuple(map(_read_space_vector, _require_instance(list | tuple, given))),
     ),
     "tuple[MeshFile, ...]": _make_axes_reader(MeshFile, _read_mesh_parameters),
-    "tuple[Point, ...]": _make_axes_reader(Point, lambda _, given: _read_vector(given)),
+    "tuple[NamedPoint, ...]": _make_axes_reader(NamedPoint, lambda _, given: _read_vector(given)),
     "tuple[Harmonic, ...]": _read_harmonics,
     "tuple[float, ...]": _read_floats,
     "tuple[int, ...]": _read_distinct_ints,
@@ -325,9 +325,9 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
 
 _MAPPING_TYPE_NAMES = (
     "tuple[Axis, ...]",
-    "tuple[Face, ...]",
+    "tuple[FacePoints, ...]",
     "tuple[MeshFile, ...]",
-    "tuple[Point, ...]",
+    "tuple[NamedPoint, ...]",
 )
 _JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
 """JSON types by Python types; all other types are arrays."""
@@ -495,7 +495,7 @@ def _value_as_toml(value: object) -> str:
 
 
 @contextmanager
-def table_name_in_errors(table_name: str) -> Iterator[None]:
+def use_table_name_in_errors(table_name: str) -> Iterator[None]:
     """Use a table's name in the file for errors: "cracks.1" for a Crack."""
     try:
         yield
@@ -566,12 +566,14 @@ class Table:
         except (TypeError, OverflowError):
             is_accepted = False
         if not is_accepted:
-            requirement = key_field.metadata["allowed"] + cls._suggest_value(key, value)
+            requirement = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
+                key, value
+            )
             raise InputError(cls.full_key(key), value, requirement)
         return field_value
 
     @classmethod
-    def _suggest_value(cls, key: str, value: object) -> str:
+    def _make_value_suggestion_text(cls, key: str, value: object) -> str:
         """Return a text that suggests an allowed value; empty without a suggestion."""
         key_field = cls.field_by_key()[key]
         suggestions: list[Any] = []
@@ -656,7 +658,7 @@ class Table:
         return f"{table_name}.{key}" if key else table_name
 
     @classmethod
-    def suggested_key(cls, key: str) -> str:
+    def full_key_to_suggest(cls, key: str) -> str:
         """Return a key as errors suggest it.
 
         For a list of tables it is the first table's key.
@@ -711,7 +713,7 @@ class Table:
             *(table_class for table_class in Table.__subclasses__() if table_class is not cls),
         ]
         own_suggestions = [
-            cls.suggested_key(known_key)
+            cls.full_key_to_suggest(known_key)
             for known_key in find_similar_names(key, cls.field_by_key())
         ]
         if suggestions := own_suggestions or find_full_keys(key, table_classes):
@@ -722,7 +724,7 @@ class Table:
             for known_key in table_class.field_by_key()
         }
         return [
-            table_class_by_key[known_key].suggested_key(known_key)
+            table_class_by_key[known_key].full_key_to_suggest(known_key)
             for known_key in find_similar_names(key, table_class_by_key, 0.8)
         ]
 
@@ -787,4 +789,4 @@ def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
         table_class for table_class in table_classes if key in table_class.field_by_key()
     ]
     classes_with_key.sort(key=lambda table_class: table_class.field_by_key()[key].default == ())
-    return [table_class.suggested_key(key) for table_class in classes_with_key]
+    return [table_class.full_key_to_suggest(key) for table_class in classes_with_key]

@@ -35,11 +35,11 @@ from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import (
     Axis,
-    Point,
+    NamedPoint,
     Table,
     describe_components,
     find_full_keys,
-    table_name_in_errors,
+    use_table_name_in_errors,
 )
 
 MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
@@ -126,10 +126,10 @@ class Scene:
         harmonic_balance.require(
             harmonic_balance.form == "condensed" or not contact_has_friction, "form", requirement
         )
-        if self.curve is not None and self.curve.continuation_range[0] == "speed":
+        if self.curve is not None and self.curve.parameter_and_range[0] == "speed":
             requirement = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", requirement)
-        if self.curve is not None and self.curve.continuation_range[0] == "load":
+        if self.curve is not None and self.curve.parameter_and_range[0] == "load":
             requirement = "another one with a rotation.speed > 0: "
             requirement += (
                 "the mean load is partly centrifugal; or curve.at = 'resonance', where it stays"
@@ -271,7 +271,7 @@ class Scene:
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
-    def has_element_lengths(self) -> bool:
+    def has_graded_lengths(self) -> bool:
         """True if distances to crack tips and corners set the element lengths.
 
         This holds for a solid and for a graded sector.
@@ -282,12 +282,12 @@ class Scene:
     def has_friction(self) -> bool:
         """True if crack faces have friction, at least in one case of the sweep."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
-        return contact_has_friction or any(self.swept.get("contact.friction", ()))
+        return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
     @property
     def highest_order(self) -> int:
         """Highest multiple of the excitation frequency in any load."""
-        periodic_loads: list[kinds.Periodic | None] = [self.excitation, *self.loads, self.base]
+        periodic_loads: list[kinds.PeriodicLoad | None] = [self.excitation, *self.loads, self.base]
         return max(
             periodic_load.highest_order
             for periodic_load in periodic_loads
@@ -315,17 +315,17 @@ class Scene:
         """Rotor speed [rad/s]; 0 without a rotor."""
         return 0.0 if self.rotation is None else self.rotation.speed
 
-    def _uses_key(self, full_key: str) -> bool:
+    def _is_key_given_or_varied(self, full_key: str) -> bool:
         """Return True if a key is given, followed by a curve, or swept."""
         table_name, key_in_table = full_key.split(".")
         is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
         is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
-        return is_given or is_curve_parameter or full_key in self.swept
+        return is_given or is_curve_parameter or full_key in self.swept_values_by_key
 
     @property
     def in_rpm(self) -> bool:
         """True if the rotor speed is given or swept in revolutions per minute."""
-        return self._uses_key("rotation.rpm")
+        return self._is_key_given_or_varied("rotation.rpm")
 
     @property
     def in_hertz(self) -> bool:
@@ -334,7 +334,7 @@ class Scene:
         The frequency is given, followed or swept in Hz, or follows from an order and rpm.
         """
         has_order_and_rpm = self.excitation.order is not None and self.in_rpm
-        return has_order_and_rpm or self._uses_key("excitation.frequency")
+        return has_order_and_rpm or self._is_key_given_or_varied("excitation.frequency")
 
     @property
     def quantities(self) -> tuple[str, ...] | None:
@@ -342,20 +342,20 @@ class Scene:
         return None if self.output is None else self.output.quantities
 
     @property
-    def points(self) -> tuple[Point, ...]:
+    def output_points(self) -> tuple[NamedPoint, ...]:
         """Points in ``[output.points]``."""
         return () if self.output is None else self.output.points
 
     @property
-    def point_names(self) -> dict[str, str]:
+    def label_by_point_name(self) -> dict[str, str]:
         """Labels by point and direction: "tip.ux", "tip.uy"."""
         return {
             f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
-            for point in self.points
+            for point in self.output_points
             for axis_letter in "xyz"[: self.dimension]
         }
 
-    def at_rest(self) -> Scene:
+    def without_rotation(self) -> Scene:
         """Return the scene without rotation, with the same load frequency."""
         value_by_changed_key: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
         if self.excitation.order is not None:
@@ -365,7 +365,7 @@ class Scene:
         return self.replace(value_by_changed_key)
 
     @property
-    def swept(self) -> dict[str, tuple[Any, ...]]:
+    def swept_values_by_key(self) -> dict[str, tuple[Any, ...]]:
         """Values by key of the sweep."""
         return {} if self.sweep is None else {axis.key: axis.values for axis in self.sweep.over}
 
@@ -375,7 +375,7 @@ class Scene:
 
         If the sweep does not change the frequency, the excitation's frequency alone.
         """
-        swept_values_by_key = self.swept
+        swept_values_by_key = self.swept_values_by_key
         if "excitation.frequency" in swept_values_by_key:
             return tuple(
                 RAD_PER_TURN * frequency
@@ -391,7 +391,7 @@ class Scene:
         return tuple(order * speed for order in orders for speed in speeds)
 
     @property
-    def axis(self) -> tuple[np.ndarray, np.ndarray]:
+    def axis_point_and_direction(self) -> tuple[np.ndarray, np.ndarray]:
         """Point on the rotor axis [m] and unit direction, (3,) each."""
         if self.disk is None:
             assert self.rotation is not None
@@ -523,7 +523,7 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
     )
 
 
-def quantities_on_request(scene: Scene) -> tuple[str, ...]:
+def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     """Return the ``output.quantities`` at places that are computed only on request."""
     return tuple(
         quantity_name
@@ -547,7 +547,7 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
         for key_and_path in _path_by_key(scene).items()
         if not key_and_path[0].startswith(RESULT_TABLE_NAMES)
     ]
-    for key, axis_values in scene.swept.items():
+    for key, axis_values in scene.swept_values_by_key.items():
         if key in _PATH_KEYS:
             keys_and_paths += [(key, path) for path in axis_values if isinstance(path, str)]
     return keys_and_paths
@@ -716,12 +716,12 @@ def _set_vector_dimension(scene: Scene) -> None:
         if table_name in _LIST_TABLE_NAMES:
             converted_tables: Any = []
             for list_position, table in enumerate(tables, 1):
-                with table_name_in_errors(f"{table_name}.{list_position}"):
+                with use_table_name_in_errors(f"{table_name}.{list_position}"):
                     converted_tables.append(table.with_dimension(dimension))
             object.__setattr__(scene, table_name, tuple(converted_tables))
         elif tables is not None:
             object.__setattr__(scene, table_name, tables.with_dimension(dimension))
-    for point in scene.points:
+    for point in scene.output_points:
         if len(point.values) != dimension:
             raise InputError(
                 f"output.points.{point.key}", point.values, describe_components("", dimension)
@@ -734,7 +734,7 @@ def _check_dimension(scene: Scene) -> None:
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.forbid_keys(("axis", "center"), "a plate: its axis is parallel to x")
     for crack_name, crack in scene.all_cracks.items() if dimension == 2 else ():
-        with table_name_in_errors(crack_name):
+        with use_table_name_in_errors(crack_name):
             crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
     _set_vector_dimension(scene)
     mesh = scene.mesh
@@ -764,9 +764,9 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
         scene.excitation.given("omega", requirement)
     if scene.curve is not None:
         requirement = "another one with [disk]: the load's frequency, for example"
-        scene.curve.require(scene.curve.continuation_range[0] != "speed", "parameter", requirement)
+        scene.curve.require(scene.curve.parameter_and_range[0] != "speed", "parameter", requirement)
     for crack_name, crack in scene.all_cracks.items():
-        with table_name_in_errors(crack_name):
+        with use_table_name_in_errors(crack_name):
             crack.forbid_keys(("first_omega", "first_frequency"), "[disk]")
     radius_keys = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
@@ -816,7 +816,7 @@ def _check_plate(scene: Scene) -> None:
             0.0 <= coordinate <= side
             for coordinate, side in zip(load.point or (), sides, strict=False)
         ]
-        with table_name_in_errors(load_name):
+        with use_table_name_in_errors(load_name):
             ranges_text = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(is_on_side), "point", f"on the {geometry.kind}: [{ranges_text}]")
     if scene.all_cracks:
@@ -837,7 +837,7 @@ def _check_part(scene: Scene) -> None:
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
     for crack_name, crack in scene.all_cracks.items():
-        with table_name_in_errors(crack_name):
+        with use_table_name_in_errors(crack_name):
             crack.given("point", "given with geometry.file: [x, y, z]")
             crack.check_plane_keys()
 
@@ -847,7 +847,7 @@ def _check_file(scene: Scene) -> None:
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
     for crack_name, crack in scene.all_cracks.items():
-        with table_name_in_errors(crack_name):
+        with use_table_name_in_errors(crack_name):
             crack.forbid_keys(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
 
 
@@ -863,7 +863,7 @@ def _check_cracks(scene: Scene) -> None:
     """Raise InputError if a plate cannot have a crack at its position."""
     cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
     for crack_name, crack in cracks.items():
-        with table_name_in_errors(crack_name):
+        with use_table_name_in_errors(crack_name):
             if crack.point is not None:
                 crack.check_plane_keys()
                 continue
@@ -1016,7 +1016,7 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
                 other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
                 requirement = f"without {other_twin_key}: one of them"
                 raise InputError(axes_key, axis.key, requirement)
-        with table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
+        with use_table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
             axis_values = tuple(
                 _TABLE_CLASS_BY_NAME[table_name].convert_value(key_in_table, axis_value)
                 for axis_value in axis.values
@@ -1063,7 +1063,7 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
         raise InputError(table_name, raw_tables, f"a list of tables: [[{table_name}]]")
     tables = []
     for list_position, raw_table in enumerate(raw_tables, 1):
-        with table_name_in_errors(f"{table_name}.{list_position}"):
+        with use_table_name_in_errors(f"{table_name}.{list_position}"):
             tables.append(
                 raw_table
                 if isinstance(raw_table, table_class)
@@ -1161,7 +1161,7 @@ def _merge_list_changes(
         requirement = f"one of the {len(tables)} [[{table_name}]], or of the next one"
         raise InputError(first_changed_key, next(iter(changes.values())), requirement)
     current_table = tables[list_position - 1] if list_position <= len(tables) else None
-    with table_name_in_errors(f"{table_name}.{list_position}"):
+    with use_table_name_in_errors(f"{table_name}.{list_position}"):
         return (
             *tables[: list_position - 1],
             _merge_table_changes(table_name, current_table, changes),
@@ -1176,7 +1176,7 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
         return _TABLE_CLASS_BY_NAME[table_name].suggest_keys(key_in_table) if key_in_table else []
     if key_in_table:
         all_keys = {
-            table_class.suggested_key(key_in_table)
+            table_class.full_key_to_suggest(key_in_table)
             for table_class in _TABLE_CLASS_BY_NAME.values()
             for key_in_table in table_class.field_by_key()
         }

@@ -24,11 +24,11 @@ from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.scene.fields import (
     ZERO_OR_MAGNITUDE_TEXT,
     Axis,
-    Face,
+    FacePoints,
     Harmonic,
     MeshFile,
+    NamedPoint,
     Pair,
-    Point,
     Table,
     Vector,
     bounded_field,
@@ -81,7 +81,7 @@ class Geometry(Table):
     """CAD file with a part without a crack, one solid, for meshing."""
     unit: str | None = choice_field("mm", "m", "inch", default=None)
     """Length unit of a .brep file, which does not state the unit."""
-    faces: tuple[Face, ...] = value_field(
+    faces: tuple[FacePoints, ...] = value_field(
         "names with lists of points [x, y, z] in m, one on each face, "
         f"at most {MAX_ALLOWED_FACE_POINTS}",
         lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
@@ -330,7 +330,7 @@ class Damping(Table):
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
 
 
-class Periodic:
+class PeriodicLoad:
     """Load with further harmonics and, for an excitation, a table of one period, "wave"."""
 
     harmonics: tuple[Harmonic, ...]
@@ -345,7 +345,7 @@ class Periodic:
 
 
 @dataclass(frozen=True)
-class Excitation(Table, Periodic):
+class Excitation(Table, PeriodicLoad):
     """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t).
 
     ``[[excitation.harmonics]]`` adds further orders k, cos cos(k omega t) + sin sin(k omega t).
@@ -430,7 +430,7 @@ def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...
 
 
 @dataclass(frozen=True)
-class Load(Table, Periodic):
+class Load(Table, PeriodicLoad):
     """Further load: a force at a point, or a pressure or traction on an edge.
 
     q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase), at the excitation's
@@ -541,7 +541,7 @@ class Load(Table, Periodic):
 
 
 @dataclass(frozen=True)
-class Base(Table, Periodic):
+class Base(Table, PeriodicLoad):
     """Clamp that moves as a whole, as on a shaker.
 
     The acceleration is given, at the excitation's frequency. Displacements are relative to the
@@ -577,7 +577,7 @@ class Base(Table, Periodic):
         return harmonic_vectors[1:]
 
     @property
-    def direction(self) -> Vector:
+    def dominant_unit_vector(self) -> Vector:
         """Unit vector along the axis with the largest acceleration."""
         max_components = np.abs(self.accelerations).max(axis=0)
         return tuple(np.eye(len(max_components))[int(np.argmax(max_components))].tolist())
@@ -1030,7 +1030,7 @@ class Curve(Table):
                 self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
 
     @property
-    def continuation_range(self) -> tuple[str, float, float]:
+    def parameter_and_range(self) -> tuple[str, float, float]:
         """Parameter in the equations, start and stop.
 
         "omega" and "speed" are in rad/s, also if Hz or revolutions per minute are given. At
@@ -1428,7 +1428,7 @@ class Identify(Table):
         return tuple(mesh.key for mesh in ordered_meshes)
 
     @property
-    def priors(self) -> dict[str, Any]:
+    def inference_setting_by_key(self) -> dict[str, Any]:
         """Values of all keys that do not define the forward model, by key."""
         forward_model_keys = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
         return {
@@ -1539,7 +1539,7 @@ class Output(Table):
         None,
     )
     """Quantities for print and pictures; files have all. Default: a few."""
-    points: tuple[Point, ...] = value_field(
+    points: tuple[NamedPoint, ...] = value_field(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
         f"finite numbers; {MAX_ALLOWED_POINTS} of them at most",
         lambda points: (

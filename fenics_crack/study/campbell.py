@@ -436,7 +436,7 @@ def campbell(
         requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
         raise InputError("disk", "a table", requirement)
     scene.given("rotation")
-    _, axis = scene.axis
+    _, axis = scene.axis_point_and_direction
     check_count("count", few if count is None else count, 1)
     speed_array = np.atleast_1d(numbers(speeds))
     is_rising = (

@@ -458,10 +458,10 @@ def load_frequency_range(scene: Scene, command: str) -> tuple[float, float]:
     """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
     curve = scene.curve if command == "curve" else None
-    if curve is not None and curve.continuation_range[0] == "omega":
-        omegas = [*curve.continuation_range[1:]]
-    elif curve is not None and curve.continuation_range[0] == "speed":
-        omegas = [(scene.excitation.order or 1) * speed for speed in curve.continuation_range[1:]]
+    if curve is not None and curve.parameter_and_range[0] == "omega":
+        omegas = [*curve.parameter_and_range[1:]]
+    elif curve is not None and curve.parameter_and_range[0] == "speed":
+        omegas = [(scene.excitation.order or 1) * speed for speed in curve.parameter_and_range[1:]]
     if command == "sweep":
         omegas = [*scene.swept_omegas]
     return min(omegas), max(omegas)
@@ -479,7 +479,9 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
         )
     harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
-        harmonic_counts = [*scene.swept.get("harmonic_balance.harmonics", harmonic_counts)]
+        harmonic_counts = [
+            *scene.swept_values_by_key.get("harmonic_balance.harmonics", harmonic_counts)
+        ]
     return load_frequency_range(scene, command)[1] * max(harmonic_counts)
 
 
@@ -532,8 +534,8 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         start, stop = start - 3.0 * resonance.width, stop + 3.0 * resonance.width
     if (
         scene_curve is not None
-        and min(scene_curve.continuation_range[1:]) <= highest_resonance
-        and max(scene_curve.continuation_range[1:]) >= lowest_resonance
+        and min(scene_curve.parameter_and_range[1:]) <= highest_resonance
+        and max(scene_curve.parameter_and_range[1:]) >= lowest_resonance
     ):
         return None
     if not 0.0 < start < stop < math.inf:
@@ -780,7 +782,9 @@ def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None
         return None
     if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
         return None
-    point, axis = (vector[: structure.nodes.points.shape[1]] for vector in scene.axis)
+    point, axis = (
+        vector[: structure.nodes.points.shape[1]] for vector in scene.axis_point_and_direction
+    )
     offsets = gather_rows(structure.comm, structure.nodes.points) - point
     radial_offsets = offsets - np.outer(offsets @ axis, axis)
     return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
@@ -813,7 +817,7 @@ def _clamp_bending_stress(
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
         return None
-    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
+    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis_point_and_direction
     sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
     normal_axis, free_dofs = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
     axis_offset = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
@@ -836,7 +840,7 @@ def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | No
     """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
-    angular_velocity = structure.rotation.speed * scene.axis[1]
+    angular_velocity = structure.rotation.speed * scene.axis_point_and_direction[1]
     modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
     return float(np.abs(coriolis_shifts(modes, angular_velocity)).max())
 
@@ -909,7 +913,7 @@ def _missed_first_frequency(
     find_crossing_parameters = np.vectorize(
         partial(_crossing_parameter, scene, curve.parameter, slope=figures.speed_slopes[0])
     )
-    curve_start, curve_end = sorted(curve.continuation_range[1:])
+    curve_start, curve_end = sorted(curve.parameter_and_range[1:])
     natural_omegas = figures.omega_open, figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (

@@ -169,11 +169,11 @@ def _find_watched_displacements(
     InputError
         A point is not near a node of its own, or the structure has no nodes.
     """
-    if not scene.points:
+    if not scene.output_points:
         dof = structure.watched_dof
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
     displacements, sector = [], structure.sector_structure  # the points belong to a blade
-    for point in scene.points:
+    for point in scene.output_points:
         point_key = f"output.points.{point.key}"
         if sector.nodes is None:
             raise InputError(point_key, point.values, "left out: the structure has no positions")
@@ -182,7 +182,7 @@ def _find_watched_displacements(
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
                 name = f"{point.key}.u{axis}"
-                words, watched_sector = scene.point_names[name], structure.watched_sector
+                words, watched_sector = scene.label_by_point_name[name], structure.watched_sector
                 global_dof = structure.dof_of(watched_sector + 1, int(dof))
                 displacements.append(WatchedDisplacement(name, words, global_dof, distance))
     return tuple(displacements)

@@ -70,7 +70,7 @@ class Plan:
     """
 
     def __init__(self, scene: Scene) -> None:
-        sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
+        sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept_values_by_key
         self._scene_without_sweep = scene.replace({"sweep": None})
         self._gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape

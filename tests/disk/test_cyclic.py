@@ -62,8 +62,8 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     plane = whole_scene(scene, tmp_path / "whole.msh")
     rotor_scene = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
     center = np.append(wheel.sector.center, 0.0)
-    axis = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
-    monkeypatch.setattr(Scene, "axis", axis)
+    axis_point_and_direction = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
+    monkeypatch.setattr(Scene, "axis_point_and_direction", axis_point_and_direction)
     whole_structure = fc.build_structure(rotor_scene)
     sector_omega_at_rest = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
     sector_omega = of_wheel(wheel.cyclic_modes(6))[:12]

@@ -42,7 +42,7 @@ def test_an_order_gives_the_frequency() -> None:
         assert other_excitation.order is None and getattr(other_excitation, key) == 50.0
     fixed_scene = Scene.from_mapping(changed(ROTATING))
     assert fixed_scene.replace({"excitation.order": 3}).excitation == scene.excitation
-    rest = scene.at_rest()
+    rest = scene.without_rotation()
     assert rest.speed == 0.0 and rest.excitation.omega == scene.excitation.omega
 
 

@@ -653,7 +653,9 @@ def _refine_axis_at_resonance(
     None if no crack between vibrates much more than the solved ones, if that does not matter, or if
     the cases would be too many.
     """
-    models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
+    models_loads_points = itertools.product(
+        models, load_frequencies, scene.label_by_point_name or ("",)
+    )
     vibration_cases = (
         []
         if has_load_independent_shape(scene)

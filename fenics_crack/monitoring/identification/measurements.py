@@ -226,7 +226,7 @@ class Measurement:
                 "left out unless the load is an engine order (excitation.order) of [rotation]"
             )
             raise InputError("measurements.rpm", self.rpm, allowed_text)
-        point_names = scene.point_names
+        point_names = scene.label_by_point_name
         if self.point and self.point not in point_names:
             allowed_text = (
                 f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}"
