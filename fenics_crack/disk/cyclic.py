@@ -678,9 +678,9 @@ def make_cyclic_basis(
             side_forces = left_forces + np.conj(diameter_solver.phase_factor) * right_forces
             side_motion_wave = diameter_solver.side_stiffness_inverse @ side_forces
             results_by_diameter[diameter] = *omega_shapes_and_bond_forces, side_motion_wave
-        all_results = _gather_results_by_diameter(results_by_diameter, comm).values()
+        results_of_diameters = _gather_results_by_diameter(results_by_diameter, comm).values()
         omega_arrays, shape_matrices, bond_forces, side_motion_waves = zip(
-            *all_results, strict=True
+            *results_of_diameters, strict=True
         )
         side_motions = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
         relieved_stiffness += left_forces.T @ side_motions[0] + right_forces.T @ side_motions[1]

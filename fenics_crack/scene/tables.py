@@ -111,8 +111,8 @@ class Geometry(Table):
     @property
     def sides(self) -> Vector:
         """Width, height and, for a solid, thickness [m], if given."""
-        sides = (self.width, self.height, self.thickness)[: self.dimension]
-        return tuple(side for side in sides if side is not None)
+        side_lengths = (self.width, self.height, self.thickness)[: self.dimension]
+        return tuple(side_length for side_length in side_lengths if side_length is not None)
 
     @property
     def circumferential_width(self) -> float:
@@ -579,8 +579,8 @@ class Base(Table, PeriodicLoad):
     @property
     def dominant_unit_vector(self) -> Vector:
         """Unit vector along the axis with the largest acceleration."""
-        max_components = np.abs(self.accelerations).max(axis=0)
-        return tuple(np.eye(len(max_components))[int(np.argmax(max_components))].tolist())
+        component_sizes = np.abs(self.accelerations).max(axis=0)
+        return tuple(np.eye(len(component_sizes))[int(np.argmax(component_sizes))].tolist())
 
 
 @dataclass(frozen=True)
@@ -1020,8 +1020,8 @@ class Curve(Table):
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
         if self.at is not None:
             self.require(self.parameter == "load", "at", "left out, or curve.parameter = 'load'")
-        positive_parameters = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
-        if self.parameter in positive_parameters or self.at is not None:
+        names_of_positive_parameters = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
+        if self.parameter in names_of_positive_parameters or self.at is not None:
             # Rounding would take a smaller end to 0.
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
@@ -1349,9 +1349,11 @@ class Identify(Table):
             raise InputError("identify.unknown", None, requirement)
         self._check_meshes()
         for axis in self.unknown:
-            is_word = [isinstance(value, str) for value in axis.values]
-            has_enough_numbers = not any(is_word) and len(axis.values) >= MIN_ALLOWED_UNKNOWN_VALUES
-            if not (all(is_word) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
+            word_flags = [isinstance(value, str) for value in axis.values]
+            has_enough_numbers = (
+                not any(word_flags) and len(axis.values) >= MIN_ALLOWED_UNKNOWN_VALUES
+            )
+            if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
                 requirement = (
                     f"words, or {MIN_ALLOWED_UNKNOWN_VALUES} or more numbers in ascending order"
                 )
@@ -1365,9 +1367,9 @@ class Identify(Table):
             if key_field.metadata["unit"] == "m"
         ]
         allowed_names = {*map(Crack.full_key, length_keys)} - {axis.key for axis in self.unknown}
-        for mesh in self.meshes:
-            error_key = f'identify.meshes."{mesh.key}"'
-            parameter_names = [parameter_name for parameter_name, _ in mesh.values]
+        for mesh_file in self.meshes:
+            error_key = f'identify.meshes."{mesh_file.key}"'
+            parameter_names = [parameter_name for parameter_name, _ in mesh_file.values]
             if not parameter_names or set(parameter_names) != {
                 parameter_name for parameter_name, _ in self.meshes[0].values
             }:
@@ -1384,12 +1386,12 @@ class Identify(Table):
                 requirement = f"{MIN_ALLOWED_UNKNOWN_VALUES} or more different ones"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
         n_meshes_by_values = Counter(
-            tuple(dict(mesh.values)[axis.key] for axis in axes) for mesh in self.meshes
+            tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
         )
         value_combinations = itertools.product(*(axis.values for axis in axes))
-        for combination in value_combinations if n_meshes_by_values else ():
-            if (n_meshes := n_meshes_by_values[combination]) != 1:
-                axes_and_values = zip(axes, combination, strict=True)
+        for value_combination in value_combinations if n_meshes_by_values else ():
+            if (n_meshes := n_meshes_by_values[value_combination]) != 1:
+                axes_and_values = zip(axes, value_combination, strict=True)
                 combination_text = ", ".join(
                     f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
                 )
@@ -1407,7 +1409,7 @@ class Identify(Table):
             [parameter_name for parameter_name, _ in self.meshes[0].values] if self.meshes else []
         )
         values_by_name = {
-            parameter_name: {dict(mesh.values)[parameter_name] for mesh in self.meshes}
+            parameter_name: {dict(mesh_file.values)[parameter_name] for mesh_file in self.meshes}
             for parameter_name in parameter_names
         }
         return tuple(
@@ -1419,13 +1421,13 @@ class Identify(Table):
     def mesh_files(self) -> tuple[str, ...]:
         """Mesh files ordered by their numbers, the last name fastest."""
         parameter_names = [axis.key for axis in self.mesh_axes]
-        ordered_meshes = sorted(
+        ordered_mesh_files = sorted(
             self.meshes,
-            key=lambda mesh: [
-                dict(mesh.values)[parameter_name] for parameter_name in parameter_names
+            key=lambda mesh_file: [
+                dict(mesh_file.values)[parameter_name] for parameter_name in parameter_names
             ],
         )
-        return tuple(mesh.key for mesh in ordered_meshes)
+        return tuple(mesh_file.key for mesh_file in ordered_mesh_files)
 
     @property
     def inference_setting_by_key(self) -> dict[str, Any]:
