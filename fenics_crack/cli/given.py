@@ -239,7 +239,7 @@ def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
     if arguments.command != "campbell":
         return None
     scene.given("rotation")
-    unit_factor = RAD_PER_S_PER_RPM if scene.in_rpm else 1.0
+    unit_factor = RAD_PER_S_PER_RPM if scene.is_speed_in_rpm else 1.0
     first_speed, last_speed, n_speeds = arguments.speeds or (
         0.0,
         1.5 * scene.speed / unit_factor,

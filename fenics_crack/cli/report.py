@@ -208,7 +208,7 @@ def _draw_curves(
         line_options = {
             "label": curve_label,
             "colour": line_colour,
-            "in_hertz": curve_run.scene.in_hertz,
+            "in_hertz": curve_run.scene.is_frequency_in_hertz,
         }
         plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
     picture.save_with_title()

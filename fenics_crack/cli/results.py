@@ -621,7 +621,7 @@ def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
     """Return parameter values with unit: "50.1 and 50.3 Hz"."""
     return format_in_unit(
-        parameter_axis(run.result.parameter, run.scene.in_hertz), *parameter_values
+        parameter_axis(run.result.parameter, run.scene.is_frequency_in_hertz), *parameter_values
     )
 
 

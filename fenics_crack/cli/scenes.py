@@ -259,7 +259,7 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
 
 def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
-    cracks_by_name = study.scene.all_cracks
+    cracks_by_name = study.scene.crack_by_name
     contact_law = study.contact
     contact_table = study.scene.contact
     values_by_label: dict[str, object] = {}

@@ -503,7 +503,7 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     family_omega = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]
     is_below_family = omegas_of_diameters < family_omega * (1.0 - 1e-9)
     n_modes_below_family = round(
-        n_sectors * float(wheel.sector.diameter_shares @ is_below_family.sum(axis=1))
+        n_sectors * float(wheel.sector.load_shares_of_diameters @ is_below_family.sum(axis=1))
     )
     # The range has all N modes of the excited family, and as many around them.
     mode_range = slice(

@@ -165,14 +165,16 @@ class Sector:
         return SectorNumbering(nodes.dofs, self.side_nodes, self.crack_face_nodes)
 
     @property
-    def nodal_diameters(self) -> range:
+    def nodal_diameter_range(self) -> range:
         """The nodal diameters 0 .. N/2."""
         return range(self.n_sectors // 2 + 1)
 
     @property
-    def diameter_shares(self) -> np.ndarray:
+    def load_shares_of_diameters(self) -> np.ndarray:
         """Share of each nodal diameter and its conjugate in a load on sector 0: (N/2 + 1,)."""
-        multiplicities = [1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameters]
+        multiplicities = [
+            1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameter_range
+        ]
         return np.array(multiplicities) / self.n_sectors
 
     def has_single_wave(self, diameter: int) -> bool:
@@ -529,7 +531,9 @@ class CyclicBasis:
                 ..., None
             ]
             complex_motion = (
-                np.exp(1j * wave_angle) * np.sqrt(sector.diameter_shares[diameter]) * shapes[rows]
+                np.exp(1j * wave_angle)
+                * np.sqrt(sector.load_shares_of_diameters[diameter])
+                * shapes[rows]
             )
             motion_blocks += (
                 [complex_motion.real]
@@ -604,7 +608,7 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicM
     """
     families, modes_by_diameter = min(families, len(sector.dof_numbering.own_members)), {}
     with sector.yield_zero_diameter_solver() as base_solver:
-        for diameter in sector.nodal_diameters[comm.rank :: comm.size]:
+        for diameter in sector.nodal_diameter_range[comm.rank :: comm.size]:
             modes_by_diameter[diameter] = base_solver.at_diameter(diameter).solve_modes(families)
     omegas_of_diameters, shapes_of_diameters = zip(
         *_gather_results_by_diameter(modes_by_diameter, comm).values(), strict=True
@@ -642,7 +646,7 @@ def make_cyclic_basis(
     loads_of_diameters, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
     # The modes of a few nodal diameters have the patterns of all.
     pattern_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
-    remaining_diameters = [n for n in sector.nodal_diameters if n not in pattern_diameters]
+    remaining_diameters = [n for n in sector.nodal_diameter_range if n not in pattern_diameters]
     own_diameters = [*pattern_diameters, *remaining_diameters][comm.rank :: comm.size]
     results_by_diameter: dict[int, tuple[Any, ...]] = {}
     with sector.yield_zero_diameter_solver() as base_solver:
@@ -747,7 +751,7 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
 
     The responses turn with the sectors as modes do. The load's harmonics are f - i g.
     """
-    load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameters]
+    load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * engine_order, sector.n_sectors)
         force = force if diameter == harmonic * engine_order % sector.n_sectors else force.conj()

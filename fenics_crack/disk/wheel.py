@@ -254,10 +254,10 @@ class Wheel(Structure):
             tuned_stiffness + sparse.kron(np.diag(self.mistuning), stiffness_at_rest)
         )
 
-    def _assemble_wheel_matrix(self, sector_matrices: sparse.spmatrix) -> Any:
+    def _assemble_wheel_matrix(self, sector_block_matrix: sparse.spmatrix) -> Any:
         """Assemble a wheel's matrix from the free sectors' block matrix (collective)."""
         copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
-        wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_matrices @ copy_matrix)
+        wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_block_matrix @ copy_matrix)
         return distribute_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
@@ -455,7 +455,7 @@ class WheelInFewCoordinates(Structure):
         families : int
             Number of modes for each nodal diameter.
         """
-        begin_stage(f"modes of {len(wheel.sector.nodal_diameters)} nodal diameters")
+        begin_stage(f"modes of {len(wheel.sector.nodal_diameter_range)} nodal diameters")
         basis, sector_structure, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin_stage("matrices of the wheel")
         mass, stiffness = basis.tuned_mass_and_stiffness

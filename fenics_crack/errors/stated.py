@@ -203,7 +203,7 @@ def errors_of_natural(
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
-    factor, _, unit = frequency_axis(scene.in_hertz)
+    factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
 
     def by_name(frequencies: Mapping[str, np.ndarray]) -> dict[str, float]:
         return {

@@ -124,7 +124,7 @@ def _plate_blocks(scene: Scene) -> tuple[list[ElementInterval], list[ElementInte
         Elements at a tip are too small.
     """
     width, height = scene.geometry.sides
-    cracks = list(scene.all_cracks.values())
+    cracks = list(scene.crack_by_name.values())
     spans = [crack.span(width) for crack in cracks]
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
@@ -441,7 +441,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
     """Return a plate's crack paths, in the order of the scene."""
     width, crack_paths = scene.geometry.sides[0], []
-    for crack in scene.all_cracks.values():
+    for crack in scene.crack_by_name.values():
         left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
         ends = (right_end, left_end) if crack.edge == "right" else (left_end, right_end)
         crack_paths.append(CrackPath(np.array(ends), crack.edge is not None))
@@ -879,7 +879,7 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
     """
     crack_dimension_by_key = {
         f"{name}.{key}": crack_dimension
-        for name, crack in scene.all_cracks.items()
+        for name, crack in scene.crack_by_name.items()
         for key in ("depth", "length", "radii")
         if (crack_dimension := getattr(crack, key)) is not None
     }
@@ -925,7 +925,7 @@ class _Grading:
 def _crack_gradings(scene: Scene) -> list[_Grading]:
     """Return the grading around the tips of each crack in a plate."""
     (width, _), mesh, gradings = scene.geometry.sides, scene.mesh, []
-    for crack in scene.all_cracks.values():
+    for crack in scene.crack_by_name.values():
         n_elements = mesh.given("lip_elements")
         left_end, right_end = crack.span(width)
         face_length = right_end - left_end

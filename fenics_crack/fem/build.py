@@ -524,7 +524,11 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     begin_stage("mesh")
     plate = build_mesh(scene, comm)
     begin_stage("matrices")
-    if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+    if (
+        not plate.has_cracks
+        and scene.mesh.layout == "file"
+        and (scene.contact or scene.crack_by_name)
+    ):
         group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
         requirement = (
             f"a mesh with {group_kind_words} named 'crack', or 'lower_lip' and 'upper_lip'"

@@ -158,7 +158,7 @@ def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
         scene.given("tip_timing"), run.scene
     )
     last_speed_text, unstable_speed_text = (
-        format_speed(speed, scene.in_rpm) for speed in last_and_unstable_speeds
+        format_speed(speed, scene.is_speed_in_rpm) for speed in last_and_unstable_speeds
     )
     end_text = f"the run-up ends before, at {last_speed_text}"
     return f"the vibration is unstable at {unstable_speed_text}: {end_text}"
@@ -468,7 +468,7 @@ def _choose_speed_or_order(
     owner_text = "" if source is None else f" of {str(source)!r}"
     curve = get_response_curve(run)
     if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
-        speed_text = format_speed(run.scene.speed, run.scene.in_rpm)
+        speed_text = format_speed(run.scene.speed, run.scene.is_speed_in_rpm)
         requirement_text = (
             f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed_text} all along it"
         )

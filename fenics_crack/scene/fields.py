@@ -435,7 +435,7 @@ def harmonics_field() -> Any:
     return value_field(requirement, default=())
 
 
-def load_order_field(default: int) -> Any:
+def harmonic_order_field(default: int) -> Any:
     """Return a field for the order of a load's harmonic."""
     requirement = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
     return value_field(requirement, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
@@ -534,9 +534,9 @@ class Table:
             if component_letter is not None and vector is not None and len(vector) != dimension:
                 self.require(not any(vector), key, describe_components(component_letter, dimension))
                 zero_vector_by_key[key] = (0.0,) * dimension
-        return self.with_values(**zero_vector_by_key)
+        return self.with_unchecked_values(**zero_vector_by_key)
 
-    def with_values(self, **value_by_key: Any) -> Self:
+    def with_unchecked_values(self, **value_by_key: Any) -> Self:
         """Return a copy with other values, which are not checked."""
         table = copy(self)
         vars(table).update(value_by_key)
@@ -744,7 +744,7 @@ class Table:
         )
 
     @classmethod
-    def with_twins_removed(
+    def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], _current_values: Mapping[str, object]
     ) -> dict[str, Any]:
         """Return changes that also set the twins of changed keys to None."""

@@ -168,7 +168,7 @@ class Scene:
         return f"Scene({_describe_scene(self)})"
 
     @property
-    def all_cracks(self) -> dict[str, kinds.Crack]:
+    def crack_by_name(self) -> dict[str, kinds.Crack]:
         """Cracks by name: "crack", "cracks.1", "cracks.2"."""
         first_crack_by_name = {} if self.crack is None else {"crack": self.crack}
         return first_crack_by_name | {
@@ -323,17 +323,17 @@ class Scene:
         return is_given or is_curve_parameter or full_key in self.swept_values_by_key
 
     @property
-    def in_rpm(self) -> bool:
+    def is_speed_in_rpm(self) -> bool:
         """True if the rotor speed is given or swept in revolutions per minute."""
         return self._is_key_given_or_varied("rotation.rpm")
 
     @property
-    def in_hertz(self) -> bool:
+    def is_frequency_in_hertz(self) -> bool:
         """True if results show the load frequency in Hz.
 
         The frequency is given, followed or swept in Hz, or follows from an order and rpm.
         """
-        has_order_and_rpm = self.excitation.order is not None and self.in_rpm
+        has_order_and_rpm = self.excitation.order is not None and self.is_speed_in_rpm
         return has_order_and_rpm or self._is_key_given_or_varied("excitation.frequency")
 
     @property
@@ -420,7 +420,7 @@ class Scene:
         return "reduction.modes" if self.disk is None else "disk.families"
 
     @property
-    def damped_modes(self) -> int | str:
+    def n_damped_modes(self) -> int | str:
         """``damping.modes``; "all" if the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
@@ -475,11 +475,11 @@ def reason_without_stress_intensity(scene: Scene) -> str:
         return "with [structure]: stress intensities take a mesh"
     if scene.disk is not None:
         return "with [disk]: stress intensities are of one structure"
-    if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
+    if not scene.crack_by_name and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack, which has a stress intensity"
     if scene.has_friction:
         return "with contact.friction: stress intensities leave out what friction does at the faces"
-    if any(crack.clearance < 0.0 for crack in scene.all_cracks.values()):
+    if any(crack.clearance < 0.0 for crack in scene.crack_by_name.values()):
         return "with crack.clearance < 0: a wedge up to the tip, where K grows without limit"
     return ""
 
@@ -610,11 +610,11 @@ def _describe_scene(scene: Scene) -> str:
     else:
         sides_text = " x ".join(f"{side:g}" for side in scene.geometry.sides)
         phrases = [f"{scene.geometry.kind} of {sides_text} m"]
-    for crack in scene.all_cracks.values():
+    for crack in scene.crack_by_name.values():
         phrases.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
     if scene.contact is not None:
         phrases.append(scene.contact.law)
-    frequency_factor, _, frequency_unit = frequency_axis(scene.in_hertz)
+    frequency_factor, _, frequency_unit = frequency_axis(scene.is_frequency_in_hertz)
     return f"{', '.join(phrases)}, {frequency_factor * scene.excitation.omega:g} {frequency_unit}"
 
 
@@ -739,7 +739,7 @@ def _check_dimension(scene: Scene) -> None:
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.forbid_keys(("axis", "center"), "a plate: its axis is parallel to x")
-    for crack_name, crack in scene.all_cracks.items() if dimension == 2 else ():
+    for crack_name, crack in scene.crack_by_name.items() if dimension == 2 else ():
         with use_table_name_in_errors(crack_name):
             crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
     _set_vector_dimension(scene)
@@ -771,7 +771,7 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
     if scene.curve is not None:
         requirement = "another one with [disk]: the load's frequency, for example"
         scene.curve.require(scene.curve.parameter_and_range[0] != "speed", "parameter", requirement)
-    for crack_name, crack in scene.all_cracks.items():
+    for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
             crack.forbid_keys(("first_omega", "first_frequency"), "[disk]")
     radius_keys = ("inner_radius", "outer_radius")
@@ -827,7 +827,7 @@ def _check_plate(scene: Scene) -> None:
             load.require(
                 all(within_side_flags), "point", f"on the {geometry.kind}: [{ranges_text}]"
             )
-    if scene.all_cracks:
+    if scene.crack_by_name:
         _check_cracks(scene)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
@@ -840,11 +840,11 @@ def _check_cad_part(scene: Scene) -> None:
         raise InputError("disk", "a table", "left out with geometry.file")
     if not scene.has_other_loads:
         scene.excitation.given("point", "given: [x, y, z], on the part or near it")
-    if scene.all_cracks:
+    if scene.crack_by_name:
         scene.mesh.given("lip_elements", "given where there is a crack")
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
-    for crack_name, crack in scene.all_cracks.items():
+    for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
             crack.given("point", "given with geometry.file: [x, y, z]")
             crack.check_plane_keys()
@@ -854,7 +854,7 @@ def _forbid_keys_of_mesh_file(scene: Scene) -> None:
     """Raise InputError if keys repeat what the mesh file defines."""
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
-    for crack_name, crack in scene.all_cracks.items():
+    for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
             crack.forbid_keys(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
 
@@ -869,22 +869,22 @@ _CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.P
 
 def _check_cracks(scene: Scene) -> None:
     """Raise InputError if a plate cannot have a crack at its position."""
-    cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
-    for crack_name, crack in cracks.items():
+    crack_by_name, geometry, mesh = scene.crack_by_name, scene.geometry, scene.mesh
+    for crack_name, crack in crack_by_name.items():
         with use_table_name_in_errors(crack_name):
             if crack.point is not None:
                 crack.check_plane_keys()
                 continue
             crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "no crack.point")
             crack.require(crack.front != "through", "front", "another one without crack.point")
-            _check_crack(crack, geometry, list(cracks))
+            _check_crack(crack, geometry, list(crack_by_name))
             _check_crack_front(crack, geometry)
             if mesh.layout == "grid":
                 _check_crack_on_grid(crack, geometry, mesh)
     if mesh.layout == "graded":
         mesh.given("lip_elements", "given where there is a crack")
     for first_name, second_name in combinations(
-        [crack_name for crack_name, crack in cracks.items() if crack.point is None], 2
+        [crack_name for crack_name, crack in crack_by_name.items() if crack.point is None], 2
     ):
         _check_crack_distance(scene, first_name, second_name)
 
@@ -903,7 +903,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
         )
     requirement = f"inside the {geometry_kind}: between 0 and geometry.height = {height:g}, "
     requirement += margin_text
-    crack.require(_is_inside(crack.height or 0.0, height), "height", requirement)
+    crack.require(_is_inside_with_margin(crack.height or 0.0, height), "height", requirement)
     if len(crack_names) > 1:
         circumstance = "several cracks: it finds the length of the only one"
         crack.forbid_keys(("first_frequency", "first_omega"), circumstance)
@@ -911,13 +911,17 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
     crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement)
     requirement = f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g}, "
     requirement += margin_text
-    crack.require(crack.length is None or _is_inside(crack.length, width), "length", requirement)
+    crack.require(
+        crack.length is None or _is_inside_with_margin(crack.length, width), "length", requirement
+    )
     if is_internal_crack:
         tip_positions = [crack.center] if crack.length is None else crack.span(width)
         requirement = f"such that both tips are inside the {geometry_kind}: "
         requirement += f"between 0 and {width:g}, {margin_text}"
         crack.require(
-            all(_is_inside(tip_position or 0.0, width) for tip_position in tip_positions),
+            all(
+                _is_inside_with_margin(tip_position or 0.0, width) for tip_position in tip_positions
+            ),
             "center",
             requirement,
         )
@@ -934,7 +938,7 @@ def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
         thickness_text = f"geometry.thickness = {thickness:g}"
         requirement = f"less than {thickness_text}, by {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that; "
         requirement += "left out: through it"
-        crack.require(_is_inside(crack.depth, thickness), "depth", requirement)
+        crack.require(_is_inside_with_margin(crack.depth, thickness), "depth", requirement)
 
 
 def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
@@ -962,7 +966,7 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
 def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> None:
     """Raise InputError if two cracks are too close."""
     first_crack, second_crack = (
-        scene.all_cracks[crack_name] for crack_name in (first_name, second_name)
+        scene.crack_by_name[crack_name] for crack_name in (first_name, second_name)
     )
     width, height, *_ = scene.geometry.sides
     height_distance = abs(first_crack.given("height") - second_crack.given("height"))
@@ -982,7 +986,7 @@ def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> No
         raise InputError(f"{second_name}.height", second_crack.height, requirement)
 
 
-def _is_inside(coordinate: float, extent: float) -> bool:
+def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
     """Return True if a coordinate is between 0 and an extent, with a margin."""
     return (
         MIN_ALLOWED_RELATIVE_DISTANCE * extent
@@ -1159,7 +1163,7 @@ def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, ob
         return value_by_key
     if not isinstance(table, Mapping):  # refused when it is made
         return table
-    return {**table, **table_class.with_twins_removed(value_by_key, table)}
+    return {**table, **table_class.make_changes_with_twins_removed(value_by_key, table)}
 
 
 def _merge_list_changes(

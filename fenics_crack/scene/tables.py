@@ -33,9 +33,9 @@ from fenics_crack.scene.fields import (
     Vector,
     bounded_field,
     choice_field,
+    harmonic_order_field,
     harmonics_field,
     hertz_field,
-    load_order_field,
     nonnegative_field,
     number_field,
     path_field,
@@ -50,11 +50,11 @@ FORCE_KEYS = ("force_mean", "force_cos", "force_sin")
 """Keys for the parts of the excitation's force."""
 LOAD_KINDS = ("force", "pressure", "traction")
 """Kinds of loads: at a point, or on an edge."""
-MAX_ALLOWED_POINTS = 100
+MAX_ALLOWED_OUTPUT_POINTS = 100
 """Maximum number of points in ``[output.points]``: each is computed, printed and written."""
 MAX_ALLOWED_FACE_POINTS = 200
 """Maximum number of points in ``[geometry.faces]``."""
-MIN_ALLOWED_UNKNOWN_VALUES = 4
+MIN_ALLOWED_VALUES_PER_UNKNOWN = 4
 """Minimum number of values for an unknown; interpolation needs as many."""
 
 
@@ -374,7 +374,7 @@ class Excitation(Table, PeriodicLoad):
     Each row has a time, in any unit, and the force components [N]. Values are linear in between;
     two rows with the same time are a jump.
     """
-    wave_harmonics: int = load_order_field(20)
+    wave_harmonics: int = harmonic_order_field(20)
     """Number of harmonics kept from ``wave``; the neglected part is stated."""
 
     def __post_init__(self) -> None:
@@ -388,10 +388,10 @@ class Excitation(Table, PeriodicLoad):
         """Return the excitation with omega from the order and a rotor speed [rad/s]."""
         if "_inferred_keys" not in vars(self):
             self.forbid_keys(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        return self.with_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
+        return self.with_unchecked_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
 
     @classmethod
-    def with_twins_removed(
+    def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], current_values: Mapping[str, object]
     ) -> dict[str, Any]:
         """As for all tables; a new frequency also removes the order, a new order the frequency.
@@ -408,7 +408,7 @@ class Excitation(Table, PeriodicLoad):
             changes = {"order": None, **changes}
         elif changes.get("order", current_values.get("order")) is not None:
             changes = {"omega": None, **changes}
-        return super().with_twins_removed(changes, current_values)
+        return super().make_changes_with_twins_removed(changes, current_values)
 
     @property
     def first_force_key(self) -> str:
@@ -832,7 +832,7 @@ class HarmonicBalance(Table):
         self.require(
             has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement
         )
-        return self if has_enough_harmonics else self.with_values(harmonics=highest_order)
+        return self if has_enough_harmonics else self.with_unchecked_values(harmonics=highest_order)
 
 
 @dataclass(frozen=True)
@@ -905,7 +905,7 @@ class Mesh(Table):
     def with_dimension(self, dimension: int) -> Mesh:
         """Return the mesh with the default order for a plane (1) or space (2)."""
         polynomial_order = self.order or dimension - 1
-        return self.with_values(
+        return self.with_unchecked_values(
             order=polynomial_order, _inferred_keys={"order"} if polynomial_order == 1 else set()
         )
 
@@ -1351,11 +1351,11 @@ class Identify(Table):
         for axis in self.unknown:
             word_flags = [isinstance(value, str) for value in axis.values]
             has_enough_numbers = (
-                not any(word_flags) and len(axis.values) >= MIN_ALLOWED_UNKNOWN_VALUES
+                not any(word_flags) and len(axis.values) >= MIN_ALLOWED_VALUES_PER_UNKNOWN
             )
             if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
                 requirement = (
-                    f"words, or {MIN_ALLOWED_UNKNOWN_VALUES} or more numbers in ascending order"
+                    f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending order"
                 )
                 raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
 
@@ -1382,8 +1382,8 @@ class Identify(Table):
                     raise InputError(error_key, parameter_name, requirement)
         axes = self.mesh_axes
         for axis in axes:
-            if len(axis.values) < MIN_ALLOWED_UNKNOWN_VALUES:
-                requirement = f"{MIN_ALLOWED_UNKNOWN_VALUES} or more different ones"
+            if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
+                requirement = f"{MIN_ALLOWED_VALUES_PER_UNKNOWN} or more different ones"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
         n_meshes_by_values = Counter(
             tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
@@ -1543,9 +1543,9 @@ class Output(Table):
     """Quantities for print and pictures; files have all. Default: a few."""
     points: tuple[NamedPoint, ...] = value_field(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
-        f"finite numbers; {MAX_ALLOWED_POINTS} of them at most",
+        f"finite numbers; {MAX_ALLOWED_OUTPUT_POINTS} of them at most",
         lambda points: (
-            len(points) <= MAX_ALLOWED_POINTS
+            len(points) <= MAX_ALLOWED_OUTPUT_POINTS
             and all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points)
         ),
         (),

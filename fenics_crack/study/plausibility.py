@@ -506,9 +506,9 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     """
     excitation, scene_curve, resonance = scene.excitation, scene.curve, figures.load_resonance
     is_speed_curve = excitation.order is not None and scene.disk is None
-    parameter = "frequency" if scene.in_hertz else "omega"
+    parameter = "frequency" if scene.is_frequency_in_hertz else "omega"
     if is_speed_curve:
-        parameter = "rpm" if scene.in_rpm else "speed"
+        parameter = "rpm" if scene.is_speed_in_rpm else "speed"
     if scene_curve is not None:
         parameter = scene_curve.parameter
     if parameter not in CURVE_UNIT_BY_PARAMETER:
@@ -576,7 +576,7 @@ def scales_with_load(scene: Scene) -> bool:
     """
     if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
-    tables = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
+    tables = scene.crack_by_name.values() if scene.structure is None else (scene.structure,)
     return all(table.clearance == 0.0 for table in tables)
 
 
@@ -693,7 +693,9 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
     for dotted_key in keys.split():
         table_name, field_name = dotted_key.split(".")
         table_by_name = (
-            scene.all_cracks if table_name == "crack" else {table_name: getattr(scene, table_name)}
+            scene.crack_by_name
+            if table_name == "crack"
+            else {table_name: getattr(scene, table_name)}
         )
         value_by_key = {
             f"{path}.{field_name}": getattr(table, field_name, None)

@@ -274,7 +274,7 @@ def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
         reduction_table = Reduction("free_interface" if is_small else None)
     if reduction_table.method == "off":
         return None
-    n_kept_modes = reduction_table.modes or scene.damped_modes
+    n_kept_modes = reduction_table.modes or scene.n_damped_modes
     if isinstance(n_kept_modes, str):  # "all"
         n_kept_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, structure.n_dofs)
     has_massless_faces = structure.n_pairs > 0 and n_kept_modes < structure.n_dofs
@@ -362,7 +362,7 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     solver_bytes = 2.0 * factor_memory(
         n_real_dofs, solid=is_solid
     ) + 16.0 * n_real_dofs * krylov_size(n_families)
-    mode_bytes = 16.0 * len(sector.nodal_diameters) * n_dofs * n_families
+    mode_bytes = 16.0 * len(sector.nodal_diameter_range) * n_dofs * n_families
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
     n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))

@@ -31,7 +31,7 @@ def test_an_order_gives_the_frequency() -> None:
     """w = order * W, also after either is changed; a frequency takes the place of the order."""
     scene = Scene.from_mapping(changed(ORDERED))
     assert scene.excitation.omega == 3 * RPM * 6000.0
-    assert scene.in_hertz and scene.in_rpm
+    assert scene.is_frequency_in_hertz and scene.is_speed_in_rpm
     text = scene.as_toml()
     assert "order = 3" in text and "omega" not in text
     assert Scene.from_text(text) == scene and Scene.from_text(text).as_toml() == text

@@ -560,7 +560,7 @@ def list_crack_removal_changes(scene: Scene) -> dict[str, Any] | None:
     if scene.identify is not None and scene.identify.uncracked is not None:
         return value_by_key | {"mesh.file": scene.identify.uncracked}
     is_removable = (
-        scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
+        scene.structure is None and scene.mesh.layout != "file" and len(scene.crack_by_name) == 1
     )
     return value_by_key if is_removable else None
 
