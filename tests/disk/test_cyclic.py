@@ -25,7 +25,7 @@ def grid(columns: int, rows: int) -> dict[str, Any]:
 
 def of_wheel(found: CyclicModes) -> np.ndarray:
     """The frequencies of the modes of the wheel, ascending."""
-    single = [found.sector.has_single_wave(n) for n in found.sector.nodal_diameters]
+    single = [found.sector.has_single_wave(n) for n in found.sector.nodal_diameter_range]
     parts = zip(found.omega, single, strict=True)
     return np.sort(np.concatenate([np.repeat(own, 1 if one else 2) for own, one in parts]))
 
