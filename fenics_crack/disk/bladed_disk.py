@@ -185,11 +185,13 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         blade_result_rows.append(
             (solution.amplitude(blade_dof), complex_harmonics[1], second_ratio, solution.omega)
         )
-    amplitude, fundamental, second_ratios, omega = map(
+    amplitudes, first_harmonics, second_ratios, omegas = map(
         np.array, zip(*blade_result_rows, strict=True)
     )
     cracked_blades = tuple(sector_index + 1 for sector_index in wheel.cracked)
-    return Blades(amplitude, fundamental, second_ratios, omega, wheel.mistuning, cracked_blades)
+    return Blades(
+        amplitudes, first_harmonics, second_ratios, omegas, wheel.mistuning, cracked_blades
+    )
 
 
 # --- nodal diameters ------------------------------------------------------------------------------
@@ -231,10 +233,10 @@ class NodalDiameters(SavedResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns of frequencies and engine orders over the nodal diameter."""
-        columns: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
+        column_by_name: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family_number, family_omega in enumerate(self.omega.T, 1):
-            columns[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
-        return columns | {
+            column_by_name[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
+        return column_by_name | {
             "engine_orders": [
                 self._describe_lowest_orders(diameter) for diameter in range(len(self.omega))
             ]

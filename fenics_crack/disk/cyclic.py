@@ -695,9 +695,9 @@ def make_cyclic_basis(
         opening_responses = np.zeros((sector.n_sectors, n_dofs, face_shapes.shape[1]))
         for sector_index in range(comm.rank, sector.n_sectors, comm.size):
             right_motions = side_motions[(sector_index + 1) % sector.n_sectors]
-            inside_part = inside_motions if sector_index == 0 else 0.0
+            inside_motion = inside_motions if sector_index == 0 else 0.0
             opening_responses[sector_index] = base_solver.sector_displacement(
-                side_motions[sector_index], right_motions, inside_part
+                side_motions[sector_index], right_motions, inside_motion
             )
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
     cyclic_modes = CyclicModes(omega_arrays, shape_matrices, sector)
@@ -872,8 +872,10 @@ def _find_side_force_patterns(
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_on_right_side]
         scaled_force = force / np.maximum(omega, 1e-300) ** 2
         scaled_force_parts += [scaled_force.real, scaled_force.imag]
-    patterns, pattern_sizes, _ = np.linalg.svd(np.hstack(scaled_force_parts), full_matrices=False)
-    kept_patterns = patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
+    force_patterns, pattern_sizes, _ = np.linalg.svd(
+        np.hstack(scaled_force_parts), full_matrices=False
+    )
+    kept_patterns = force_patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
     side_force_patterns = np.zeros((sector.structure.n_dofs, kept_patterns.shape[1]))
     side_force_patterns[is_on_right_side] = kept_patterns
     return side_force_patterns

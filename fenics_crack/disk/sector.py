@@ -38,17 +38,17 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         unstable at this speed.
     """
     disk = scene.given("disk")
-    sector, rotation = _make_sector(scene, dofs, structure), None
+    sector, rotation_terms = _make_sector(scene, dofs, structure), None
     if scene.speed > 0.0:
         # The load is the same on all sectors.
         with sector.yield_zero_diameter_solver() as zero_diameter_solver:
-            rotation = assemble_rotation(
+            rotation_terms = assemble_rotation(
                 scene, dofs, structure, zero_diameter_solver.static_response
             )
-        static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
+        static_stiffness, stiffness = rotation_terms.stiffnesses(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
-        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation.force
+        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation_terms.force
         stiffened_sector = replace(
             sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)
         )
@@ -68,7 +68,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     return Wheel(
         sector, cracked=[sector_number - 1 for sector_number in disk.cracked],
         mistuning=disk.deviations, order=scene.excitation.order or 0, families=disk.families,
-        rotation=rotation, comm=comm,
+        rotation=rotation_terms, comm=comm,
     )  # fmt: skip
 
 
@@ -164,13 +164,13 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         )
         raise InputError("lips", "a crack", requirement)
     center = scene.axis_point_and_direction[0][: points.shape[1]]
-    rotation = node_rotations[side_node_pairs[1, 0]]
+    rotation_matrix = node_rotations[side_node_pairs[1, 0]]
     n_sectors = scene.given("disk").sectors
     return Sector(
         structure,
         n_sectors,
         center,
-        rotation,
+        rotation_matrix,
         side_node_pairs,
         crack_face_nodes,
         structure.stiffness,

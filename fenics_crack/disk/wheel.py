@@ -119,10 +119,12 @@ class Wheel(Structure):
         sector_structure, n_sectors = sector.structure, sector.n_sectors
         tangential_gap = sector_structure.tangential
         cracked = tuple(cracked) if sector_structure.n_pairs else ()
-        dof_numbers, owner_positions = sector.dof_numbering.number_wheel_members(n_sectors, cracked)
+        wheel_dof_numbers, owner_positions = sector.dof_numbering.number_wheel_members(
+            n_sectors, cracked
+        )
         absent_matrix = AbsentMatrix(len(owner_positions), comm.rank)
         own_rows = slice(None if comm.rank == 0 else 0)
-        copy_matrix = make_selection_matrix(dof_numbers.ravel(), len(owner_positions))
+        copy_matrix = make_selection_matrix(wheel_dof_numbers.ravel(), len(owner_positions))
         cracked_sector_columns = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
@@ -149,11 +151,11 @@ class Wheel(Structure):
             absent_matrix, absent_matrix, assemble_gap(sector_structure.gap), force,
             np.tile(sector_structure.clearance, len(cracked)), damping=sector_structure.damping,
             tangential=None if tangential_gap is None else assemble_gap(tangential_gap),
-            nodes=_make_wheel_nodes(sector, cracked, dof_numbers, own_rows),
+            nodes=_make_wheel_nodes(sector, cracked, wheel_dof_numbers, own_rows),
             pairs=_make_wheel_pairs(sector, cracked), watched=watched_wheel_dof_weights,
             rotation=rotation, comm=comm,
             sector=sector, cracked_places=cracked, mistuning=_read_deviations(mistuning, n_sectors),
-            order=order, families=families, wheel_dof_numbers=dof_numbers,
+            order=order, families=families, wheel_dof_numbers=wheel_dof_numbers,
             owner_positions=owner_positions,
         )  # fmt: skip
         super().__init__(wheel_body)
@@ -348,13 +350,13 @@ def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
 
 
 def _make_wheel_nodes(
-    sector: Sector, cracked_places: tuple[int, ...], dof_numbers: np.ndarray, own_rows: slice
+    sector: Sector, cracked_places: tuple[int, ...], wheel_dof_numbers: np.ndarray, own_rows: slice
 ) -> Nodes:
     """Make the wheel's nodes on one rank.
 
     Parameters
     ----------
-    dof_numbers : (N, n_sector) int
+    wheel_dof_numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     own_rows : slice
         All nodes on rank 0, none on other ranks.
@@ -378,7 +380,7 @@ def _make_wheel_nodes(
         + sector.center
     )
     node_dofs = nodes.dofs[sector_node_index]
-    node_dofs = np.where(node_dofs >= 0, dof_numbers[sector_index[:, None], node_dofs], -1)
+    node_dofs = np.where(node_dofs >= 0, wheel_dof_numbers[sector_index[:, None], node_dofs], -1)
     cells = wheel_node_numbers[:, nodes.cells].reshape(-1, nodes.cells.shape[1])[own_rows]
     return Nodes(points, node_dofs, cells, nodes.vtk_type, frames=node_frames)
 
