@@ -413,7 +413,7 @@ def answered(
     compare = by_mesh_alone if by_mesh else stated_and_true
     found = compare(run, reference)
     low = [quantity for quantity, (_, true, stated, _) in found.items() if true < LOW * stated]
-    key, nearby = "frequency" if scene.in_hertz else "omega", []
+    key, nearby = "frequency" if scene.is_frequency_in_hertz else "omega", []
     for factor in BAND if low else ():
         at = {f"excitation.{key}": float(factor) * getattr(scene.excitation, key)}
         nearby.append(compare(fc.solve(scene.replace(at)), reference))

@@ -34,41 +34,43 @@ if is_started_by_mpirun():
         check_debian_modules()
         import_module("fenics_crack.basics.ranks")
 
-_MODULES = {
+_MODULE_BY_NAME = {
     alias.name: node.module
     for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
     if isinstance(node, ast.ImportFrom) and node.module
     for alias in node.names
 }
 
-__all__ = sorted(_MODULES)
+__all__ = sorted(_MODULE_BY_NAME)
 __version__ = VERSION
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
+    if name not in _MODULE_BY_NAME:
         from fenics_crack.basics.suggestions import suggest_replacements
 
-        question = suggest_replacements(name, __all__)
+        suggestion_text = suggest_replacements(name, __all__)
         raise AttributeError(
-            f"module {__name__!r} has no attribute {name!r}; {question}".rstrip("; ")
+            f"module {__name__!r} has no attribute {name!r}; {suggestion_text}".rstrip("; ")
         )
     check_debian_modules()
     with run_single_threaded():
-        value = getattr(import_module(_MODULES[name]), name)
-    if isinstance(value, FunctionType):
+        public_object = getattr(import_module(_MODULE_BY_NAME[name]), name)
+    if isinstance(public_object, FunctionType):
         from fenics_crack.basics.suggestions import check_calls
 
-        keys = _keys if "scene" in value.__annotations__ else None
-        kinds = _MODULES.keys() - {"ContactLaw"}  # which is what has its members
-        value = run_single_threaded()(check_calls(value, keys, kinds))
-        value.__module__ = __name__  # where pickle finds this one
-    globals()[name] = value
-    return value
+        find_scene_keys = _suggest_scene_keys if "scene" in public_object.__annotations__ else None
+        public_names = _MODULE_BY_NAME.keys() - {"ContactLaw"}  # which is what has its members
+        public_object = run_single_threaded()(
+            check_calls(public_object, find_scene_keys, public_names)
+        )
+        public_object.__module__ = __name__  # where pickle finds this one
+    globals()[name] = public_object
+    return public_object
 
 
-def _keys(name: str) -> list[str]:
-    """The keys of a scene that a name may stand for."""
+def _suggest_scene_keys(name: str) -> list[str]:
+    """Suggest scene keys for a misspelt name."""
     from fenics_crack.scene.scene import suggest_full_keys
 
     return suggest_full_keys(name)

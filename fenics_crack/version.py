@@ -5,6 +5,6 @@ from importlib import resources
 VERSION = "0.4.0"
 
 
-def packaged(path: str) -> str:
-    """A text of the package, by its path in it."""
-    return resources.files("fenics_crack").joinpath(path).read_text("utf-8")
+def read_packaged_text(path_in_package: str) -> str:
+    """Return a text that the package holds, by the path in the package."""
+    return resources.files("fenics_crack").joinpath(path_in_package).read_text("utf-8")

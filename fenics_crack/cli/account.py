@@ -324,8 +324,10 @@ def printed_table(report: Report) -> Table:
 
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
     """Return True if the scene shows this frequency or speed in another unit."""
-    unused_prefix, unused_unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
-    unused_speed_name = "speed" if scene.in_rpm else "rpm"
+    unused_prefix, unused_unit = (
+        ("omega", "rad/s") if scene.is_frequency_in_hertz else ("frequency", "Hz")
+    )
+    unused_speed_name = "speed" if scene.is_speed_in_rpm else "rpm"
     return name == unused_speed_name or (name.startswith(unused_prefix) and unit == unused_unit)
 
 

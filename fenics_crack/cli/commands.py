@@ -275,7 +275,8 @@ def _convert_arrivals(
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
     if has_fixed_speed and abs(arrivals.mean_speed / scene.speed - 1.0) > STEADY:
         measured_speed, scene_speed = (
-            format_speed(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
+            format_speed(speed, scene.is_speed_in_rpm)
+            for speed in (arrivals.mean_speed, scene.speed)
         )
         requirement_text = (
             f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"

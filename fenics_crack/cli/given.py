@@ -37,7 +37,7 @@ from fenics_crack.basics.progress import LOGGER, StageLines, begin_stage
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
-from fenics_crack.version import packaged
+from fenics_crack.version import read_packaged_text
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -239,7 +239,7 @@ def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
     if arguments.command != "campbell":
         return None
     scene.given("rotation")
-    unit_factor = RAD_PER_S_PER_RPM if scene.in_rpm else 1.0
+    unit_factor = RAD_PER_S_PER_RPM if scene.is_speed_in_rpm else 1.0
     first_speed, last_speed, n_speeds = arguments.speeds or (
         0.0,
         1.5 * scene.speed / unit_factor,
@@ -523,14 +523,14 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
         console.print_notes(f"{picture_path}: the faces of {arguments.cad}, with numbers")
         texts_by_path = {scene_path: scene_text}
     elif exclusive_options:
-        scene_text = packaged(f"cli/new_{exclusive_options[0]}.toml")
+        scene_text = read_packaged_text(f"cli/new_{exclusive_options[0]}.toml")
         texts_by_path = {scene_path: scene_text.replace("SCENE", shlex.quote(scene_path.name))}
     else:
         texts_by_path = {
             scene_path: build_scene_text(scene_path.name, measurements_path.name, options)
         }
     if "identify" in options:
-        texts_by_path[measurements_path] = packaged("cli/new_measured.csv")
+        texts_by_path[measurements_path] = read_packaged_text("cli/new_measured.csv")
 
     def write_files() -> None:
         for file_path in texts_by_path:
@@ -559,7 +559,7 @@ def build_scene_text(scene_name: str, measurements_name: str, options: Collectio
     line_marks = [
         f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
     ]
-    template_lines = packaged(PLATE_TEMPLATE_PATH).splitlines()
+    template_lines = read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
     template_lines = [
         _toggle_comment(template_line)
         if template_line.endswith(tuple(line_marks))
@@ -607,7 +607,7 @@ def _template_blocks(table_name: str) -> Iterator[list[str]]:
     A table that is commented out is commented in.
     """
     template_texts = map(
-        packaged,
+        read_packaged_text,
         (
             PLATE_TEMPLATE_PATH,
             *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_OPTIONS),

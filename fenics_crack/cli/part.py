@@ -12,7 +12,7 @@ import numpy as np
 
 from fenics_crack.draw.plot_mesh import draw_numbered_faces
 from fenics_crack.fem.solid import find_ray_hit_distance, read_part_triangles_and_owners
-from fenics_crack.version import packaged
+from fenics_crack.version import read_packaged_text
 
 MAX_LISTED_FACES = 40
 """Maximum number of faces in the scene and the picture, largest first."""
@@ -195,7 +195,7 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
         "SIZE": f"{min(part_depth, part_extents[longest_axis] / 15.0):.2g}",
         "SCENE": shlex.quote(scene_path.name),
     }
-    scene_text = packaged("cli/new_part.toml")
+    scene_text = read_packaged_text("cli/new_part.toml")
     for placeholder, replacement_text in text_by_placeholder.items():
         scene_text = scene_text.replace(
             placeholder, replacement_text if placeholder != "UNIT" or length_unit else ""

@@ -44,7 +44,7 @@ from fenics_crack.scene.words import (
 )
 from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_partial_sweep
-from fenics_crack.version import VERSION, packaged
+from fenics_crack.version import VERSION, read_packaged_text
 
 LISTED_TABLE_NAMES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
@@ -208,7 +208,7 @@ def _draw_curves(
         line_options = {
             "label": curve_label,
             "colour": line_colour,
-            "in_hertz": curve_run.scene.in_hertz,
+            "in_hertz": curve_run.scene.is_frequency_in_hertz,
         }
         plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
     picture.save_with_title()
@@ -290,7 +290,7 @@ def _write_page(
     template_environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     write_file_whole(
         page_path,
-        template_environment.from_string(packaged("cli/report.html")).render(page_fields),
+        template_environment.from_string(read_packaged_text("cli/report.html")).render(page_fields),
         "--output",
     )
 

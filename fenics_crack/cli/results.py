@@ -56,7 +56,7 @@ from fenics_crack.runs.conclusion import (
 )
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
-from fenics_crack.scene.scene import quantities_on_request
+from fenics_crack.scene.scene import list_requested_extra_quantities
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import observe_quantities
 from fenics_crack.study.plausibility import highest_harmonic_omega
@@ -231,7 +231,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     The result is empty in two dimensions, or if the scene requests none.
     """
     requested_places = [
-        OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(run.scene)
+        OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
     ]
     if run.scene.dimension == 2 or Place.TIPS not in requested_places:
         return {}
@@ -623,7 +623,8 @@ def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
     """Return parameter values with unit: "50.1 and 50.3 Hz"."""
     return format_in_unit(
-        axis_factor_name_and_unit(run.result.parameter, run.scene.in_hertz), *parameter_values
+        axis_factor_name_and_unit(run.result.parameter, run.scene.is_frequency_in_hertz),
+        *parameter_values,
     )
 
 

@@ -27,7 +27,7 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, quantities_on_request
+from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
     CURVE_UNIT_BY_PARAMETER,
@@ -55,13 +55,13 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     scene = inputs.scene
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
-        if quantities_on_request(scene):  # which may be refused
+        if list_requested_extra_quantities(scene):  # which may be refused
             from fenics_crack.study.observer import make_requested_rows  # the solver
 
             make_requested_rows(study)
     structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(structure, n_harmonics)
-    is_run_up = scene.curve is not None and scene.curve.continuation_range[0] == "speed"
+    is_run_up = scene.curve is not None and scene.curve.parameter_and_range[0] == "speed"
     release_freed_memory()
     memory_bytes = estimate_checked_memory(scene, structure, is_run_up=is_run_up)
     with console.report_stage("natural frequencies"):
@@ -259,7 +259,7 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
 
 def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
-    cracks_by_name = study.scene.all_cracks
+    cracks_by_name = study.scene.crack_by_name
     contact_law = study.contact
     contact_table = study.scene.contact
     values_by_label: dict[str, object] = {}

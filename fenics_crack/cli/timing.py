@@ -96,13 +96,13 @@ def _write_arrivals(
     def write_files() -> None:
         arrivals.to_csv(arrivals_path)
         picture_path = arrivals_path.with_suffix(f".{console.picture_format}")
-        draw_arrivals(arrivals, path=picture_path, in_rpm=scene.in_rpm)
+        draw_arrivals(arrivals, path=picture_path, in_rpm=scene.is_speed_in_rpm)
 
     table_text = arrivals.table().formatted("csv")
     console.print_notes(keep_previous_result(arrivals_path, table_text, console.comm))
     on_root(console.comm, write_files)
     first_speed, last_speed = (
-        format_speed(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
+        format_speed(arrivals.speed[row_index], scene.is_speed_in_rpm) for row_index in (0, -1)
     )
     speed_range = (
         f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
@@ -157,7 +157,8 @@ def _describe_timing_warnings(
             and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
         ):
             record_speed, scene_speed = (
-                format_speed(rotor_speed, scene.in_rpm) for rotor_speed in record_and_scene_speeds
+                format_speed(rotor_speed, scene.is_speed_in_rpm)
+                for rotor_speed in record_and_scene_speeds
             )
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "

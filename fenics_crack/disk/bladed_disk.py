@@ -42,7 +42,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.disk.cyclic import excited_diameter
-from fenics_crack.disk.wheel import Wheel, WheelStructure, count_basis_families
+from fenics_crack.disk.wheel import Wheel, WheelInFewCoordinates, count_basis_families
 from fenics_crack.fem.build import assemble_structure
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.model.structure import DampingRule, Structure
@@ -159,29 +159,39 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     --------
     >>> fc.blades(fc.solve(disk)).amplitude.max()
     """
-    result = getattr(found, "result", found)
-    is_solution = isinstance(result, PeriodicSolution)
-    if not is_solution and not isinstance(result, ResponseCurve):
+    solution_or_curve = getattr(found, "result", found)
+    is_solution = isinstance(solution_or_curve, PeriodicSolution)
+    if not is_solution and not isinstance(solution_or_curve, ResponseCurve):
         raise InputError("found", type(found).__name__, "a solution or a response curve")
-    structure = result.structure
+    structure = solution_or_curve.structure
     wheel = wheel_of(structure)
-    dofs = wheel.dofs_of_blades(int(wheel.as_dof_numbers([dof])[0]))
-    get_solution = cache(
-        lambda point_index: result if is_solution else result.solution(point_index)
-    )
-    blade_rows: list[tuple[float, complex, float, float]] = []
-    for indicators, blade_dof in zip(result.measure(dofs), dofs, strict=True):
-        solution = get_solution(int(np.argmax(indicators.amplitude)))
-        coefficients = structure.values_at(solution.displacement_coefficients, [blade_dof])
-        harmonics = to_complex(coefficients)[:, 0]
-        second_amplitude = abs(harmonics[2]) if len(harmonics) > 2 else 0.0
-        second_ratio = second_amplitude / abs(harmonics[1]) if harmonics[1] else 0.0
-        blade_rows.append(
-            (solution.amplitude(blade_dof), harmonics[1], second_ratio, solution.omega)
+    blade_dofs = wheel.dofs_of_blades(int(wheel.as_dof_numbers([dof])[0]))
+    get_solution_at_point = cache(
+        lambda point_index: (
+            solution_or_curve if is_solution else solution_or_curve.solution(point_index)
         )
-    amplitude, fundamental, second_ratios, omega = map(np.array, zip(*blade_rows, strict=True))
+    )
+    blade_result_rows: list[tuple[float, complex, float, float]] = []
+    for blade_indicators, blade_dof in zip(
+        solution_or_curve.measure(blade_dofs), blade_dofs, strict=True
+    ):
+        solution = get_solution_at_point(int(np.argmax(blade_indicators.amplitude)))
+        displacement_coefficients = structure.values_at(
+            solution.displacement_coefficients, [blade_dof]
+        )
+        complex_harmonics = to_complex(displacement_coefficients)[:, 0]
+        second_amplitude = abs(complex_harmonics[2]) if len(complex_harmonics) > 2 else 0.0
+        second_ratio = second_amplitude / abs(complex_harmonics[1]) if complex_harmonics[1] else 0.0
+        blade_result_rows.append(
+            (solution.amplitude(blade_dof), complex_harmonics[1], second_ratio, solution.omega)
+        )
+    amplitudes, first_harmonics, second_ratios, omegas = map(
+        np.array, zip(*blade_result_rows, strict=True)
+    )
     cracked_blades = tuple(sector_index + 1 for sector_index in wheel.cracked)
-    return Blades(amplitude, fundamental, second_ratios, omega, wheel.mistuning, cracked_blades)
+    return Blades(
+        amplitudes, first_harmonics, second_ratios, omegas, wheel.mistuning, cracked_blades
+    )
 
 
 # --- nodal diameters ------------------------------------------------------------------------------
@@ -223,10 +233,10 @@ class NodalDiameters(SavedResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns of frequencies and engine orders over the nodal diameter."""
-        columns: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
+        column_by_name: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family_number, family_omega in enumerate(self.omega.T, 1):
-            columns[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
-        return columns | {
+            column_by_name[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
+        return column_by_name | {
             "engine_orders": [
                 self._describe_lowest_orders(diameter) for diameter in range(len(self.omega))
             ]
@@ -418,29 +428,33 @@ def amplification(
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")
-    pattern_changes = {
+    value_by_changed_key = {
         "disk.mistuning": None,
         "disk.deviation": float(deviation),
         "disk.seed": seed,
     }
-    bonded_scene = scene.replace({"disk.cracked": [], **pattern_changes})
-    wheel = wheel_of(assemble_structure(bonded_scene, comm))
+    uncracked_scene = scene.replace({"disk.cracked": [], **value_by_changed_key})
+    wheel = wheel_of(assemble_structure(uncracked_scene, comm))
     find_peak = _make_peak_finder(wheel, scene.excitation.omega)
     tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.n_sectors))
-    rank_rows = []
+    own_result_rows = []
     for pattern_index in range(comm.rank, patterns, comm.size):
-        pattern_scene = bonded_scene.replace({"disk.seed": seed + pattern_index})
-        rank_rows.append((pattern_index, *find_peak(pattern_scene.given("disk").deviations)))
-    pattern_rows = sorted(row for rank_part in comm.allgather(rank_rows) for row in rank_part)
-    _, peak_amplitudes, peak_omegas, blade_numbers = map(np.array, zip(*pattern_rows, strict=True))
-    result_columns = (
+        pattern_scene = uncracked_scene.replace({"disk.seed": seed + pattern_index})
+        own_result_rows.append((pattern_index, *find_peak(pattern_scene.given("disk").deviations)))
+    pattern_result_rows = sorted(
+        row for rows_of_rank in comm.allgather(own_result_rows) for row in rows_of_rank
+    )
+    _, peak_amplitudes, peak_omegas, blade_numbers = map(
+        np.array, zip(*pattern_result_rows, strict=True)
+    )
+    amplification_fields = (
         peak_amplitudes / tuned_amplitude,
         peak_omegas,
         blade_numbers,
         tuned_amplitude,
         tuned_omega,
     )
-    return Amplification(scene, *result_columns, float(deviation), seed)
+    return Amplification(scene, *amplification_fields, float(deviation), seed)
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:
@@ -477,27 +491,31 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     InputError
         The load does not vibrate, or damping is neither modal nor Rayleigh.
     """
-    wheel_structure = WheelStructure(wheel, count_basis_families(wheel.families))
+    wheel_structure = WheelInFewCoordinates(wheel, count_basis_families(wheel.families))
     n_sectors = wheel.sector.n_sectors
-    (mass, tuned_stiffness), damping = wheel_structure.basis.tuned_mass_and_stiffness, wheel.damping
+    mass, tuned_stiffness = wheel_structure.basis.tuned_mass_and_stiffness
+    damping_rule = wheel.damping
     complex_load = wheel_structure.force[1] - 1j * wheel_structure.force[2]
     if not np.any(complex_load):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
-    if not isinstance(damping, DampingRule):
+    if not isinstance(damping_rule, DampingRule):
         raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
-    omega_by_diameter = np.array(wheel.cyclic_modes().omega)
-    excited_omegas = omega_by_diameter[excited_diameter(wheel.order, n_sectors)]
+    omegas_of_diameters = np.array(wheel.cyclic_modes().omega)
+    excited_omegas = omegas_of_diameters[excited_diameter(wheel.order, n_sectors)]
     family_omega = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]
-    is_slower = omega_by_diameter < family_omega * (1.0 - 1e-9)
-    n_slower_modes = round(n_sectors * float(wheel.sector.diameter_shares @ is_slower.sum(axis=1)))
+    is_below_family = omegas_of_diameters < family_omega * (1.0 - 1e-9)
+    n_modes_below_family = round(
+        n_sectors * float(wheel.sector.load_shares_of_diameters @ is_below_family.sum(axis=1))
+    )
     # The range has all N modes of the excited family, and as many around them.
     mode_range = slice(
-        max(n_slower_modes - n_sectors, 0), max(n_slower_modes - n_sectors, 0) + 2 * n_sectors
+        max(n_modes_below_family - n_sectors, 0),
+        max(n_modes_below_family - n_sectors, 0) + 2 * n_sectors,
     )
-    blade_matrix = wheel_structure.values_at(
+    blade_motion_matrix = wheel_structure.values_at(
         np.eye(wheel_structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
     ).T
-    bandwidth_steps = np.arange(
+    band_offsets = np.arange(
         -SEARCH_BANDWIDTHS_PER_SIDE,
         SEARCH_BANDWIDTHS_PER_SIDE + 0.5 / FREQUENCIES_PER_BANDWIDTH,
         1.0 / FREQUENCIES_PER_BANDWIDTH,
@@ -508,11 +526,11 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
             deviations, wheel_structure.basis.sector_stiffnesses, 1
         )
         squared_omegas, mode_shapes = scipy.linalg.eigh(mistuned_stiffness, mass)
-        natural_omegas, damping_rates = np.sqrt(squared_omegas), damping.rate(squared_omegas)
-        modal_forces, blade_shapes = mode_shapes.T @ complex_load, blade_matrix @ mode_shapes
+        natural_omegas, damping_rates = np.sqrt(squared_omegas), damping_rule.rate(squared_omegas)
+        modal_forces, blade_shapes = mode_shapes.T @ complex_load, blade_motion_matrix @ mode_shapes
         search_omegas = np.sort(
             (
-                natural_omegas[mode_range, None] + damping_rates[mode_range, None] * bandwidth_steps
+                natural_omegas[mode_range, None] + damping_rates[mode_range, None] * band_offsets
             ).ravel()
         )
 

@@ -64,7 +64,7 @@ class SectorNumbering:
         Members that belong to the sector alone: without right side and upper face.
     member_positions : (n,) int
         Position in ``own_members`` of the member with the same motion, in this sector or the next.
-    is_next_sector : (n,) bool
+    belongs_to_next_sector : (n,) bool
         True for members on the right side, which belongs to the next sector.
     upper_members : (n_upper,) int
         Members on the upper crack face.
@@ -94,7 +94,7 @@ class SectorNumbering:
         )
         right_members = node_members[side_nodes[1]]
         upper_members = node_members[crack_face_nodes[1]].ravel()
-        self.is_next_sector = np.isin(np.arange(len(representative_members)), right_members)
+        self.belongs_to_next_sector = np.isin(np.arange(len(representative_members)), right_members)
         self.upper_members = upper_members[upper_members >= 0]
 
     def number_wheel_members(
@@ -110,14 +110,14 @@ class SectorNumbering:
             Position of each number's owner among all N n members.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
-        owner_sectors = (np.arange(n_sectors)[:, None] + self.is_next_sector) % n_sectors
+        owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
         wheel_numbers = self.member_positions + owner_sectors * len(self.own_members)
-        open_entries = np.ix_(cracked_places, self.upper_members)
+        open_entry_index = np.ix_(cracked_places, self.upper_members)
         bonded_members = all_members[:, self.own_members].ravel()
-        open_members = all_members[open_entries]
-        wheel_numbers[open_entries] = len(bonded_members) + np.arange(open_members.size).reshape(
-            open_members.shape
-        )
+        open_members = all_members[open_entry_index]
+        wheel_numbers[open_entry_index] = len(bonded_members) + np.arange(
+            open_members.size
+        ).reshape(open_members.shape)
         return wheel_numbers, np.concatenate([bonded_members, open_members.ravel()])
 
 
@@ -165,27 +165,31 @@ class Sector:
         return SectorNumbering(nodes.dofs, self.side_nodes, self.crack_face_nodes)
 
     @property
-    def nodal_diameters(self) -> range:
+    def nodal_diameter_range(self) -> range:
         """The nodal diameters 0 .. N/2."""
         return range(self.n_sectors // 2 + 1)
 
     @property
-    def diameter_shares(self) -> np.ndarray:
+    def load_shares_of_diameters(self) -> np.ndarray:
         """Share of each nodal diameter and its conjugate in a load on sector 0: (N/2 + 1,)."""
-        multiplicities = [1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameters]
+        multiplicities = [
+            1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameter_range
+        ]
         return np.array(multiplicities) / self.n_sectors
 
     def has_single_wave(self, diameter: int) -> bool:
         """Return True for a nodal diameter without an opposite wave, 0 and N/2."""
         return 2 * diameter % self.n_sectors == 0
 
-    def rotation_matrix(self, n_turns: int) -> np.ndarray:
-        """Return Q^n_turns: (d, d)."""
-        return np.asarray(np.linalg.matrix_power(self.rotation, n_turns % self.n_sectors))
+    def rotation_matrix(self, n_sector_steps: int) -> np.ndarray:
+        """Return Q^n_sector_steps: (d, d)."""
+        return np.asarray(np.linalg.matrix_power(self.rotation, n_sector_steps % self.n_sectors))
 
-    def place_points(self, points: np.ndarray, n_turns: int) -> np.ndarray:
-        """Turn points (n, d) [m] on the first sector by ``n_turns`` sectors."""
-        return np.asarray((points - self.center) @ self.rotation_matrix(n_turns).T + self.center)
+    def turn_points(self, points: np.ndarray, n_sector_steps: int) -> np.ndarray:
+        """Turn points (n, d) [m] on the first sector by ``n_sector_steps`` sectors."""
+        return np.asarray(
+            (points - self.center) @ self.rotation_matrix(n_sector_steps).T + self.center
+        )
 
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
@@ -221,15 +225,22 @@ class Sector:
         return np.sqrt(np.maximum(squared_omegas, 0.0)), shapes @ eigenvectors
 
     @contextmanager
-    def factor_stiffness(self) -> Iterator[NodalDiameter]:
-        """Factor the inside's stiffness for all nodal diameters, and yield nodal diameter 0."""
-        dof_numbering, n_own = self.dof_numbering, len(self.dof_numbering.own_members)
-        tie_parts = make_selection_matrix(
-            dof_numbering.member_positions + n_own * dof_numbering.is_next_sector, 2 * n_own
+    def yield_zero_diameter_solver(self) -> Iterator[NodalDiameterSolver]:
+        """Factor the inside's stiffness, and yield the solver of nodal diameter 0.
+
+        The factor serves all nodal diameters.
+        """
+        dof_numbering, n_own_dofs = self.dof_numbering, len(self.dof_numbering.own_members)
+        stacked_tie_matrices = make_selection_matrix(
+            dof_numbering.member_positions + n_own_dofs * dof_numbering.belongs_to_next_sector,
+            2 * n_own_dofs,
         )
-        tied_stiffness = sparse.csr_matrix(tie_parts.T @ self.stiffness @ tie_parts)
-        side_rows = np.unique(dof_numbering.member_positions[dof_numbering.is_next_sector])
-        inside_rows, right_rows = np.setdiff1d(np.arange(n_own), side_rows), n_own + side_rows
+        tied_stiffness = sparse.csr_matrix(
+            stacked_tie_matrices.T @ self.stiffness @ stacked_tie_matrices
+        )
+        side_rows = np.unique(dof_numbering.member_positions[dof_numbering.belongs_to_next_sector])
+        inside_rows = np.setdiff1d(np.arange(n_own_dofs), side_rows)
+        right_rows = n_own_dofs + side_rows
         left_coupling, right_coupling = (
             tied_stiffness[inside_rows][:, columns] for columns in (side_rows, right_rows)
         )
@@ -247,8 +258,8 @@ class Sector:
             cross_stiffness = (
                 tied_stiffness[side_rows][:, right_rows] - left_coupling.T @ right_response
             )
-            yield NodalDiameter(
-                self, inside_factor, tie_parts, inside_rows, side_rows,
+            yield NodalDiameterSolver(
+                self, inside_factor, stacked_tie_matrices, inside_rows, side_rows,
                 (left_coupling, right_coupling), side_stiffness, cross_stiffness, 1.0,
             )  # fmt: skip
         inside_stiffness.destroy()
@@ -263,7 +274,7 @@ def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_mat
 
 
 @dataclass(frozen=True, eq=False)
-class NodalDiameter:
+class NodalDiameterSolver:
     """Solve a wheel with bonded cracks for a single nodal diameter.
 
     The sector's inside is eliminated once for all nodal diameters. A dense matrix for the left side
@@ -277,11 +288,11 @@ class NodalDiameter:
         The sector.
     inside_factor : Factor
         Factor of the inside's stiffness K_ii.
-    tie_parts : (n_dofs, 2 n_own)
+    stacked_tie_matrices : (n_dofs, 2 n_own)
         [T_0, T_1].
     inside_rows, side_rows : (n_inside,), (n_side,) int
         Positions among the sector's own dofs: inside, and on the left side.
-    side_couplings : pair of (n_inside, n_side)
+    left_and_right_couplings : pair of (n_inside, n_side)
         K_il for the left side and for the right side.
     side_stiffness, cross_stiffness : (n_side, n_side)
         P and R.
@@ -291,31 +302,34 @@ class NodalDiameter:
 
     sector: Sector
     inside_factor: Factor
-    tie_parts: sparse.csr_matrix
+    stacked_tie_matrices: sparse.csr_matrix
     inside_rows: np.ndarray
     side_rows: np.ndarray
-    side_couplings: tuple[sparse.csr_matrix, sparse.csr_matrix]
+    left_and_right_couplings: tuple[sparse.csr_matrix, sparse.csr_matrix]
     side_stiffness: np.ndarray
     cross_stiffness: np.ndarray
     phase_factor: complex
 
     n_null_pivots = 0
 
-    def at_diameter(self, diameter: int) -> NodalDiameter:
+    def at_diameter(self, diameter: int) -> NodalDiameterSolver:
         """Return the solver for a nodal diameter, with the same factor."""
         phase_factor = np.exp(2j * np.pi * diameter / self.sector.n_sectors)
-        is_single = self.sector.has_single_wave(diameter)
+        is_single_wave = self.sector.has_single_wave(diameter)
         return replace(
             self,
-            phase_factor=float(round(phase_factor.real)) if is_single else complex(phase_factor),
+            phase_factor=float(round(phase_factor.real))
+            if is_single_wave
+            else complex(phase_factor),
         )
 
     @cached_property
     def tie_matrix(self) -> sparse.csr_matrix:
         """T_n, which ties the sector's dofs to its own dofs: (n_dofs, n_own)."""
-        n_own = self.tie_parts.shape[1] // 2
+        n_own_dofs = self.stacked_tie_matrices.shape[1] // 2
         return sparse.csr_matrix(
-            self.tie_parts[:, :n_own] + self.phase_factor * self.tie_parts[:, n_own:]
+            self.stacked_tie_matrices[:, :n_own_dofs]
+            + self.phase_factor * self.stacked_tie_matrices[:, n_own_dofs:]
         )
 
     @cached_property
@@ -325,10 +339,10 @@ class NodalDiameter:
         return np.linalg.inv(np.asarray(self.side_stiffness) + cross_term + cross_term.conj().T)
 
     @cached_property
-    def phased_coupling(self) -> sparse.csr_matrix:
+    def side_coupling_matrix(self) -> sparse.csr_matrix:
         """K_il for this nodal diameter: (n_inside, n_side) [N/m]."""
         return sparse.csr_matrix(
-            self.side_couplings[0] + self.phase_factor * self.side_couplings[1]
+            self.left_and_right_couplings[0] + self.phase_factor * self.left_and_right_couplings[1]
         )
 
     def solve_inside(self, forces: np.ndarray) -> np.ndarray:
@@ -337,18 +351,23 @@ class NodalDiameter:
             return forces
         if not np.iscomplexobj(forces):
             return self.inside_factor.solve(np.ascontiguousarray(forces).T).T
-        real_and_imaginary = self.inside_factor.solve(np.hstack([forces.real, forces.imag]).T).T
-        real_part, imaginary_part = np.split(real_and_imaginary, 2, axis=1)
+        real_and_imaginary_columns = self.inside_factor.solve(
+            np.hstack([forces.real, forces.imag]).T
+        ).T
+        real_part, imaginary_part = np.split(real_and_imaginary_columns, 2, axis=1)
         return real_part + 1j * imaginary_part
 
     def sector_displacement(
-        self, left_side: np.ndarray, right_side: np.ndarray, inside_motion: Any = 0.0
+        self,
+        left_displacement: np.ndarray,
+        right_displacement: np.ndarray,
+        inside_motion: Any = 0.0,
     ) -> np.ndarray:
         """Return a sector's displacement from its sides' displacements.
 
         Parameters
         ----------
-        left_side, right_side : (n_side, m) [m]
+        left_displacement, right_displacement : (n_side, m) [m]
             Displacements of the sides.
         inside_motion : (n_inside, m) [m]
             Motion inside with fixed sides.
@@ -357,26 +376,26 @@ class NodalDiameter:
         -------
         (n_dofs, m) [m]
         """
-        displacement = np.zeros((self.tie_parts.shape[1], left_side.shape[1]))
-        displacement[self.side_rows] = left_side
-        displacement[len(displacement) // 2 + self.side_rows] = right_side
-        left_coupling, right_coupling = self.side_couplings
+        displacement = np.zeros((self.stacked_tie_matrices.shape[1], left_displacement.shape[1]))
+        displacement[self.side_rows] = left_displacement
+        displacement[len(displacement) // 2 + self.side_rows] = right_displacement
+        left_coupling, right_coupling = self.left_and_right_couplings
         displacement[self.inside_rows] = inside_motion - self.solve_inside(
-            left_coupling @ left_side + right_coupling @ right_side
+            left_coupling @ left_displacement + right_coupling @ right_displacement
         )
-        return np.asarray(self.tie_parts @ displacement)
+        return np.asarray(self.stacked_tie_matrices @ displacement)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return K_n^-1 f for forces on the sector's own dofs (n_own, m): the same shape."""
         inside_motion = self.solve_inside(forces[self.inside_rows])
-        phased_coupling = self.phased_coupling
-        side_force = forces[self.side_rows] - phased_coupling.conj().T @ inside_motion
+        side_coupling_matrix = self.side_coupling_matrix
+        side_force = forces[self.side_rows] - side_coupling_matrix.conj().T @ inside_motion
         displacement = np.empty(
             forces.shape, dtype=np.result_type(forces, self.side_stiffness_inverse)
         )
         displacement[self.side_rows] = side_motion = self.side_stiffness_inverse @ side_force
         displacement[self.inside_rows] = inside_motion - self.solve_inside(
-            phased_coupling @ side_motion
+            side_coupling_matrix @ side_motion
         )
         return displacement
 
@@ -484,11 +503,11 @@ class CyclicBasis:
     def squared_omegas(self) -> np.ndarray:
         """omega^2 [rad^2/s^2] of the modes, which are the first :meth:`sector_motions`."""
         has_single_wave = self.cyclic_modes.sector.has_single_wave
-        omegas_by_diameter = [
+        omegas_of_diameters = [
             np.tile(omegas, 1 if has_single_wave(n) else 2)
             for n, omegas in enumerate(self.cyclic_modes.omega)
         ]
-        return np.concatenate(omegas_by_diameter) ** 2
+        return np.concatenate(omegas_of_diameters) ** 2
 
     def sector_motions(self, sector_index: Any, rows: Any = slice(None)) -> np.ndarray:
         """Return a sector's displacement in all motions, a column for each.
@@ -512,22 +531,25 @@ class CyclicBasis:
                 ..., None
             ]
             complex_motion = (
-                np.exp(1j * wave_angle) * np.sqrt(sector.diameter_shares[diameter]) * shapes[rows]
+                np.exp(1j * wave_angle)
+                * np.sqrt(sector.load_shares_of_diameters[diameter])
+                * shapes[rows]
             )
             motion_blocks += (
                 [complex_motion.real]
                 if sector.has_single_wave(diameter)
                 else [complex_motion.real, complex_motion.imag]
             )
-        for cracked_index in self.cracked_places:
+        for cracked_sector_index in self.cracked_places:
             own_opening = (
-                np.asarray(sector_index == cracked_index)[..., None] * self.opening_shapes[rows]
+                np.asarray(sector_index == cracked_sector_index)[..., None]
+                * self.opening_shapes[rows]
             )
-            sector_distance = (sector_index - cracked_index) % sector.n_sectors
-            motion_blocks.append(self.opening_responses[sector_distance, rows] + own_opening)
+            n_sectors_ahead = (sector_index - cracked_sector_index) % sector.n_sectors
+            motion_blocks.append(self.opening_responses[n_sectors_ahead, rows] + own_opening)
         return np.hstack(motion_blocks)
 
-    def _sector_products(
+    def _yield_sector_projections(
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
         """Yield U_j^T A U_j, restricted to a column range, for each sector j."""
@@ -552,7 +574,7 @@ class CyclicBasis:
         Both are diagonal for the modes. The openings have the bonds' stiffness on the upper faces.
         """
         sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
-        mass_columns = sum(self._sector_products(sector.mass, opening_columns))
+        mass_columns = sum(self._yield_sector_projections(sector.mass, opening_columns))
         mass, stiffness = np.eye(len(mass_columns)), np.zeros((len(mass_columns),) * 2)
         mass[:, opening_columns], mass[opening_columns] = mass_columns, mass_columns.T
         stiffness[: opening_columns.start, : opening_columns.start] = np.diag(self.squared_omegas)
@@ -572,7 +594,9 @@ class CyclicBasis:
         return np.array(
             [
                 0.5 * (sector_stiffness + sector_stiffness.T)
-                for sector_stiffness in self._sector_products(stiffness_at_rest, slice(None))
+                for sector_stiffness in self._yield_sector_projections(
+                    stiffness_at_rest, slice(None)
+                )
             ]
         )
 
@@ -583,13 +607,13 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicM
     The ranks share the nodal diameters.
     """
     families, modes_by_diameter = min(families, len(sector.dof_numbering.own_members)), {}
-    with sector.factor_stiffness() as zero_diameter:
-        for diameter in sector.nodal_diameters[comm.rank :: comm.size]:
-            modes_by_diameter[diameter] = zero_diameter.at_diameter(diameter).solve_modes(families)
-    omegas_by_diameter, shapes_by_diameter = zip(
-        *_gather_by_diameter(modes_by_diameter, comm).values(), strict=True
+    with sector.yield_zero_diameter_solver() as base_solver:
+        for diameter in sector.nodal_diameter_range[comm.rank :: comm.size]:
+            modes_by_diameter[diameter] = base_solver.at_diameter(diameter).solve_modes(families)
+    omegas_of_diameters, shapes_of_diameters = zip(
+        *_gather_results_by_diameter(modes_by_diameter, comm).values(), strict=True
     )
-    return CyclicModes(omegas_by_diameter, shapes_by_diameter, sector)
+    return CyclicModes(omegas_of_diameters, shapes_of_diameters, sector)
 
 
 def make_cyclic_basis(
@@ -619,46 +643,48 @@ def make_cyclic_basis(
         Places of the sectors with a crack.
     """
     families = min(families, len(sector.dof_numbering.own_members))
-    loads_by_diameter, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
+    loads_of_diameters, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
     # The modes of a few nodal diameters have the patterns of all.
-    first_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
-    next_diameters = [n for n in sector.nodal_diameters if n not in first_diameters]
-    own_diameters = [*first_diameters, *next_diameters][comm.rank :: comm.size]
+    pattern_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
+    remaining_diameters = [n for n in sector.nodal_diameter_range if n not in pattern_diameters]
+    own_diameters = [*pattern_diameters, *remaining_diameters][comm.rank :: comm.size]
     results_by_diameter: dict[int, tuple[Any, ...]] = {}
-    with sector.factor_stiffness() as zero_diameter:
-        own_first_diameters = [n for n in own_diameters if n in first_diameters]
+    with sector.yield_zero_diameter_solver() as base_solver:
+        own_pattern_diameters = [n for n in own_diameters if n in pattern_diameters]
         own_modes_by_diameter = {
-            n: zero_diameter.at_diameter(n).solve_modes(families) for n in own_first_diameters
+            n: base_solver.at_diameter(n).solve_modes(families) for n in own_pattern_diameters
         }
-        modes_by_diameter = _gather_by_diameter(own_modes_by_diameter, comm)
+        modes_by_diameter = _gather_results_by_diameter(own_modes_by_diameter, comm)
         side_force_patterns = _find_side_force_patterns(
-            sector, [modes_by_diameter[n] for n in first_diameters]
+            sector, [modes_by_diameter[n] for n in pattern_diameters]
         )
-        bond_columns = -sector.stiffness[:, sector.dof_numbering.upper_members]
-        bond_force_matrix = sparse.csr_matrix(zero_diameter.tie_parts.T @ bond_columns)
-        left_rows = zero_diameter.side_rows
+        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_members]
+        bond_matrix = sparse.csr_matrix(base_solver.stacked_tie_matrices.T @ bond_force_columns)
+        left_rows = base_solver.side_rows
         right_rows = len(sector.dof_numbering.own_members) + left_rows
-        inside_forces = bond_force_matrix[zero_diameter.inside_rows].toarray()
-        side_parts = bond_force_matrix[left_rows].toarray(), bond_force_matrix[right_rows].toarray()
-        inside_motions = zero_diameter.solve_inside(inside_forces)
+        inside_forces = bond_matrix[base_solver.inside_rows].toarray()
+        side_bond_forces = bond_matrix[left_rows].toarray(), bond_matrix[right_rows].toarray()
+        inside_motions = base_solver.solve_inside(inside_forces)
         relieved_stiffness = inside_forces.T @ inside_motions
-        del inside_forces, bond_force_matrix
+        del inside_forces, bond_matrix
         left_forces, right_forces = (
             side_forces - coupling.T @ inside_motions
-            for side_forces, coupling in zip(side_parts, zero_diameter.side_couplings, strict=True)
+            for side_forces, coupling in zip(
+                side_bond_forces, base_solver.left_and_right_couplings, strict=True
+            )
         )
         for diameter in own_diameters:
-            nodal_diameter = zero_diameter.at_diameter(diameter)
-            _, shapes = own_modes_by_diameter.get(diameter) or nodal_diameter.solve_modes(families)
-            basis_parts = _make_diameter_basis(
-                nodal_diameter, shapes, loads_by_diameter[diameter], side_force_patterns
+            diameter_solver = base_solver.at_diameter(diameter)
+            _, shapes = own_modes_by_diameter.get(diameter) or diameter_solver.solve_modes(families)
+            omega_shapes_and_bond_forces = _make_diameter_basis(
+                diameter_solver, shapes, loads_of_diameters[diameter], side_force_patterns
             )
-            side_forces = left_forces + np.conj(nodal_diameter.phase_factor) * right_forces
-            side_wave = nodal_diameter.side_stiffness_inverse @ side_forces
-            results_by_diameter[diameter] = *basis_parts, side_wave
-        diameter_results = _gather_by_diameter(results_by_diameter, comm).values()
-        omegas_by_diameter, shapes_by_diameter, bond_forces, side_motion_waves = zip(
-            *diameter_results, strict=True
+            side_forces = left_forces + np.conj(diameter_solver.phase_factor) * right_forces
+            side_motion_wave = diameter_solver.side_stiffness_inverse @ side_forces
+            results_by_diameter[diameter] = *omega_shapes_and_bond_forces, side_motion_wave
+        results_of_diameters = _gather_results_by_diameter(results_by_diameter, comm).values()
+        omega_arrays, shape_matrices, bond_forces, side_motion_waves = zip(
+            *results_of_diameters, strict=True
         )
         side_motions = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
         relieved_stiffness += left_forces.T @ side_motions[0] + right_forces.T @ side_motions[1]
@@ -669,12 +695,12 @@ def make_cyclic_basis(
         opening_responses = np.zeros((sector.n_sectors, n_dofs, face_shapes.shape[1]))
         for sector_index in range(comm.rank, sector.n_sectors, comm.size):
             right_motions = side_motions[(sector_index + 1) % sector.n_sectors]
-            own_inside_motions = inside_motions if sector_index == 0 else 0.0
-            opening_responses[sector_index] = zero_diameter.sector_displacement(
-                side_motions[sector_index], right_motions, own_inside_motions
+            inside_motion = inside_motions if sector_index == 0 else 0.0
+            opening_responses[sector_index] = base_solver.sector_displacement(
+                side_motions[sector_index], right_motions, inside_motion
             )
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
-    cyclic_modes = CyclicModes(omegas_by_diameter, shapes_by_diameter, sector)
+    cyclic_modes = CyclicModes(omega_arrays, shape_matrices, sector)
     opening_shapes = (
         make_selection_matrix(sector.dof_numbering.upper_members, n_dofs).T @ face_shapes
     )
@@ -682,7 +708,7 @@ def make_cyclic_basis(
 
 
 def _make_diameter_basis(
-    nodal_diameter: NodalDiameter,
+    diameter_solver: NodalDiameterSolver,
     shapes: np.ndarray,
     load: np.ndarray,
     side_force_patterns: np.ndarray,
@@ -705,9 +731,9 @@ def _make_diameter_basis(
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
         Real bond forces, scaled as in :func:`_compute_bond_forces`.
     """
-    sector = nodal_diameter.sector
-    load_response = nodal_diameter.static_response(load)
-    responses = np.hstack([nodal_diameter.static_response(side_force_patterns), load_response])
+    sector = diameter_solver.sector
+    load_response = diameter_solver.static_response(load)
+    responses = np.hstack([diameter_solver.static_response(side_force_patterns), load_response])
     new_motions = responses - shapes @ (shapes.conj().T @ (sector.mass @ responses))
     new_norms, response_norms = (
         np.sqrt(np.sum(np.abs(motions) ** 2, axis=0)) for motions in (new_motions, responses)
@@ -725,19 +751,17 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
 
     The responses turn with the sectors as modes do. The load's harmonics are f - i g.
     """
-    parts_by_diameter: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameters]
+    load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * engine_order, sector.n_sectors)
         force = force if diameter == harmonic * engine_order % sector.n_sectors else force.conj()
-        force_vector_by_part = (
-            [force.real, force.imag] if sector.has_single_wave(diameter) else [force]
-        )
-        parts_by_diameter[diameter] += [
-            force_part for force_part in force_vector_by_part if np.any(force_part)
+        force_parts = [force.real, force.imag] if sector.has_single_wave(diameter) else [force]
+        load_parts_of_diameters[diameter] += [
+            force_part for force_part in force_parts if np.any(force_part)
         ]
     return [
         np.array(load_parts).reshape(-1, sector.structure.n_dofs).T
-        for load_parts in parts_by_diameter
+        for load_parts in load_parts_of_diameters
     ]
 
 
@@ -759,10 +783,10 @@ def _compute_bond_forces(
     (n_upper, 2 (m + p)) [(N/m)^(1/2)]
         Real parts, then imaginary parts.
     """
-    forces = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
-    work = np.sum(load.conj() * load_response, axis=0).real
-    forces.append((sector.stiffness @ load_response - load) / np.sqrt(work))
-    bond_forces = np.hstack(forces)[sector.dof_numbering.upper_members]
+    force_blocks = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
+    load_works = np.sum(load.conj() * load_response, axis=0).real
+    force_blocks.append((sector.stiffness @ load_response - load) / np.sqrt(load_works))
+    bond_forces = np.hstack(force_blocks)[sector.dof_numbering.upper_members]
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 
@@ -804,16 +828,18 @@ def _find_opening_shapes(
         for forces in (sparse.hstack(gap_matrices).tocsr()[upper_members].toarray(), bond_forces)
     )
     contact_basis = scipy.linalg.orth(contact_patterns)
-    patterns, pattern_sizes, _ = np.linalg.svd(
+    bond_patterns, pattern_sizes, _ = np.linalg.svd(
         bond_forces - contact_basis @ (contact_basis.T @ bond_forces), full_matrices=False
     )
     kept_patterns = np.hstack(
-        [contact_basis, patterns[:, pattern_sizes > MIN_OPENING_PATTERN_SIZE]]
+        [contact_basis, bond_patterns[:, pattern_sizes > MIN_OPENING_PATTERN_SIZE]]
     )
     return scipy.linalg.solve_triangular(lower_factor.T, kept_patterns)
 
 
-def _gather_by_diameter(results_by_diameter: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
+def _gather_results_by_diameter(
+    results_by_diameter: dict[int, Any], comm: MPI.Comm
+) -> dict[int, Any]:
     """Gather all ranks' results by nodal diameter, ascending (collective)."""
     results_by_rank = (
         comm.allgather(results_by_diameter) if comm.size > 1 else [results_by_diameter]
@@ -821,8 +847,8 @@ def _gather_by_diameter(results_by_diameter: dict[int, Any], comm: MPI.Comm) -> 
     return dict(
         sorted(
             diameter_and_result
-            for rank_results in results_by_rank
-            for diameter_and_result in rank_results.items()
+            for results_of_rank in results_by_rank
+            for diameter_and_result in results_of_rank.items()
         )
     )
 
@@ -832,22 +858,24 @@ MIN_SIDE_PATTERN_SIZE = 0.5
 
 
 def _find_side_force_patterns(
-    sector: Sector, modes_of_diameters: Sequence[tuple[np.ndarray, np.ndarray]]
+    sector: Sector, omega_shapes_pairs: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
     """Find orthonormal right-side patterns (n_dofs, p) of modal forces.
 
     Parameters
     ----------
-    modes_of_diameters : sequence of (omega, shapes)
+    omega_shapes_pairs : sequence of (omega, shapes)
         Frequencies [rad/s] and shapes (n_dofs, m) of nodal diameters.
     """
-    force_vector_by_part, is_right = [], sector.dof_numbering.is_next_sector
-    for omega, shapes in modes_of_diameters:
-        force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_right]
+    scaled_force_parts, is_on_right_side = [], sector.dof_numbering.belongs_to_next_sector
+    for omega, shapes in omega_shapes_pairs:
+        force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_on_right_side]
         scaled_force = force / np.maximum(omega, 1e-300) ** 2
-        force_vector_by_part += [scaled_force.real, scaled_force.imag]
-    patterns, pattern_sizes, _ = np.linalg.svd(np.hstack(force_vector_by_part), full_matrices=False)
-    kept_patterns = patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
+        scaled_force_parts += [scaled_force.real, scaled_force.imag]
+    force_patterns, pattern_sizes, _ = np.linalg.svd(
+        np.hstack(scaled_force_parts), full_matrices=False
+    )
+    kept_patterns = force_patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
     side_force_patterns = np.zeros((sector.structure.n_dofs, kept_patterns.shape[1]))
-    side_force_patterns[is_right] = kept_patterns
+    side_force_patterns[is_on_right_side] = kept_patterns
     return side_force_patterns

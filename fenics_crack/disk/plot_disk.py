@@ -72,30 +72,30 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     )
     displacements = displacements - displacements.mean(axis=0)
     displacement_sizes = np.linalg.norm(displacements, axis=2)
-    amplitude = displacement_sizes.max(axis=0)
-    largest_displacement = displacements[int(np.argmax(displacement_sizes.max(axis=1)))]
+    node_amplitudes = displacement_sizes.max(axis=0)
+    displacement_at_largest = displacements[int(np.argmax(displacement_sizes.max(axis=1)))]
     [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **picture_options)
-    unit_factor, unit = choose_unit_prefix(float(amplitude.max()), "m")
+    unit_factor, unit = choose_unit_prefix(float(node_amplitudes.max()), "m")
     shape_displacement = (
-        0.5 * magnification_to_tenth(largest_displacement, mesh.size) * largest_displacement
+        0.5 * magnification_to_tenth(displacement_at_largest, mesh.size) * displacement_at_largest
     )
     coloured_mesh = draw_displaced_mesh(
-        panel, mesh, shape_displacement, unit_factor * amplitude, is_wheel=True
+        panel, mesh, shape_displacement, unit_factor * node_amplitudes, is_wheel=True
     )
     panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
-        _number_blades(panel, wheel)
+        _write_blade_numbers(panel, wheel)
     return picture.save_with_title()
 
 
-def _number_blades(panel: Axes, wheel: Wheel) -> None:
+def _write_blade_numbers(panel: Axes, wheel: Wheel) -> None:
     """Write each blade's number on a circle outside all nodes, mid-sector."""
     sector, nodes = wheel.sector, wheel.sector.structure.nodes
     assert nodes is not None
     sector_middle = nodes.points.mean(axis=0) - sector.center
-    number_radius = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
+    text_radius = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
     for sector_index in range(sector.n_sectors):
-        position = sector.center + number_radius * sector.rotation_matrix(sector_index) @ (
+        text_position = sector.center + text_radius * sector.rotation_matrix(sector_index) @ (
             sector_middle / np.linalg.norm(sector_middle)
         )
         colour, weight = ("orange", "bold") if sector_index in wheel.cracked else ("grey", "normal")
@@ -105,8 +105,8 @@ def _number_blades(panel: Axes, wheel: Wheel) -> None:
             "ha": "center",
             "va": "center",
         }
-        panel.text(*position, str(sector_index + 1), **text_options)
-        panel.update_datalim([position])
+        panel.text(*text_position, str(sector_index + 1), **text_options)
+        panel.update_datalim([text_position])
 
 
 def draw_blades(
@@ -147,28 +147,28 @@ def draw_blades(
     >>> figure = fc.draw_blades(fc.curve(disk).result, path="blades.png")
     """
     wheel = wheel_of(curve.problem_of(0).structure)
-    dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
-    blade_amplitudes = np.array([curve.amplitude(blade_dof) for blade_dof in dofs])
-    unit_factor, *name_and_unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
+    blade_dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
+    blade_amplitudes = np.array([curve.amplitude(blade_dof) for blade_dof in blade_dofs])
+    unit_factor, *parameter_name_and_unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     [panel] = picture = Picture(comm=wheel.comm, **picture_options)
-    whole_blades = [
-        blade_index for blade_index in range(len(dofs)) if blade_index not in wheel.cracked
+    uncracked_blades = [
+        blade_index for blade_index in range(len(blade_dofs)) if blade_index not in wheel.cracked
     ]
-    largest_amplitudes = blade_amplitudes.max(axis=1)
-    for blade_index in whole_blades:
+    peak_amplitudes = blade_amplitudes.max(axis=1)
+    for blade_index in uncracked_blades:
         panel.plot(
             unit_factor * curve.values, blade_amplitudes[blade_index], color="#b4b4b4", lw=0.8
         )
-    highlighted_blade_styles = (
-        [(max(whole_blades, key=lambda blade_index: largest_amplitudes[blade_index]), "blue", "")]
-        if whole_blades
+    highlighted_blades_and_styles = (
+        [(max(uncracked_blades, key=lambda blade_index: peak_amplitudes[blade_index]), "blue", "")]
+        if uncracked_blades
         else []
     )
-    highlighted_blade_styles += [
+    highlighted_blades_and_styles += [
         (blade_index, "orange", ", cracked") for blade_index in wheel.cracked
     ]
-    for blade_index, colour, label_suffix in highlighted_blade_styles:
-        peak_text = format_quantity(float(largest_amplitudes[blade_index]), "m")
+    for blade_index, colour, label_suffix in highlighted_blades_and_styles:
+        peak_text = format_quantity(float(peak_amplitudes[blade_index]), "m")
         label = f"blade {blade_index + 1}{label_suffix}, up to {peak_text}"
         panel.plot(
             unit_factor * curve.values,
@@ -177,11 +177,11 @@ def draw_blades(
             lw=1.5,
             label=label,
         )
-    n_grey_blades = len(whole_blades) - 1
+    n_grey_blades = len(uncracked_blades) - 1
     if n_grey_blades > 0:
         panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {n_grey_blades} others")
     panel.set_yscale("log")
-    panel.set_xlabel(f"{name_and_unit[0]} [{name_and_unit[1]}]")
+    panel.set_xlabel(f"{parameter_name_and_unit[0]} [{parameter_name_and_unit[1]}]")
     label_axis(panel.yaxis, "amplitude", "m")
     return picture.finish()
 

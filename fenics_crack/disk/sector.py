@@ -38,19 +38,22 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         unstable at this speed.
     """
     disk = scene.given("disk")
-    sector, rotation = _make_sector(scene, dofs, structure), None
+    sector, rotation_terms = _make_sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.factor_stiffness() as nodal_diameter:  # the load is the same on all sectors
-            rotation = assemble_rotation(scene, dofs, structure, nodal_diameter.static_response)
-        static_stiffness, stiffness = rotation.static_shape_and_motion_stiffness(scene.speed)
+        # The load is the same on all sectors.
+        with sector.yield_zero_diameter_solver() as zero_diameter_solver:
+            rotation_terms = assemble_rotation(
+                scene, dofs, structure, zero_diameter_solver.static_response
+            )
+        static_stiffness, stiffness = rotation_terms.static_shape_and_motion_stiffness(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
-        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation.force
+        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation_terms.force
         stiffened_sector = replace(
             sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)
         )
-        with stiffened_sector.factor_stiffness() as nodal_diameter:
-            static_displacement = nodal_diameter.static_response(centrifugal_load[:, None])
+        with stiffened_sector.yield_zero_diameter_solver() as zero_diameter_solver:
+            static_displacement = zero_diameter_solver.static_response(centrifugal_load[:, None])
         force[0] += (
             centrifugal_load
             + (
@@ -63,12 +66,13 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         )
         sector = replace(sector, structure=rotating_structure)
     return Wheel(
-        sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
-        order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
+        sector, cracked=[sector_number - 1 for sector_number in disk.cracked],
+        mistuning=disk.deviations, order=scene.excitation.order or 0, families=disk.families,
+        rotation=rotation_terms, comm=comm,
     )  # fmt: skip
 
 
-def match_sides(scene: Scene, dofs: Dofs) -> None:
+def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     """Match a sector's left and right nodes, and record them in ``dofs``.
 
     Displacements on the right side are then in the frame of the next sector.
@@ -80,7 +84,7 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
     """
     from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
-    disk, (center, axis) = scene.given("disk"), scene.axis
+    disk, (center, axis) = scene.given("disk"), scene.axis_point_and_direction
     points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     side_names = (
         RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.part_mesh.tags_by_group else ("left", "right")
@@ -91,22 +95,24 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
             raise InputError("mesh.file", f"without a side named {side_name!r}", requirement)
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
     spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
-    rotation_matrices = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
-    matches = [
-        _match_points(
+    turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
+    rotation_matrices = [
+        Rotation.from_rotvec(turn_angle * axis).as_matrix() for turn_angle in turn_angles
+    ]
+    partner_matches = [
+        _find_partners_and_largest_distance(
             (spatial_points[left_nodes] - center) @ rotation_matrix.T + center,
             spatial_points[right_nodes],
         )
         for rotation_matrix in rotation_matrices
     ]
-    best_index = min((0, 1), key=lambda index: matches[index][0])
-    (largest_distance, worst_index, right_partners), rotation_matrix = (
-        matches[best_index],
-        rotation_matrices[best_index],
+    best_match_index = min((0, 1), key=lambda index: partner_matches[index][0])
+    (largest_distance, worst_node_index, right_partners), rotation_matrix = (
+        partner_matches[best_match_index],
+        rotation_matrices[best_match_index],
     )
     if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
-        place_text = format_point(points[left_nodes[worst_index]])
+        place_text = format_point(points[left_nodes[worst_node_index]])
         side_counts_text = (
             f"{len(left_nodes)} nodes of the left side and {len(right_nodes)} of the right one"
         )
@@ -134,38 +140,48 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     InputError
         The crack reaches a side, or the nodes on both crack faces do not match.
     """
-    points, sides, frames = dofs.points, dofs.side_node_pairs, dofs.node_to_global_rotations
-    assert sides is not None and frames is not None
+    points, side_node_pairs = dofs.points, dofs.side_node_pairs
+    node_rotations = dofs.node_to_global_rotations
+    assert side_node_pairs is not None and node_rotations is not None
     crack_face_nodes = np.zeros((2, 0), dtype=int)
     if dofs.part_mesh.has_cracks:  # tips belong to both faces and need no bond
-        lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in CRACK_FACE_NAMES)
+        lower_nodes, upper_nodes = (dofs.nodes_on(face_name) for face_name in CRACK_FACE_NAMES)
         lower_nodes, upper_nodes = (
             np.setdiff1d(lower_nodes, upper_nodes),
             np.setdiff1d(upper_nodes, lower_nodes),
         )
-        largest_distance, worst_index, upper_partners = _match_points(
+        largest_distance, worst_node_index, upper_partners = _find_partners_and_largest_distance(
             points[lower_nodes], points[upper_nodes]
         )
         if largest_distance > RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
-            place_text = format_point(points[lower_nodes[worst_index]])
+            place_text = format_point(points[lower_nodes[worst_node_index]])
             requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
             raise InputError(
                 "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
             )
         crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
-    if len(common_nodes := np.intersect1d(crack_face_nodes, sides)):
+    if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
         requirement = (
             f"away from the sides of its sector, not at {format_point(points[common_nodes[0]])}"
         )
         raise InputError("lips", "a crack", requirement)
-    center, rotation = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
+    center = scene.axis_point_and_direction[0][: points.shape[1]]
+    rotation_matrix = node_rotations[side_node_pairs[1, 0]]
     n_sectors = scene.given("disk").sectors
     return Sector(
-        structure, n_sectors, center, rotation, sides, crack_face_nodes, structure.stiffness
+        structure,
+        n_sectors,
+        center,
+        rotation_matrix,
+        side_node_pairs,
+        crack_face_nodes,
+        structure.stiffness,
     )
 
 
-def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, int, np.ndarray]:
+def _find_partners_and_largest_distance(
+    points: np.ndarray, candidates: np.ndarray
+) -> tuple[float, int, np.ndarray]:
     """Match points (n, d) [m] with candidates (m, d) [m] one to one.
 
     Returns
@@ -180,12 +196,12 @@ def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, in
     from scipy.spatial import cKDTree
 
     distances, partner_indices = cKDTree(candidates).query(points)
-    worst_index = int(np.argmax(distances))
+    worst_point_index = int(np.argmax(distances))
     is_ambiguous = len(candidates) != len(points) or len(np.unique(partner_indices)) != len(
         partner_indices
     )
     return (
-        (math.inf if is_ambiguous else float(distances[worst_index])),
-        worst_index,
+        (math.inf if is_ambiguous else float(distances[worst_point_index])),
+        worst_point_index,
         partner_indices,
     )

@@ -66,8 +66,8 @@ class WheelBody(Body):
     mistuning: np.ndarray
     order: int
     families: int
-    numbers: np.ndarray
-    places: np.ndarray
+    wheel_dof_numbers: np.ndarray
+    owner_positions: np.ndarray
 
 
 class Wheel(Structure):
@@ -100,8 +100,8 @@ class Wheel(Structure):
     cracked: tuple[int, ...] = body_property("cracked_places")
     mistuning: np.ndarray = body_property("mistuning")
     order: int = body_property("order")
-    numbers: np.ndarray = body_property("numbers")
-    places: np.ndarray = body_property("places")
+    numbers: np.ndarray = body_property("wheel_dof_numbers")
+    places: np.ndarray = body_property("owner_positions")
 
     def __init__(
         self,
@@ -117,13 +117,15 @@ class Wheel(Structure):
         fit_argument("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
         sector_structure, n_sectors = sector.structure, sector.n_sectors
-        tangential = sector_structure.tangential
+        tangential_gap = sector_structure.tangential
         cracked = tuple(cracked) if sector_structure.n_pairs else ()
-        dof_numbers, owner_positions = sector.dof_numbering.number_wheel_members(n_sectors, cracked)
+        wheel_dof_numbers, owner_positions = sector.dof_numbering.number_wheel_members(
+            n_sectors, cracked
+        )
         absent_matrix = AbsentMatrix(len(owner_positions), comm.rank)
         own_rows = slice(None if comm.rank == 0 else 0)
-        copy_matrix = make_selection_matrix(dof_numbers.ravel(), len(owner_positions))
-        cracked_columns = np.eye(n_sectors)[:, list(cracked)]
+        copy_matrix = make_selection_matrix(wheel_dof_numbers.ravel(), len(owner_positions))
+        cracked_sector_columns = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
             """Assemble forces (m, N, n_sector) on all sectors to the wheel: (m, n_local)."""
@@ -131,27 +133,32 @@ class Wheel(Structure):
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """Assemble B (n_local, n_pairs) for all cracks from a sector's B."""
-            return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_columns, gap))[own_rows]
+            return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_sector_columns, gap))[
+                own_rows
+            ]
 
-        watched_factors = sector_structure.watched
-        if watched_factors is None:
-            watched_factors = np.eye(
+        watched_dof_weights = sector_structure.watched
+        if watched_dof_weights is None:
+            watched_dof_weights = np.eye(
                 1, sector_structure.n_dofs, sector_structure.find_most_loaded_dof()
             )[0]
-        watched_row = np.eye(1, n_sectors, cracked[0] if cracked else 0)
-        watched_motion = assemble_forces(watched_row[..., None] * watched_factors)[0]
+        watched_sector_row = np.eye(1, n_sectors, cracked[0] if cracked else 0)
+        watched_wheel_dof_weights = assemble_forces(
+            watched_sector_row[..., None] * watched_dof_weights
+        )[0]
         force = assemble_forces(_make_sector_loads(sector, order))
-        body = WheelBody(
+        wheel_body = WheelBody(
             absent_matrix, absent_matrix, assemble_gap(sector_structure.gap), force,
             np.tile(sector_structure.clearance, len(cracked)), damping=sector_structure.damping,
-            tangential=None if tangential is None else assemble_gap(tangential),
-            nodes=_make_wheel_nodes(sector, cracked, dof_numbers, own_rows),
-            pairs=_make_wheel_pairs(sector, cracked), watched=watched_motion, rotation=rotation,
-            comm=comm,
+            tangential=None if tangential_gap is None else assemble_gap(tangential_gap),
+            nodes=_make_wheel_nodes(sector, cracked, wheel_dof_numbers, own_rows),
+            pairs=_make_wheel_pairs(sector, cracked), watched=watched_wheel_dof_weights,
+            rotation=rotation, comm=comm,
             sector=sector, cracked_places=cracked, mistuning=_read_deviations(mistuning, n_sectors),
-            order=order, families=families, numbers=dof_numbers, places=owner_positions,
+            order=order, families=families, wheel_dof_numbers=wheel_dof_numbers,
+            owner_positions=owner_positions,
         )  # fmt: skip
-        super().__init__(body)
+        super().__init__(wheel_body)
 
     # --- its dofs ---------------------------------------------------------------------------------
 
@@ -216,16 +223,16 @@ class Wheel(Structure):
         )
         raise InputError("structure", repr(self), requirement)
 
-    def structure_in_few_coordinates(self) -> WheelStructure:
+    def structure_in_few_coordinates(self) -> WheelInFewCoordinates:
         """Return the wheel in the coordinates (q, d) used to solve (collective)."""
-        return WheelStructure(self, count_basis_families(self.families))
+        return WheelInFewCoordinates(self, count_basis_families(self.families))
 
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return load rows on the watched blade (:meth:`Structure.watched_sector_load_rows`).
 
         The rows (n_rows, structure.n_dofs) are in the coordinates of ``structure``.
         """
-        is_own_dof = ~self.sector.dof_numbering.is_next_sector
+        is_own_dof = ~self.sector.dof_numbering.belongs_to_next_sector
         blade_dofs = np.unique(self.numbers[self.watched_sector_index, is_own_dof])
         loaded_dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
         blade_motions = structure.values_at(np.eye(structure.n_dofs), loaded_dofs.tolist())
@@ -249,10 +256,10 @@ class Wheel(Structure):
             tuned_stiffness + sparse.kron(np.diag(self.mistuning), stiffness_at_rest)
         )
 
-    def _assemble_wheel_matrix(self, sector_matrices: sparse.spmatrix) -> Any:
+    def _assemble_wheel_matrix(self, sector_block_matrix: sparse.spmatrix) -> Any:
         """Assemble a wheel's matrix from the free sectors' block matrix (collective)."""
         copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
-        wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_matrices @ copy_matrix)
+        wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_block_matrix @ copy_matrix)
         return make_matrix_from_local_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
@@ -269,12 +276,12 @@ class Wheel(Structure):
         n_modes = min(
             self.families * self.sector.n_sectors, wheel_structure.n_dofs - wheel_structure.n_pairs
         )
-        modes = solve_modes(
+        few_coordinate_modes = solve_modes(
             wheel_structure,
             n_modes,
             lips="tied" if is_bonded and wheel_structure.n_pairs else "open",
         )
-        return modes.omega, wheel_structure.expand(modes.shapes.T).T
+        return few_coordinate_modes.omega, wheel_structure.expand(few_coordinate_modes.shapes.T).T
 
     def mistuned(self, deviations: Any) -> Wheel:
         """Return this wheel with new stiffness deviations in the sectors.
@@ -333,22 +340,23 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
 
 def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
     """Make the load on each sector's dofs: (2K+1, N, n_sector) [N]."""
-    complex_loads = to_complex(sector.structure.force)
-    turn_fractions = (
-        np.multiply.outer(np.arange(len(complex_loads)), np.arange(sector.n_sectors)) * engine_order
+    complex_load_harmonics = to_complex(sector.structure.force)
+    n_phase_steps = (
+        np.multiply.outer(np.arange(len(complex_load_harmonics)), np.arange(sector.n_sectors))
+        * engine_order
     )
-    phase_factors = np.exp(2j * np.pi * turn_fractions / sector.n_sectors)
-    return from_complex(phase_factors[..., None] * complex_loads[:, None])
+    phase_factors = np.exp(2j * np.pi * n_phase_steps / sector.n_sectors)
+    return from_complex(phase_factors[..., None] * complex_load_harmonics[:, None])
 
 
 def _make_wheel_nodes(
-    sector: Sector, cracked_places: tuple[int, ...], dof_numbers: np.ndarray, own_rows: slice
+    sector: Sector, cracked_places: tuple[int, ...], wheel_dof_numbers: np.ndarray, own_rows: slice
 ) -> Nodes:
     """Make the wheel's nodes on one rank.
 
     Parameters
     ----------
-    dof_numbers : (N, n_sector) int
+    wheel_dof_numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     own_rows : slice
         All nodes on rank 0, none on other ranks.
@@ -362,39 +370,44 @@ def _make_wheel_nodes(
     wheel_node_numbers, owner_positions = node_numbering.number_wheel_members(
         sector.n_sectors, cracked_places
     )
-    sector_index, sector_node = divmod(owner_positions[own_rows], n_sector_nodes)
-    rotations = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.n_sectors)])
-    frames = rotations[sector_index]
-    points = (
-        np.einsum("nij,nj->ni", frames, nodes.points[sector_node] - sector.center) + sector.center
+    sector_index, sector_node_index = divmod(owner_positions[own_rows], n_sector_nodes)
+    sector_rotation_matrices = np.array(
+        [sector.rotation_matrix(n_sector_steps) for n_sector_steps in range(sector.n_sectors)]
     )
-    node_dofs = nodes.dofs[sector_node]
-    node_dofs = np.where(node_dofs >= 0, dof_numbers[sector_index[:, None], node_dofs], -1)
+    node_frames = sector_rotation_matrices[sector_index]
+    points = (
+        np.einsum("nij,nj->ni", node_frames, nodes.points[sector_node_index] - sector.center)
+        + sector.center
+    )
+    node_dofs = nodes.dofs[sector_node_index]
+    node_dofs = np.where(node_dofs >= 0, wheel_dof_numbers[sector_index[:, None], node_dofs], -1)
     cells = wheel_node_numbers[:, nodes.cells].reshape(-1, nodes.cells.shape[1])[own_rows]
-    return Nodes(points, node_dofs, cells, nodes.vtk_type, frames=frames)
+    return Nodes(points, node_dofs, cells, nodes.vtk_type, frames=node_frames)
 
 
 def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
     """Make the contact pairs of all cracked sectors."""
-    pairs, n_cracked = sector.structure.pairs, len(cracked_places)
+    pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_places)
     if not cracked_places or pairs.points is None or pairs.cracks is None:
         return Pairs()
     assert pairs.areas is not None and pairs.positions is not None
-    n_cracks, cracked_indices = int(pairs.cracks.max(initial=-1)) + 1, np.arange(n_cracked)[:, None]
-    pair_by_place_name = {
-        place_name + f" of blade {sector_index + 1}" * (n_cracked > 1): pair
-        + cracked_index * len(pairs.points)
-        for cracked_index, sector_index in enumerate(cracked_places)
-        for place_name, pair in pairs.places.items()
+    n_cracks_per_sector = int(pairs.cracks.max(initial=-1)) + 1
+    crack_block_indices = np.arange(n_cracked_sectors)[:, None]
+    pair_index_by_place_name = {
+        place_name + f" of blade {sector_index + 1}" * (n_cracked_sectors > 1): pair_index
+        + crack_block_index * len(pairs.points)
+        for crack_block_index, sector_index in enumerate(cracked_places)
+        for place_name, pair_index in pairs.places.items()
     }
     points = np.concatenate(
-        [sector.place_points(pairs.points, sector_index) for sector_index in cracked_places]
+        [sector.turn_points(pairs.points, sector_index) for sector_index in cracked_places]
     )
-    cracks = (pairs.cracks + n_cracks * cracked_indices).ravel()
-    areas, positions = (
-        np.tile(sector_values, n_cracked) for sector_values in (pairs.areas, pairs.positions)
+    crack_numbers = (pairs.cracks + n_cracks_per_sector * crack_block_indices).ravel()
+    areas, positions_along_cracks = (
+        np.tile(values_of_sector_pairs, n_cracked_sectors)
+        for values_of_sector_pairs in (pairs.areas, pairs.positions)
     )
-    return Pairs(points, areas, cracks, positions, pair_by_place_name)
+    return Pairs(points, areas, crack_numbers, positions_along_cracks, pair_index_by_place_name)
 
 
 # --- in few coordinates ---------------------------------------------------------------------------
@@ -410,19 +423,19 @@ were 1.8 times the stated errors.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WheelCoordinates(Body):
+class FewCoordinatesWheelBody(Body):
     """Hold a wheel's body in few coordinates.
 
-    ``ranked_modes`` are the wheel's frequencies [rad/s] and mode shapes in the order made by
-    :meth:`WheelStructure.rank_modes`.
+    ``ranked_omega_and_shapes`` are the wheel's frequencies [rad/s] and mode shapes in the order
+    made by :meth:`WheelInFewCoordinates.with_ranked_modes_and_share`.
     """
 
     wheel: Wheel
     basis: CyclicBasis
-    ranked_modes: tuple[np.ndarray, np.ndarray] | None = None
+    ranked_omega_and_shapes: tuple[np.ndarray, np.ndarray] | None = None
 
 
-class WheelStructure(Structure):
+class WheelInFewCoordinates(Structure):
     """Model a wheel in the coordinates (q, d), equal on every rank.
 
     ``find_dof`` and ``values_at`` refer to the whole wheel's dofs.
@@ -433,7 +446,7 @@ class WheelStructure(Structure):
         Motions U of the whole wheel for the coordinates.
     """
 
-    body: WheelCoordinates
+    body: FewCoordinatesWheelBody
     basis: CyclicBasis = body_property("basis")
 
     def __init__(self, wheel: Wheel, families: int) -> None:
@@ -444,7 +457,7 @@ class WheelStructure(Structure):
         families : int
             Number of modes for each nodal diameter.
         """
-        begin_stage(f"modes of {len(wheel.sector.nodal_diameters)} nodal diameters")
+        begin_stage(f"modes of {len(wheel.sector.nodal_diameter_range)} nodal diameters")
         basis, sector_structure, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin_stage("matrices of the wheel")
         mass, stiffness = basis.tuned_mass_and_stiffness
@@ -463,14 +476,14 @@ class WheelStructure(Structure):
             ]
             return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *crack_columns]))
 
-        sector_tangential = sector_structure.tangential if wheel.cracked else None
-        body = WheelCoordinates(
+        tangential_gap = sector_structure.tangential if wheel.cracked else None
+        wheel_body = FewCoordinatesWheelBody(
             make_matrix_from_local_rows(mass, comm), make_matrix_from_local_rows(stiffness, comm),
             assemble_gap(sector_structure.gap), force, wheel.clearance, damping=wheel.damping,
-            tangential=None if sector_tangential is None else assemble_gap(sector_tangential),
+            tangential=None if tangential_gap is None else assemble_gap(tangential_gap),
             nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=basis,
         )  # fmt: skip
-        super().__init__(body)
+        super().__init__(wheel_body)
 
     @cached_property
     def whole(self) -> Wheel:
@@ -481,18 +494,21 @@ class WheelStructure(Structure):
         """Return frequencies [rad/s] and shapes of all modes, from dense matrices.
 
         Equal sectors have modes in pairs, which Krylov's method would mix within the method's
-        error. The modes ascend; open modes may have the order of :meth:`rank_modes`. The bonded
-        modes are computed in the space of the open modes, with mass matrix 1.
+        error. The modes ascend; open modes may have the order of
+        :meth:`with_ranked_modes_and_share`. The bonded modes are computed in the space of the open
+        modes, with mass matrix 1.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)
         return (
             self.compute_once(_solve_all_modes)
-            if self.body.ranked_modes is None
-            else self.body.ranked_modes
+            if self.body.ranked_omega_and_shapes is None
+            else self.body.ranked_omega_and_shapes
         )
 
-    def rank_modes(self, n_first: int, n_more: int) -> tuple[WheelStructure, float]:
+    def with_ranked_modes_and_share(
+        self, n_first: int, n_more: int
+    ) -> tuple[WheelInFewCoordinates, float]:
         """Order the wheel's modes for a reduction with a reference.
 
         The lowest ``n_first`` modes come first. The ``n_more`` modes that move the cracks most
@@ -502,7 +518,7 @@ class WheelStructure(Structure):
 
         Returns
         -------
-        WheelStructure
+        WheelInFewCoordinates
             This wheel with ordered modes.
         float
             Share of the last group in the changes by all modes after both first groups.
@@ -518,8 +534,11 @@ class WheelStructure(Structure):
         reference_share = (
             inertia_changes[reference_indices].sum() / inertia_changes[mode_order[n_more:]].sum()
         )
-        ranked_modes = omega[mode_indices], shapes[:, mode_indices]
-        body_changes = {"result_cache": self.body.result_cache, "ranked_modes": ranked_modes}
+        ranked_omega_and_shapes = omega[mode_indices], shapes[:, mode_indices]
+        body_changes = {
+            "result_cache": self.body.result_cache,
+            "ranked_omega_and_shapes": ranked_omega_and_shapes,
+        }
         return self._in_setting(self.setting, **body_changes), float(reference_share)
 
     @property
@@ -607,7 +626,7 @@ def reduce_wheel(
     The mistuned wheel with open cracks has modes in these motions. The lowest are kept,
     ``families`` for each sector, and ``more`` modes that move the cracks most. The next modes in
     this rank form the reference, which estimates the reduction error
-    (``WheelStructure.rank_modes``).
+    (``WheelInFewCoordinates.with_ranked_modes_and_share``).
 
     Parameters
     ----------
@@ -639,13 +658,15 @@ def reduce_wheel(
     check_count("families", families, 1)
     check_count("more", more, 0)
     # With more families, static responses are made of modes but for rounding.
-    max_families = len(wheel.sector.dof_numbering.own_members) // 2
-    if families > max_families:
-        raise InputError("families", families, f"at most {max_families}, half of a sector's dofs")
-    max_more = (count_basis_families(families) - families) * wheel.sector.n_sectors
-    if more > max_more:
-        raise InputError("more", more, f"at most {max_more}, those of four families")
-    wheel_structure = WheelStructure(
+    max_allowed_families = len(wheel.sector.dof_numbering.own_members) // 2
+    if families > max_allowed_families:
+        raise InputError(
+            "families", families, f"at most {max_allowed_families}, half of a sector's dofs"
+        )
+    max_allowed_more_modes = (count_basis_families(families) - families) * wheel.sector.n_sectors
+    if more > max_allowed_more_modes:
+        raise InputError("more", more, f"at most {max_allowed_more_modes}, those of four families")
+    wheel_structure = WheelInFewCoordinates(
         wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
     )
     begin_stage("reduction")
@@ -657,7 +678,7 @@ def reduce_wheel(
             wheel_structure, modes=n_modes + more, reference=reference
         )
         return reduced_structure._in_setting(wheel.setting)
-    wheel_structure, reference_share = wheel_structure.rank_modes(n_modes, more)
+    wheel_structure, reference_share = wheel_structure.with_ranked_modes_and_share(n_modes, more)
     n_modes += more
     n_reference_modes = reference and min(n_modes + N_REFERENCE_MODES, wheel_structure.n_dofs)
     reduced_structure = reduce_structure(

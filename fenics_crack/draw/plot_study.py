@@ -400,7 +400,7 @@ def _describe_quantity(verification: Verification, name: str) -> str:
         else observable.words
     )
     if point_name:
-        quantity_text += f", {verification.scene.point_names.get(point_name, point_name)}"
+        quantity_text += f", {verification.scene.label_by_point_name.get(point_name, point_name)}"
     value_text = format_quantity(verification.values[name], verification.units[name])
     return f"{fill(quantity_text, MAX_LETTERS_PER_LINE)}, {value_text}"
 

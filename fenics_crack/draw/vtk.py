@@ -40,7 +40,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate_series
 from fenics_crack.scene.tables import Material
 from fenics_crack.time.march import TimeHistory
-from fenics_crack.version import packaged
+from fenics_crack.version import read_packaged_text
 
 if TYPE_CHECKING:
     from fenics_crack.runs.run import Run
@@ -618,7 +618,7 @@ def write_period(
             "caption": f"displacement x {fields.magnification:.3g}",
             "factor": fields.magnification,
         }
-        script_template = packaged("draw/paraview_state.txt")
+        script_template = read_packaged_text("draw/paraview_state.txt")
         script_text = script_template.format(**path_texts, **view_settings)
         first_files = [(collection_path, collection_text), (script_path, script_text)]
         frame_files = (

@@ -54,7 +54,7 @@ from fenics_crack.study.prepare import Study
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:
     """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1"."""
-    return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
+    return f"{'frequency' if scene.is_frequency_in_hertz else 'omega'}_{kind}_{mode}"
 
 
 def bilinear_of(structure: Structure, mode: int) -> float:
@@ -128,7 +128,7 @@ def _add_frequencies(
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
     frequencies = bilinear_frequencies(study.structure)
     mode = mode or int(frequencies.nearest(omega)["mode"])
-    factor, _, unit = frequency_axis(scene.in_hertz)
+    factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
     modes_by_kind = {"open": sorted({1, 2, 3, mode})}
     if has_pairs:
         modes_by_kind |= {"tied": [mode], "bilinear": [mode]}

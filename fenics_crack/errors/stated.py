@@ -203,7 +203,7 @@ def errors_of_natural(
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
-    factor, _, unit = frequency_axis(scene.in_hertz)
+    factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
 
     def by_name(frequencies: Mapping[str, np.ndarray]) -> dict[str, float]:
         return {
@@ -535,7 +535,7 @@ class StatedCase(Case):
     @property
     def _relative_dent(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
-        if self.study.scene.points:
+        if self.study.scene.output_points:
             return 0.0
         amplitude = self.wave.amplitude(self.study.watched[0].dof)
         return dent_by_force(self.study.scene) / amplitude

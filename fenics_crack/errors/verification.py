@@ -369,7 +369,7 @@ class Verification(SavedResult):
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
         dent = dent_by_force(scene)
-        if scene.points or not dent > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0:
+        if scene.output_points or not dent > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0:
             return ()
         growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         return (

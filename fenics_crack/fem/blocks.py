@@ -136,7 +136,7 @@ def _find_plate_columns_rows_and_slits(
         Elements at a tip are too small.
     """
     width, height = scene.geometry.sides
-    cracks = list(scene.all_cracks.values())
+    cracks = list(scene.crack_by_name.values())
     spans = [crack.span(width) for crack in cracks]
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
@@ -439,7 +439,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     """
     unit_scene, unit = scale_scene_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
-    if scene.has_element_lengths:
+    if scene.has_graded_lengths:
         rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
@@ -460,7 +460,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
     """Return a plate's crack paths, in the order of the scene."""
     width, crack_paths = scene.geometry.sides[0], []
-    for crack in scene.all_cracks.values():
+    for crack in scene.crack_by_name.values():
         left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
         ends = (right_end, left_end) if crack.edge == "right" else (left_end, right_end)
         crack_paths.append(CrackPath(np.array(ends), crack.edge is not None))
@@ -491,7 +491,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     column_by_upper_ij = {
         (i, row): columns[i] for row, crack_columns in slits for i in crack_columns
     }
-    if scene.has_element_lengths:  # only crack faces have a number of elements
+    if scene.has_graded_lengths:  # only crack faces have a number of elements
         columns, rows = (
             [replace(interval, n_elements=0) for interval in intervals]
             for intervals in (columns, rows)
@@ -621,7 +621,7 @@ def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]
 
 def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
     """Set the cells that fill the surfaces."""
-    if scene.has_element_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
+    if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
         surfaces = []
     for surface in surfaces:
@@ -671,7 +671,7 @@ class DiskRim:
 
     def __init__(self, scene: Scene) -> None:
         """Read the rim from a scene whose disk is meshed here."""
-        self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis[0]
+        self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis_point_and_direction[0]
         self.blade_middle_position, self.axis_y_position = (
             float(axis_point[0 if scene.dimension == 2 else 2]),
             float(axis_point[1]),
@@ -908,7 +908,7 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
     """
     crack_size_by_key = {
         f"{name}.{key}": crack_size
-        for name, crack in scene.all_cracks.items()
+        for name, crack in scene.crack_by_name.items()
         for key in ("depth", "length", "radii")
         if (crack_size := getattr(crack, key)) is not None
     }
@@ -954,7 +954,7 @@ class _Grading:
 def _crack_gradings(scene: Scene) -> list[_Grading]:
     """Return the grading around the tips of each crack in a plate."""
     (width, _), mesh, gradings = scene.geometry.sides, scene.mesh, []
-    for crack in scene.all_cracks.values():
+    for crack in scene.crack_by_name.values():
         n_elements = mesh.given("lip_elements")
         left_end, right_end = crack.span(width)
         face_length = right_end - left_end

@@ -533,7 +533,7 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
     if (
         not part_mesh.has_cracks
         and scene.mesh.layout == "file"
-        and (scene.contact or scene.all_cracks)
+        and (scene.contact or scene.crack_by_name)
     ):
         group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
         requirement = (
@@ -544,9 +544,9 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
     space = compat.function_space(part_mesh.mesh, scene.mesh.order)
     dofs = Dofs(part_mesh, space, comm)
     if scene.disk is not None:
-        from fenics_crack.disk.sector import match_sides
+        from fenics_crack.disk.sector import record_matched_side_nodes
 
-        match_sides(scene, dofs)
+        record_matched_side_nodes(scene, dofs)
     stiffness_with_clamped_dofs, mass_with_clamped_dofs = map(
         compat.assembled_petsc_matrix, _make_stiffness_and_mass_forms(scene, space)
     )
@@ -663,7 +663,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
     if (known_length := comm.bcast(dict(_LAST_TABLES_AND_LENGTH).get(tables_text))) is not None:
         return float(known_length)
-    target_omega, scene_at_rest = crack.first_omega, scene.at_rest()
+    target_omega, scene_at_rest = crack.first_omega, scene.without_rotation()
 
     @cache
     def excess_frequency(length: float) -> float:

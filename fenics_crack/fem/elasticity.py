@@ -108,7 +108,8 @@ def assemble_rotation(
     solve_static : callable, optional
         Returns a wheel's displacement (n_local, 1) under a load; default: the structure's.
     """
-    space, dimension, (axis_point, axis_direction) = dofs.space, scene.dimension, scene.axis
+    space, dimension = dofs.space, scene.dimension
+    axis_point, axis_direction = scene.axis_point_and_direction
     projection_matrix = (np.eye(3) - np.outer(axis_direction, axis_direction))[
         :dimension, :dimension
     ]

@@ -111,7 +111,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             # Watch the node farthest from the clamp.
             owned_nodes = np.arange(dofs.n_own_nodes)
             watched_vector = _make_watch_vector_at_node(
-                dofs, owned_nodes, clamp_center, -1, scene.base.direction
+                dofs, owned_nodes, clamp_center, -1, scene.base.dominant_unit_vector
             )
         for row_index, acceleration in enumerate(scene.base.accelerations, 1):
             nodal_force_harmonics[row_index] -= _inertia_forces(

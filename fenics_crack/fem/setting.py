@@ -30,7 +30,9 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     InputError
         There are several tables, but not one for each crack of a mesh file.
     """
-    crack_clearances = np.array([crack.clearance for crack in scene.all_cracks.values()] or [0.0])
+    crack_clearances = np.array(
+        [crack.clearance for crack in scene.crack_by_name.values()] or [0.0]
+    )
     assert pairs.cracks is not None
     if len(crack_clearances) == 1:
         return np.full(len(pairs.cracks), crack_clearances[0])

@@ -142,7 +142,7 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         f"{crack_key}.point": (
             f"{format_quantity(point_distances.min().round(12), 'm')} from the surface"
         )
-        for crack_key, crack in scene.all_cracks.items()
+        for crack_key, crack in scene.crack_by_name.items()
         for point_distances in solid_mesher.pairwise_triangle_distances(
             np.reshape(crack.point or (), (-1, 3)), surface_triangles
         )
@@ -291,7 +291,7 @@ def _run_mesher(
 def _value_for_message(scene: Scene, key: str) -> object:
     """Return the value of a scene's key for a message; for faces their names."""
     table_name, _, field_name = key.rpartition(".")
-    value = getattr(scene.all_cracks.get(table_name) or getattr(scene, table_name), field_name)
+    value = getattr(scene.crack_by_name.get(table_name) or getattr(scene, table_name), field_name)
     return [face_table.key for face_table in value] if field_name == "faces" else value
 
 
@@ -301,7 +301,7 @@ def _make_mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
     ``unit`` is the length [m] of the mesh's unit; lengths of the scene [m] are divided by it.
     """
     mesher_cracks = []
-    for crack_key, crack in scene.all_cracks.items():
+    for crack_key, crack in scene.crack_by_name.items():
         if crack.point is None:
             geometry_fields = _make_box_crack_geometry(crack, scene.geometry.sides)
         else:
@@ -362,7 +362,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     )
     occ.synchronize()
     triangles = np.zeros((0, 3, 3))
-    if any(crack.point is not None for crack in scene.all_cracks.values()):
+    if any(crack.point is not None for crack in scene.crack_by_name.values()):
         triangles, _ = solid_mesher.mesh_faces_coarsely()
     try:
         crack_surface_tags, fronts = solid_mesher.insert_cracks(

@@ -158,7 +158,7 @@ def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
         scene.given("tip_timing"), run.scene
     )
     last_speed_text, unstable_speed_text = (
-        format_speed(speed, scene.in_rpm) for speed in last_and_unstable_speeds
+        format_speed(speed, scene.is_speed_in_rpm) for speed in last_and_unstable_speeds
     )
     end_text = f"the run-up ends before, at {last_speed_text}"
     return f"the vibration is unstable at {unstable_speed_text}: {end_text}"
@@ -405,11 +405,11 @@ def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
     timing_table = scene.given("tip_timing")
     rotation = _find_tip_rotation(timing_table, scene)
     if rotation is None:
-        return [*scene.point_names, ""][0], (timing_table.tangential or 1.0) < 0.0
-    if not scene.points:
+        return [*scene.label_by_point_name, ""][0], (timing_table.tangential or 1.0) < 0.0
+    if not scene.output_points:
         requirement_text = "given with arrivals of a solid blade: its tip first"
         raise InputError("output.points", None, requirement_text)
-    tip_point = scene.points[0]
+    tip_point = scene.output_points[0]
     direction = _find_circumferential_direction(scene, np.array(tip_point.values))
     axis_index = int(np.abs(direction).argmax())
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
@@ -441,7 +441,7 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
     InputError
         The point lies on the axis.
     """
-    axis_point, axis = scene.axis
+    axis_point, axis = scene.axis_point_and_direction
     direction = np.cross(axis, point - axis_point)
     distance_from_axis = float(np.linalg.norm(direction))
     if distance_from_axis <= RELATIVE_POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
@@ -468,7 +468,7 @@ def _choose_speed_or_order(
     owner_text = "" if source is None else f" of {str(source)!r}"
     curve = get_response_curve(run)
     if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
-        speed_text = format_speed(run.scene.speed, run.scene.in_rpm)
+        speed_text = format_speed(run.scene.speed, run.scene.is_speed_in_rpm)
         requirement_text = (
             f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed_text} all along it"
         )

@@ -122,7 +122,7 @@ def explain_unknown_solution_error(run: StudyWithResult) -> str:
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
     """Return a load frequency [rad/s] in the scene's unit, in words."""
-    return format_in_unit(frequency_axis(scene.in_hertz), omega)
+    return format_in_unit(frequency_axis(scene.is_frequency_in_hertz), omega)
 
 
 def make_conclusion(run: StudyWithResult) -> Conclusion:
@@ -218,7 +218,7 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a curve: its largest response, errors and verdicts."""
     curve: ResponseCurve = run.result
     largest_response = curve.top(run.watched_dof)
-    curve_axis = axis_factor_name_and_unit(curve.parameter, run.scene.in_hertz)
+    curve_axis = axis_factor_name_and_unit(curve.parameter, run.scene.is_frequency_in_hertz)
     amplitude_text = format_quantity(largest_response.amplitude, "m")
     location_text = format_in_unit(curve_axis, largest_response.value)
     unknown_error_reason, fallback_text = explain_unknown_error(run), ", its error is not estimated"

@@ -80,7 +80,7 @@ def curve(
     _check_curve(study)
     make_requested_rows(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
-    parameter, start, stop = scene.given("curve").continuation_range
+    parameter, start, stop = scene.given("curve").parameter_and_range
     if friction_of(required_contact_law(study)) is not None:
         resonance_omega = (
             _lowest_bilinear_frequency(study, start, stop) if parameter == "omega" else None
@@ -134,7 +134,7 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     law = required_contact_law(study)
     load_omega = scene.excitation.omega
     curve_table, balance_table = scene.given("curve"), scene.harmonic_balance
-    parameter, start, stop = curve_table.continuation_range
+    parameter, start, stop = curve_table.parameter_and_range
     if parameter == "resonance":
         problem = Problem(
             structure, load_omega, law, balance_table.harmonics, balance_table.samples
@@ -166,7 +166,7 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
     resonance of the curve needs at the scene's own speed.
     """
     scene = source.scene if isinstance(source, Study) else source
-    parameter, start, stop = scene.given("curve").continuation_range
+    parameter, start, stop = scene.given("curve").parameter_and_range
     unreduced_study = prepare_unreduced_study(source, comm)
     if parameter != "speed":
         yield from reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)

@@ -56,14 +56,14 @@ class Axis:
         return f"{_value_as_toml(self.key)} = {_value_as_toml(self.values)}"
 
 
-class Point(Axis):
+class NamedPoint(Axis):
     """Named point.
 
     ``key`` is the name, ``values`` are x, y and, in a solid, z [m].
     """
 
 
-class Face(Axis):
+class FacePoints(Axis):
     """Named face of a part.
 
     ``key`` is the name, ``values`` are points (x, y, z) on the face [m].
@@ -79,8 +79,8 @@ class MeshFile(Axis):
     def as_toml(self) -> str:
         """Return the mesh file as a line in a file."""
         parameters_text = ", ".join(
-            f"{_value_as_toml(parameter_name)} = {_value_as_toml(parameter)}"
-            for parameter_name, parameter in self.values
+            f"{_value_as_toml(parameter_name)} = {_value_as_toml(parameter_value)}"
+            for parameter_name, parameter_value in self.values
         )
         return f"{_value_as_toml(self.key)} = {{ {parameters_text} }}"
 
@@ -169,7 +169,7 @@ def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
     return _read_floats(value)
 
 
-def _make_axes_reader(
+def _make_axes_read_function(
     axis_class: type[Axis], read_axis_values: Callable[[str, object], tuple[Any, ...]]
 ) -> Callable[[object], tuple[Axis, ...]]:
     """Return a function that reads axes from a mapping: names to values."""
@@ -186,13 +186,13 @@ def _make_axes_reader(
     return read_axes
 
 
-def _read_mesh_parameters(
+def _read_mesh_parameter_pairs(
     file_name: str, parameter_by_name: object
 ) -> tuple[tuple[str, float], ...]:
     """Read the named numbers of a mesh file."""
     return tuple(
-        (_read_string(parameter_name), _read_float(parameter))
-        for parameter_name, parameter in _require_instance(Mapping, parameter_by_name).items()
+        (_read_string(parameter_name), _read_float(parameter_value))
+        for parameter_name, parameter_value in _require_instance(Mapping, parameter_by_name).items()
     )
 
 
@@ -218,10 +218,10 @@ def _read_harmonic(harmonic_table: object) -> Harmonic:
         components_by_key = {
             key: _read_load_components(harmonic_table[key]) for key in component_keys
         }
-        zero_components, *further_zero_components = {
-            (0.0,) * len(components) for components in components_by_key.values()
+        zero_components, *zeros_of_other_lengths = {
+            (0.0,) * len(load_components) for load_components in components_by_key.values()
         }
-        if further_zero_components:
+        if zeros_of_other_lengths:
             raise TypeError
         return Harmonic(
             order,
@@ -306,13 +306,15 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
     ),
     "float | tuple[float, ...]": _read_number_or_numbers,
     "int | str": lambda value: value if value == "all" else _read_int(value),
-    "tuple[Axis, ...]": _make_axes_reader(Axis, _read_axis_values),
-    "tuple[Face, ...]": _make_axes_reader(
-        Face,
+    "tuple[Axis, ...]": _make_axes_read_function(Axis, _read_axis_values),
+    "tuple[FacePoints, ...]": _make_axes_read_function(
+        FacePoints,
         lambda _, given: tuple(map(_read_space_vector, _require_instance(list | tuple, given))),
     ),
-    "tuple[MeshFile, ...]": _make_axes_reader(MeshFile, _read_mesh_parameters),
-    "tuple[Point, ...]": _make_axes_reader(Point, lambda _, given: _read_vector(given)),
+    "tuple[MeshFile, ...]": _make_axes_read_function(MeshFile, _read_mesh_parameter_pairs),
+    "tuple[NamedPoint, ...]": _make_axes_read_function(
+        NamedPoint, lambda _, given: _read_vector(given)
+    ),
     "tuple[Harmonic, ...]": _read_harmonics,
     "tuple[float, ...]": _read_floats,
     "tuple[int, ...]": _read_distinct_ints,
@@ -325,9 +327,9 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
 
 _MAPPING_TYPE_NAMES = (
     "tuple[Axis, ...]",
-    "tuple[Face, ...]",
+    "tuple[FacePoints, ...]",
     "tuple[MeshFile, ...]",
-    "tuple[Point, ...]",
+    "tuple[NamedPoint, ...]",
 )
 _JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
 """JSON types by Python types; all other types are arrays."""
@@ -335,7 +337,7 @@ _JSON_TYPE_BY_TYPE_NAME |= dict.fromkeys(_MAPPING_TYPE_NAMES, "object")
 """JSON's words for types; all others are arrays."""
 
 
-def _find_reader(key_field: Field[Any]) -> Callable[[object], Any]:
+def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
     """Return the function that reads a key's value, by the field's type."""
     return _READ_FUNCTION_BY_TYPE_NAME[str(key_field.type).removesuffix(" | None")]
 
@@ -398,28 +400,28 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
 
 
 def vector_value_field(
-    letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False
+    component_letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False
 ) -> Any:
     """Return a field for a vector.
 
     Errors name components by a letter with x, y and z. With ``of_solid`` only solids have the key.
     """
-    requirement = describe_components(letter, 3 if of_solid else 2)
+    requirement = describe_components(component_letter, 3 if of_solid else 2)
     if not of_solid:
-        requirement += f", or {_list_component_names(letter, 3)} of a solid"
-    return value_field(requirement, default=default, unit=unit, letter=letter)
+        requirement += f", or {_format_component_names(component_letter, 3)} of a solid"
+    return value_field(requirement, default=default, unit=unit, letter=component_letter)
 
 
-def describe_components(letter: str, dimension: int) -> str:
+def describe_components(component_letter: str, dimension: int) -> str:
     """Describe the allowed components of a vector."""
     count_word = ("two", "three")[dimension - 2]
-    names_text = _list_component_names(letter, dimension)
+    names_text = _format_component_names(component_letter, dimension)
     return f"{names_text}, {count_word} finite numbers {ZERO_OR_MAGNITUDE_TEXT}"
 
 
-def _list_component_names(letter: str, dimension: int) -> str:
+def _format_component_names(component_letter: str, dimension: int) -> str:
     """Return the component names as a text: "[fx, fy]"."""
-    return f"[{', '.join(letter + axis_letter for axis_letter in 'xyz'[:dimension])}]"
+    return f"[{', '.join(component_letter + axis_letter for axis_letter in 'xyz'[:dimension])}]"
 
 
 def harmonics_field() -> Any:
@@ -433,7 +435,7 @@ def harmonics_field() -> Any:
     return value_field(requirement, default=())
 
 
-def load_order_field(default: int) -> Any:
+def harmonic_order_field(default: int) -> Any:
     """Return a field for the order of a load's harmonic."""
     requirement = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
     return value_field(requirement, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
@@ -477,7 +479,7 @@ def path_field(requirement: str, default: Any = None, unit: str = "") -> Any:
 def scale_numbers(number_or_tuple: Any, factor: float) -> Any:
     """Multiply a number, or each number in nested tuples, by a factor."""
     if isinstance(number_or_tuple, tuple):
-        return tuple(scale_numbers(component, factor) for component in number_or_tuple)
+        return tuple(scale_numbers(number, factor) for number in number_or_tuple)
     return factor * number_or_tuple
 
 
@@ -495,7 +497,7 @@ def _value_as_toml(value: object) -> str:
 
 
 @contextmanager
-def table_name_in_errors(table_name: str) -> Iterator[None]:
+def use_table_name_in_errors(table_name: str) -> Iterator[None]:
     """Use a table's name in the file for errors: "cracks.1" for a Crack."""
     try:
         yield
@@ -532,9 +534,9 @@ class Table:
             if component_letter is not None and vector is not None and len(vector) != dimension:
                 self.require(not any(vector), key, describe_components(component_letter, dimension))
                 zero_vector_by_key[key] = (0.0,) * dimension
-        return self.with_values(**zero_vector_by_key)
+        return self.with_unchecked_values(**zero_vector_by_key)
 
-    def with_values(self, **value_by_key: Any) -> Self:
+    def with_unchecked_values(self, **value_by_key: Any) -> Self:
         """Return a copy with other values, which are not checked."""
         table = copy(self)
         vars(table).update(value_by_key)
@@ -542,9 +544,9 @@ class Table:
 
     def __post_init__(self) -> None:
         for key, key_field in self.field_by_key().items():
-            value = getattr(self, key)
-            if value is not None or key_field.default is not None:
-                object.__setattr__(self, key, self.convert_value(key, value))
+            raw_value = getattr(self, key)
+            if raw_value is not None or key_field.default is not None:
+                object.__setattr__(self, key, self.convert_value(key, raw_value))
         for twin_key, si_key in self.si_key_by_twin().items():
             if (twin_value := getattr(self, twin_key)) is not None:
                 si_value = scale_numbers(
@@ -559,33 +561,37 @@ class Table:
         """Convert a value to its stored form; raise InputError if not allowed."""
         key_field = cls.field_by_key()[key]
         try:
-            field_value = _find_reader(key_field)(value)
+            field_value = _find_read_function(key_field)(value)
             is_accepted = key_field.metadata["accepts"](field_value)
         except InputError as error:  # of one of its axes
             raise InputError(cls.full_key(key) + error.key, error.value, error.allowed) from None
         except (TypeError, OverflowError):
             is_accepted = False
         if not is_accepted:
-            requirement = key_field.metadata["allowed"] + cls._suggest_value(key, value)
+            requirement = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
+                key, value
+            )
             raise InputError(cls.full_key(key), value, requirement)
         return field_value
 
     @classmethod
-    def _suggest_value(cls, key: str, value: object) -> str:
+    def _make_value_suggestion_text(cls, key: str, value: object) -> str:
         """Return a text that suggests an allowed value; empty without a suggestion."""
         key_field = cls.field_by_key()[key]
-        suggestions: list[Any] = []
+        value_suggestions: list[Any] = []
         if isinstance(value, str):
             if advice_text := cls._ADVICE_TEXT_BY_MISTAKE.get(f"{key} = {value}"):
                 return f"; {advice_text}"
-            suggestions = find_similar_names(value, key_field.metadata.get("words", ()))
-        for candidate in yield_candidate_values(value, key_field.metadata["unit"]):
+            value_suggestions = find_similar_names(value, key_field.metadata.get("words", ()))
+        for candidate_value in yield_candidate_values(value, key_field.metadata["unit"]):
             with suppress(InputError, TypeError, OverflowError):
-                if not suggestions and key_field.metadata["accepts"](
-                    _find_reader(key_field)(candidate)
+                if not value_suggestions and key_field.metadata["accepts"](
+                    _find_read_function(key_field)(candidate_value)
                 ):
-                    suggestions.append(candidate)
-        suggestion_texts = [format_scene_value(suggestion) for suggestion in suggestions]
+                    value_suggestions.append(candidate_value)
+        suggestion_texts = [
+            format_scene_value(value_suggestion) for value_suggestion in value_suggestions
+        ]
         return f"; {did_you_mean_text(suggestion_texts)}".rstrip("; ")
 
     @classmethod
@@ -651,12 +657,13 @@ class Table:
         """Return a key as written in a scene, ``harmonic_balance.samples``; without a key the
         table's name."""
         table_name = "".join(
-            "_" + letter.lower() if letter.isupper() else letter for letter in cls.__name__
+            "_" + character.lower() if character.isupper() else character
+            for character in cls.__name__
         ).lstrip("_")
         return f"{table_name}.{key}" if key else table_name
 
     @classmethod
-    def suggested_key(cls, key: str) -> str:
+    def full_key_to_suggest(cls, key: str) -> str:
         """Return a key as errors suggest it.
 
         For a list of tables it is the first table's key.
@@ -710,19 +717,19 @@ class Table:
             cls,
             *(table_class for table_class in Table.__subclasses__() if table_class is not cls),
         ]
-        own_suggestions = [
-            cls.suggested_key(known_key)
+        own_full_keys = [
+            cls.full_key_to_suggest(known_key)
             for known_key in find_similar_names(key, cls.field_by_key())
         ]
-        if suggestions := own_suggestions or find_full_keys(key, table_classes):
-            return suggestions
+        if suggested_full_keys := own_full_keys or find_full_keys(key, table_classes):
+            return suggested_full_keys
         table_class_by_key = {
             known_key: table_class
             for table_class in table_classes[::-1]
             for known_key in table_class.field_by_key()
         }
         return [
-            table_class_by_key[known_key].suggested_key(known_key)
+            table_class_by_key[known_key].full_key_to_suggest(known_key)
             for known_key in find_similar_names(key, table_class_by_key, 0.8)
         ]
 
@@ -737,20 +744,22 @@ class Table:
         )
 
     @classmethod
-    def with_twins_removed(
+    def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], _current_values: Mapping[str, object]
     ) -> dict[str, Any]:
         """Return changes that also set the twins of changed keys to None."""
         cls.forbid_both_twins(changes)
-        twin_by_key = {
+        twin_key_by_key = {
             key: twin_key
             for twin_pair in cls.si_key_by_twin().items()
             for key, twin_key in (twin_pair, twin_pair[::-1])
         }
-        removal_by_twin = {
-            twin_by_key[key]: None for key in changes if twin_by_key.get(key, key) not in changes
+        none_by_twin_key = {
+            twin_key_by_key[key]: None
+            for key in changes
+            if twin_key_by_key.get(key, key) not in changes
         }
-        return {**removal_by_twin, **changes}
+        return {**none_by_twin_key, **changes}
 
     @classmethod
     def forbid_both_twins(cls, value_by_key: Mapping[str, object]) -> None:
@@ -763,22 +772,22 @@ class Table:
                 raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement)
 
     @classmethod
-    def from_mapping(cls, values: object) -> Any:
+    def from_mapping(cls, raw_table: object) -> Any:
         """Make the table from a mapping that a file holds."""
         field_by_key = cls.field_by_key()
         keys_text = ", ".join(field_by_key)
-        if cls.SHORTHAND_KEY is not None and isinstance(values, str):
-            values = {cls.SHORTHAND_KEY: values}
-        if not isinstance(values, Mapping):
-            raise InputError(cls.full_key(), values, f"a table with the keys {keys_text}")
-        for key, value in values.items():
+        if cls.SHORTHAND_KEY is not None and isinstance(raw_table, str):
+            raw_table = {cls.SHORTHAND_KEY: raw_table}
+        if not isinstance(raw_table, Mapping):
+            raise InputError(cls.full_key(), raw_table, f"a table with the keys {keys_text}")
+        for key, raw_value in raw_table.items():
             if key not in field_by_key:
-                raise InputError(cls.full_key(str(key)), value, cls.unknown_key_text(str(key)))
+                raise InputError(cls.full_key(str(key)), raw_value, cls.unknown_key_text(str(key)))
         for key, key_field in field_by_key.items():
-            if key_field.default is MISSING and key not in values:
+            if key_field.default is MISSING and key not in raw_table:
                 raise InputError(cls.full_key(key), None, f"given: {key_field.metadata['allowed']}")
-        cls.forbid_both_twins(values)
-        return cls(**values)
+        cls.forbid_both_twins(raw_table)
+        return cls(**raw_table)
 
 
 def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
@@ -787,4 +796,4 @@ def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
         table_class for table_class in table_classes if key in table_class.field_by_key()
     ]
     classes_with_key.sort(key=lambda table_class: table_class.field_by_key()[key].default == ())
-    return [table_class.suggested_key(key) for table_class in classes_with_key]
+    return [table_class.full_key_to_suggest(key) for table_class in classes_with_key]

@@ -35,11 +35,11 @@ from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import (
     Axis,
-    Point,
+    NamedPoint,
     Table,
     describe_components,
     find_full_keys,
-    table_name_in_errors,
+    use_table_name_in_errors,
 )
 
 MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
@@ -126,10 +126,10 @@ class Scene:
         harmonic_balance.require(
             harmonic_balance.form == "condensed" or not contact_has_friction, "form", requirement
         )
-        if self.curve is not None and self.curve.continuation_range[0] == "speed":
+        if self.curve is not None and self.curve.parameter_and_range[0] == "speed":
             requirement = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", requirement)
-        if self.curve is not None and self.curve.continuation_range[0] == "load":
+        if self.curve is not None and self.curve.parameter_and_range[0] == "load":
             requirement = "another one with a rotation.speed > 0: "
             requirement += (
                 "the mean load is partly centrifugal; or curve.at = 'resonance', where it stays"
@@ -139,21 +139,21 @@ class Scene:
             circumstance = "[rotation]: the mean load is partly centrifugal"
             self.integration.forbid_keys(("deflection", "free"), circumstance)
         if self.structure is not None:
-            _check_matrices(self, self.structure)
+            _check_tables_beside_matrices(self, self.structure)
         else:
             _check_dimension(self)
             if self.geometry.file is not None:
-                _check_part(self)
+                _check_cad_part(self)
             else:
-                (_check_file if self.mesh.layout == "file" else _check_plate)(self)
+                (_forbid_keys_of_mesh_file if self.mesh.layout == "file" else _check_plate)(self)
             if self.disk is not None:
                 _check_disk(self, self.disk)
         for quantity_name in self.quantities or ():
-            reason = _reason_without_observable(self, OBSERVABLES_BY_NAME[quantity_name])
-            refuse_for_reason(reason, "output.quantities", quantity_name)
+            refusal_reason = _reason_without_observable(self, OBSERVABLES_BY_NAME[quantity_name])
+            refuse_for_reason(refusal_reason, "output.quantities", quantity_name)
         for table_name, axes_key in _AXES_TABLE_KEY_PAIRS:
             if (axes_table := getattr(self, table_name)) is not None:
-                checked_axes = _check_axes(
+                checked_axes = _check_and_convert_axes(
                     self, f"{table_name}.{axes_key}", getattr(axes_table, axes_key)
                 )
                 object.__setattr__(
@@ -168,7 +168,7 @@ class Scene:
         return f"Scene({_describe_scene(self)})"
 
     @property
-    def all_cracks(self) -> dict[str, kinds.Crack]:
+    def crack_by_name(self) -> dict[str, kinds.Crack]:
         """Cracks by name: "crack", "cracks.1", "cracks.2"."""
         first_crack_by_name = {} if self.crack is None else {"crack": self.crack}
         return first_crack_by_name | {
@@ -233,11 +233,11 @@ class Scene:
         """Make a scene from TOML text, which errors call ``name``."""
         with report_read_errors("scene", name, "a TOML file"):
             try:
-                table_by_name = tomllib.loads(text)
+                raw_table_by_name = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:
-                requirement = f"a TOML file ({error}){_suggest_line_fix(text, str(error))}"
+                requirement = f"a TOML file ({error}){_make_line_fix_text(text, str(error))}"
                 raise InputError("scene", name, requirement) from error
-        return cls.from_mapping(table_by_name, folder, changes)
+        return cls.from_mapping(raw_table_by_name, folder, changes)
 
     @classmethod
     def schema(cls) -> dict[str, Any]:
@@ -271,7 +271,7 @@ class Scene:
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
-    def has_element_lengths(self) -> bool:
+    def has_graded_lengths(self) -> bool:
         """True if distances to crack tips and corners set the element lengths.
 
         This holds for a solid and for a graded sector.
@@ -282,12 +282,12 @@ class Scene:
     def has_friction(self) -> bool:
         """True if crack faces have friction, at least in one case of the sweep."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
-        return contact_has_friction or any(self.swept.get("contact.friction", ()))
+        return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
     @property
     def highest_order(self) -> int:
         """Highest multiple of the excitation frequency in any load."""
-        periodic_loads: list[kinds.Periodic | None] = [self.excitation, *self.loads, self.base]
+        periodic_loads: list[kinds.PeriodicLoad | None] = [self.excitation, *self.loads, self.base]
         return max(
             periodic_load.highest_order
             for periodic_load in periodic_loads
@@ -303,10 +303,10 @@ class Scene:
         """Return a table for a command; raise InputError if the table is missing."""
         if getattr(self, name) is None:
             raise InputError(name, None, "given for this command: a table")
-        is_condensed = self.harmonic_balance.form == "condensed"
+        has_condensed_form = self.harmonic_balance.form == "condensed"
         requirement = f"'condensed' for this command, by the table [{name}]"
         self.harmonic_balance.require(
-            is_condensed or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement
+            has_condensed_form or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement
         )
         return getattr(self, name)
 
@@ -315,26 +315,26 @@ class Scene:
         """Rotor speed [rad/s]; 0 without a rotor."""
         return 0.0 if self.rotation is None else self.rotation.speed
 
-    def _uses_key(self, full_key: str) -> bool:
+    def _is_key_given_or_varied(self, full_key: str) -> bool:
         """Return True if a key is given, followed by a curve, or swept."""
         table_name, key_in_table = full_key.split(".")
         is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
         is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
-        return is_given or is_curve_parameter or full_key in self.swept
+        return is_given or is_curve_parameter or full_key in self.swept_values_by_key
 
     @property
-    def in_rpm(self) -> bool:
+    def is_speed_in_rpm(self) -> bool:
         """True if the rotor speed is given or swept in revolutions per minute."""
-        return self._uses_key("rotation.rpm")
+        return self._is_key_given_or_varied("rotation.rpm")
 
     @property
-    def in_hertz(self) -> bool:
+    def is_frequency_in_hertz(self) -> bool:
         """True if results show the load frequency in Hz.
 
         The frequency is given, followed or swept in Hz, or follows from an order and rpm.
         """
-        has_order_and_rpm = self.excitation.order is not None and self.in_rpm
-        return has_order_and_rpm or self._uses_key("excitation.frequency")
+        has_order_and_rpm = self.excitation.order is not None and self.is_speed_in_rpm
+        return has_order_and_rpm or self._is_key_given_or_varied("excitation.frequency")
 
     @property
     def quantities(self) -> tuple[str, ...] | None:
@@ -342,20 +342,20 @@ class Scene:
         return None if self.output is None else self.output.quantities
 
     @property
-    def points(self) -> tuple[Point, ...]:
+    def output_points(self) -> tuple[NamedPoint, ...]:
         """Points in ``[output.points]``."""
         return () if self.output is None else self.output.points
 
     @property
-    def point_names(self) -> dict[str, str]:
+    def label_by_point_name(self) -> dict[str, str]:
         """Labels by point and direction: "tip.ux", "tip.uy"."""
         return {
             f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
-            for point in self.points
+            for point in self.output_points
             for axis_letter in "xyz"[: self.dimension]
         }
 
-    def at_rest(self) -> Scene:
+    def without_rotation(self) -> Scene:
         """Return the scene without rotation, with the same load frequency."""
         value_by_changed_key: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
         if self.excitation.order is not None:
@@ -365,7 +365,7 @@ class Scene:
         return self.replace(value_by_changed_key)
 
     @property
-    def swept(self) -> dict[str, tuple[Any, ...]]:
+    def swept_values_by_key(self) -> dict[str, tuple[Any, ...]]:
         """Values by key of the sweep."""
         return {} if self.sweep is None else {axis.key: axis.values for axis in self.sweep.over}
 
@@ -375,7 +375,7 @@ class Scene:
 
         If the sweep does not change the frequency, the excitation's frequency alone.
         """
-        swept_values_by_key = self.swept
+        swept_values_by_key = self.swept_values_by_key
         if "excitation.frequency" in swept_values_by_key:
             return tuple(
                 RAD_PER_TURN * frequency
@@ -391,7 +391,7 @@ class Scene:
         return tuple(order * speed for order in orders for speed in speeds)
 
     @property
-    def axis(self) -> tuple[np.ndarray, np.ndarray]:
+    def axis_point_and_direction(self) -> tuple[np.ndarray, np.ndarray]:
         """Point on the rotor axis [m] and unit direction, (3,) each."""
         if self.disk is None:
             assert self.rotation is not None
@@ -403,10 +403,12 @@ class Scene:
         if self.mesh.layout == "file":
             axis_point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
         else:
-            axis_height = -self.disk.given("outer_radius")
-            blade_center = 0.5 * self.geometry.circumferential_width
+            axis_y = -self.disk.given("outer_radius")
+            blade_center_coordinate = 0.5 * self.geometry.circumferential_width
             axis_point = (
-                [blade_center, axis_height, 0.0] if is_plane else [0.0, axis_height, blade_center]
+                [blade_center_coordinate, axis_y, 0.0]
+                if is_plane
+                else [0.0, axis_y, blade_center_coordinate]
             )
         if is_plane:
             direction = np.array([0.0, 0.0, 1.0])
@@ -418,7 +420,7 @@ class Scene:
         return "reduction.modes" if self.disk is None else "disk.families"
 
     @property
-    def damped_modes(self) -> int | str:
+    def n_damped_modes(self) -> int | str:
         """``damping.modes``; "all" if the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
@@ -473,11 +475,11 @@ def reason_without_stress_intensity(scene: Scene) -> str:
         return "with [structure]: stress intensities take a mesh"
     if scene.disk is not None:
         return "with [disk]: stress intensities are of one structure"
-    if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
+    if not scene.crack_by_name and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack, which has a stress intensity"
     if scene.has_friction:
         return "with contact.friction: stress intensities leave out what friction does at the faces"
-    if any(crack.clearance < 0.0 for crack in scene.all_cracks.values()):
+    if any(crack.clearance < 0.0 for crack in scene.crack_by_name.values()):
         return "with crack.clearance < 0: a wedge up to the tip, where K grows without limit"
     return ""
 
@@ -523,7 +525,7 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
     )
 
 
-def quantities_on_request(scene: Scene) -> tuple[str, ...]:
+def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     """Return the ``output.quantities`` at places that are computed only on request."""
     return tuple(
         quantity_name
@@ -547,7 +549,7 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
         for key_and_path in _path_by_key(scene).items()
         if not key_and_path[0].startswith(RESULT_TABLE_NAMES)
     ]
-    for key, axis_values in scene.swept.items():
+    for key, axis_values in scene.swept_values_by_key.items():
         if key in _PATH_KEYS:
             keys_and_paths += [(key, path) for path in axis_values if isinstance(path, str)]
     return keys_and_paths
@@ -589,10 +591,11 @@ def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
                 map(change_axis_paths, getattr(table, axes_key))
             )
     if scene.identify is not None and scene.identify.meshes:
-        meshes = (
-            dataclasses.replace(mesh, key=change_path(mesh.key)) for mesh in scene.identify.meshes
+        changed_mesh_files = (
+            dataclasses.replace(mesh_file, key=change_path(mesh_file.key))
+            for mesh_file in scene.identify.meshes
         )
-        changes["identify.meshes"] = tuple(meshes)
+        changes["identify.meshes"] = tuple(changed_mesh_files)
     return scene.replace(changes)
 
 
@@ -607,25 +610,26 @@ def _describe_scene(scene: Scene) -> str:
     else:
         sides_text = " x ".join(f"{side:g}" for side in scene.geometry.sides)
         phrases = [f"{scene.geometry.kind} of {sides_text} m"]
-    for crack in scene.all_cracks.values():
+    for crack in scene.crack_by_name.values():
         phrases.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
     if scene.contact is not None:
         phrases.append(scene.contact.law)
-    frequency_factor, _, frequency_unit = frequency_axis(scene.in_hertz)
+    frequency_factor, _, frequency_unit = frequency_axis(scene.is_frequency_in_hertz)
     return f"{', '.join(phrases)}, {frequency_factor * scene.excitation.omega:g} {frequency_unit}"
 
 
-def _suggest_line_fix(toml_text: str, error_text: str) -> str:
-    """Suggest the correct value for the line that a TOML error names.
+def _make_line_fix_text(toml_text: str, error_text: str) -> str:
+    """Return a text that suggests a value for the line that a TOML error names.
 
     The value is a number in SI units or a quoted word. Empty without a suggestion.
     """
     toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
     if line_match is None or int(line_match[1]) > len(toml_lines):
         return ""
-    lines_to_error, toml_line = toml_lines[: int(line_match[1])], toml_lines[int(line_match[1]) - 1]
+    lines_up_to_error = toml_lines[: int(line_match[1])]
+    toml_line = toml_lines[int(line_match[1]) - 1]
     table_headers = [
-        toml_line.strip("[ ]") for toml_line in lines_to_error if toml_line.startswith("[")
+        toml_line.strip("[ ]") for toml_line in lines_up_to_error if toml_line.startswith("[")
     ]
     key, _, value_text = (
         line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
@@ -635,8 +639,8 @@ def _suggest_line_fix(toml_text: str, error_text: str) -> str:
     )
     if si_value is None and not value_text.isidentifier():
         return ""
-    corrected_text = f'"{value_text}"' if si_value is None else format_scene_value(si_value)
-    return f"; {did_you_mean_text([f'{key} = {corrected_text}'])}".rstrip()
+    corrected_value_text = f'"{value_text}"' if si_value is None else format_scene_value(si_value)
+    return f"; {did_you_mean_text([f'{key} = {corrected_value_text}'])}".rstrip()
 
 
 def known_keys() -> list[str]:
@@ -666,7 +670,7 @@ def unit_of_key(full_key: str) -> str:
 # --- what tables must not contradict --------------------------------------------------------------
 
 
-def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
+def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> None:
     """Raise InputError if tables contradict matrices from files."""
     _forbid_tables(scene, PLATE_TABLE_NAMES, "[structure]")
     if structure.damping is not None:
@@ -676,18 +680,20 @@ def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
         requirement = "left out with [structure], which has files, or has no model with the places"
         has_no_force = not force_key and scene.excitation.point is None
         scene.excitation.require(has_no_force, force_key or "point", requirement)
-        matrix_files = structure.mass, structure.stiffness, structure.damping or ""
-        if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrix_files):
+        matrix_paths = structure.mass, structure.stiffness, structure.damping or ""
+        if not any(
+            Path(matrix_path).suffix.lower() in (".sti", ".mas") for matrix_path in matrix_paths
+        ):
             structure.forbid_keys(("dofs",), "matrices that have no model, and are not CalculiX's")
     if structure.gap is None and (structure.model is None or scene.contact is None):
         pair_keys = ("clearance", "areas", "tangential")
         structure.forbid_keys(pair_keys, "no pairs: no gap, nor a model with [contact]")
     _set_vector_dimension(scene)
     if scene.excitation.point is None:
-        force_files = (structure.force_sin, structure.force_cos, structure.force_mean)
+        force_paths = (structure.force_sin, structure.force_cos, structure.force_mean)
         requirement = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
         scene.excitation.require(
-            any(force_files) and not scene.excitation.first_force_key, "point", requirement
+            any(force_paths) and not scene.excitation.first_force_key, "point", requirement
         )
     if structure.gap is not None and scene.contact is None:
         raise InputError("contact", None, "given with structure.gap: a table")
@@ -716,12 +722,12 @@ def _set_vector_dimension(scene: Scene) -> None:
         if table_name in _LIST_TABLE_NAMES:
             converted_tables: Any = []
             for list_position, table in enumerate(tables, 1):
-                with table_name_in_errors(f"{table_name}.{list_position}"):
+                with use_table_name_in_errors(f"{table_name}.{list_position}"):
                     converted_tables.append(table.with_dimension(dimension))
             object.__setattr__(scene, table_name, tuple(converted_tables))
         elif tables is not None:
             object.__setattr__(scene, table_name, tables.with_dimension(dimension))
-    for point in scene.points:
+    for point in scene.output_points:
         if len(point.values) != dimension:
             raise InputError(
                 f"output.points.{point.key}", point.values, describe_components("", dimension)
@@ -733,8 +739,8 @@ def _check_dimension(scene: Scene) -> None:
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.forbid_keys(("axis", "center"), "a plate: its axis is parallel to x")
-    for crack_name, crack in scene.all_cracks.items() if dimension == 2 else ():
-        with table_name_in_errors(crack_name):
+    for crack_name, crack in scene.crack_by_name.items() if dimension == 2 else ():
+        with use_table_name_in_errors(crack_name):
             crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
     _set_vector_dimension(scene)
     mesh = scene.mesh
@@ -764,9 +770,9 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
         scene.excitation.given("omega", requirement)
     if scene.curve is not None:
         requirement = "another one with [disk]: the load's frequency, for example"
-        scene.curve.require(scene.curve.continuation_range[0] != "speed", "parameter", requirement)
-    for crack_name, crack in scene.all_cracks.items():
-        with table_name_in_errors(crack_name):
+        scene.curve.require(scene.curve.parameter_and_range[0] != "speed", "parameter", requirement)
+    for crack_name, crack in scene.crack_by_name.items():
+        with use_table_name_in_errors(crack_name):
             crack.forbid_keys(("first_omega", "first_frequency"), "[disk]")
     radius_keys = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
@@ -812,42 +818,44 @@ def _check_plate(scene: Scene) -> None:
     load_by_name = {f"loads.{load_number}": load for load_number, load in enumerate(scene.loads, 1)}
     for load_name, load in ({"excitation": scene.excitation} | load_by_name).items():
         sides = geometry.sides
-        is_on_side = [
+        within_side_flags = [
             0.0 <= coordinate <= side
             for coordinate, side in zip(load.point or (), sides, strict=False)
         ]
-        with table_name_in_errors(load_name):
+        with use_table_name_in_errors(load_name):
             ranges_text = ", ".join(f"0..{side:g}" for side in sides)
-            load.require(all(is_on_side), "point", f"on the {geometry.kind}: [{ranges_text}]")
-    if scene.all_cracks:
+            load.require(
+                all(within_side_flags), "point", f"on the {geometry.kind}: [{ranges_text}]"
+            )
+    if scene.crack_by_name:
         _check_cracks(scene)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
 
 
-def _check_part(scene: Scene) -> None:
+def _check_cad_part(scene: Scene) -> None:
     """Raise InputError if a part from a CAD file cannot be meshed as requested."""
     scene.mesh.require(scene.mesh.layout == "graded", "layout", "'graded' with geometry.file")
     if scene.disk is not None:
         raise InputError("disk", "a table", "left out with geometry.file")
     if not scene.has_other_loads:
         scene.excitation.given("point", "given: [x, y, z], on the part or near it")
-    if scene.all_cracks:
+    if scene.crack_by_name:
         scene.mesh.given("lip_elements", "given where there is a crack")
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
-    for crack_name, crack in scene.all_cracks.items():
-        with table_name_in_errors(crack_name):
+    for crack_name, crack in scene.crack_by_name.items():
+        with use_table_name_in_errors(crack_name):
             crack.given("point", "given with geometry.file: [x, y, z]")
             crack.check_plane_keys()
 
 
-def _check_file(scene: Scene) -> None:
+def _forbid_keys_of_mesh_file(scene: Scene) -> None:
     """Raise InputError if keys repeat what the mesh file defines."""
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
-    for crack_name, crack in scene.all_cracks.items():
-        with table_name_in_errors(crack_name):
+    for crack_name, crack in scene.crack_by_name.items():
+        with use_table_name_in_errors(crack_name):
             crack.forbid_keys(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
 
 
@@ -861,22 +869,22 @@ _CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.P
 
 def _check_cracks(scene: Scene) -> None:
     """Raise InputError if a plate cannot have a crack at its position."""
-    cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
-    for crack_name, crack in cracks.items():
-        with table_name_in_errors(crack_name):
+    crack_by_name, geometry, mesh = scene.crack_by_name, scene.geometry, scene.mesh
+    for crack_name, crack in crack_by_name.items():
+        with use_table_name_in_errors(crack_name):
             if crack.point is not None:
                 crack.check_plane_keys()
                 continue
             crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "no crack.point")
             crack.require(crack.front != "through", "front", "another one without crack.point")
-            _check_crack(crack, geometry, list(cracks))
-            _check_front(crack, geometry)
+            _check_crack(crack, geometry, list(crack_by_name))
+            _check_crack_front(crack, geometry)
             if mesh.layout == "grid":
-                _check_grid(crack, geometry, mesh)
+                _check_crack_on_grid(crack, geometry, mesh)
     if mesh.layout == "graded":
         mesh.given("lip_elements", "given where there is a crack")
     for first_name, second_name in combinations(
-        [crack_name for crack_name, crack in cracks.items() if crack.point is None], 2
+        [crack_name for crack_name, crack in crack_by_name.items() if crack.point is None], 2
     ):
         _check_crack_distance(scene, first_name, second_name)
 
@@ -886,8 +894,8 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
     width, height, *_ = geometry.sides
     geometry_kind = geometry.kind
     margin_text = f"at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that from both"
-    is_inside_plate = crack.center is not None
-    if is_inside_plate:
+    is_internal_crack = crack.center is not None
+    if is_internal_crack:
         crack.forbid_keys(("edge",), "crack.center")
     else:
         crack.given(
@@ -895,7 +903,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
         )
     requirement = f"inside the {geometry_kind}: between 0 and geometry.height = {height:g}, "
     requirement += margin_text
-    crack.require(_is_inside(crack.height or 0.0, height), "height", requirement)
+    crack.require(_is_inside_with_margin(crack.height or 0.0, height), "height", requirement)
     if len(crack_names) > 1:
         circumstance = "several cracks: it finds the length of the only one"
         crack.forbid_keys(("first_frequency", "first_omega"), circumstance)
@@ -903,19 +911,23 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
     crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement)
     requirement = f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g}, "
     requirement += margin_text
-    crack.require(crack.length is None or _is_inside(crack.length, width), "length", requirement)
-    if is_inside_plate:
+    crack.require(
+        crack.length is None or _is_inside_with_margin(crack.length, width), "length", requirement
+    )
+    if is_internal_crack:
         tip_positions = [crack.center] if crack.length is None else crack.span(width)
         requirement = f"such that both tips are inside the {geometry_kind}: "
         requirement += f"between 0 and {width:g}, {margin_text}"
         crack.require(
-            all(_is_inside(tip_position or 0.0, width) for tip_position in tip_positions),
+            all(
+                _is_inside_with_margin(tip_position or 0.0, width) for tip_position in tip_positions
+            ),
             "center",
             requirement,
         )
 
 
-def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
+def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
     """Raise InputError if depth and front of a crack do not fit the geometry."""
     if geometry.dimension == 2:
         crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
@@ -926,10 +938,10 @@ def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
         thickness_text = f"geometry.thickness = {thickness:g}"
         requirement = f"less than {thickness_text}, by {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that; "
         requirement += "left out: through it"
-        crack.require(_is_inside(crack.depth, thickness), "depth", requirement)
+        crack.require(_is_inside_with_margin(crack.depth, thickness), "depth", requirement)
 
 
-def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
+def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
     """Raise InputError unless crack and tips are on lines of the grid."""
     crack.given("length", "given with mesh.layout = 'grid'")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
@@ -954,7 +966,7 @@ def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) 
 def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> None:
     """Raise InputError if two cracks are too close."""
     first_crack, second_crack = (
-        scene.all_cracks[crack_name] for crack_name in (first_name, second_name)
+        scene.crack_by_name[crack_name] for crack_name in (first_name, second_name)
     )
     width, height, *_ = scene.geometry.sides
     height_distance = abs(first_crack.given("height") - second_crack.given("height"))
@@ -974,7 +986,7 @@ def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> No
         raise InputError(f"{second_name}.height", second_crack.height, requirement)
 
 
-def _is_inside(coordinate: float, extent: float) -> bool:
+def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
     """Return True if a coordinate is between 0 and an extent, with a margin."""
     return (
         MIN_ALLOWED_RELATIVE_DISTANCE * extent
@@ -986,7 +998,9 @@ def _is_inside(coordinate: float, extent: float) -> bool:
 # --- axes of keys ---------------------------------------------------------------------------------
 
 
-def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Axis, ...]:
+def _check_and_convert_axes(
+    scene: Scene, axes_key: str, axes: tuple[Axis, ...]
+) -> tuple[Axis, ...]:
     """Check the keys of axes, and read the values by these keys.
 
     Later, each case checks combinations of values.
@@ -1009,14 +1023,14 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
             raise InputError(axes_key, axis.key, requirement)
         seen_keys.add(axis.key)
         for twin_pair in _TABLE_CLASS_BY_NAME[table_name].si_key_by_twin().items():
-            table_prefix = axis.key.removesuffix(f".{key_in_table}")
+            table_name_text = axis.key.removesuffix(f".{key_in_table}")
             if seen_keys.issuperset(
-                twin_keys := [f"{table_prefix}.{twin_key}" for twin_key in twin_pair]
+                twin_keys := [f"{table_name_text}.{twin_key}" for twin_key in twin_pair]
             ):
                 other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
                 requirement = f"without {other_twin_key}: one of them"
                 raise InputError(axes_key, axis.key, requirement)
-        with table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
+        with use_table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
             axis_values = tuple(
                 _TABLE_CLASS_BY_NAME[table_name].convert_value(key_in_table, axis_value)
                 for axis_value in axis.values
@@ -1063,7 +1077,7 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
         raise InputError(table_name, raw_tables, f"a list of tables: [[{table_name}]]")
     tables = []
     for list_position, raw_table in enumerate(raw_tables, 1):
-        with table_name_in_errors(f"{table_name}.{list_position}"):
+        with use_table_name_in_errors(f"{table_name}.{list_position}"):
             tables.append(
                 raw_table
                 if isinstance(raw_table, table_class)
@@ -1107,11 +1121,13 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
     return table_name, list_position, key_in_table
 
 
-def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+def _with_changed_keys(
+    table_by_name: Mapping[str, Any], value_by_full_key: Mapping[str, object]
+) -> dict[str, Any]:
     """Return tables, or their mappings, with changed keys."""
-    changed_tables = dict(tables)
+    changed_tables = dict(table_by_name)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
-    for full_key, raw_value in changes.items():
+    for full_key, raw_value in value_by_full_key.items():
         table_name, list_position, key_in_table = _split_changed_key(str(full_key), raw_value)
         if key_in_table:
             changes_by_table.setdefault((table_name, list_position or 0), {})[key_in_table] = (
@@ -1133,7 +1149,7 @@ def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object])
     return changed_tables
 
 
-def _merge_table_changes(table_name: str, table: Any, changes: dict[str, object]) -> Any:
+def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, object]) -> Any:
     """Return a mapping for a table, with changed values."""
     table_class = _TABLE_CLASS_BY_NAME[table_name]
     if isinstance(table, table_class):
@@ -1144,27 +1160,27 @@ def _merge_table_changes(table_name: str, table: Any, changes: dict[str, object]
     if table_class.SHORTHAND_KEY is not None and isinstance(table, str):
         table = {table_class.SHORTHAND_KEY: table}
     if table is None:
-        return changes
+        return value_by_key
     if not isinstance(table, Mapping):  # refused when it is made
         return table
-    return {**table, **table_class.with_twins_removed(changes, table)}
+    return {**table, **table_class.make_changes_with_twins_removed(value_by_key, table)}
 
 
 def _merge_list_changes(
-    table_name: str, tables: Any, list_position: int, changes: dict[str, object]
+    table_name: str, tables: Any, list_position: int, value_by_key: dict[str, object]
 ) -> tuple[Any, ...]:
     """Return a list of tables with changes to one, or with a next table."""
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables: [[{table_name}]]")
     if list_position > len(tables) + 1:
-        first_changed_key = f"{table_name}.{list_position}.{next(iter(changes))}"
+        first_changed_key = f"{table_name}.{list_position}.{next(iter(value_by_key))}"
         requirement = f"one of the {len(tables)} [[{table_name}]], or of the next one"
-        raise InputError(first_changed_key, next(iter(changes.values())), requirement)
+        raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement)
     current_table = tables[list_position - 1] if list_position <= len(tables) else None
-    with table_name_in_errors(f"{table_name}.{list_position}"):
+    with use_table_name_in_errors(f"{table_name}.{list_position}"):
         return (
             *tables[: list_position - 1],
-            _merge_table_changes(table_name, current_table, changes),
+            _merge_table_changes(table_name, current_table, value_by_key),
             *tables[list_position:],
         )
 
@@ -1176,7 +1192,7 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
         return _TABLE_CLASS_BY_NAME[table_name].suggest_keys(key_in_table) if key_in_table else []
     if key_in_table:
         all_keys = {
-            table_class.suggested_key(key_in_table)
+            table_class.full_key_to_suggest(key_in_table)
             for table_class in _TABLE_CLASS_BY_NAME.values()
             for key_in_table in table_class.field_by_key()
         }
@@ -1190,11 +1206,12 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
 
 def suggest_full_keys(misspelt_name: str) -> list[str]:
     """Suggest full keys for a misspelt name, or a key without its table."""
-    full_key_by_key = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
-    suggestions = _suggest_keys(misspelt_name) or [
-        full_key_by_key[key] for key in find_similar_or_longer_names(misspelt_name, full_key_by_key)
+    full_key_by_short_key = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
+    suggested_full_keys = _suggest_keys(misspelt_name) or [
+        full_key_by_short_key[key]
+        for key in find_similar_or_longer_names(misspelt_name, full_key_by_short_key)
     ]
-    return suggestions or find_similar_or_longer_names(misspelt_name, known_keys())
+    return suggested_full_keys or find_similar_or_longer_names(misspelt_name, known_keys())
 
 
 def _unknown_table_text(table_name: str) -> str:
@@ -1203,13 +1220,15 @@ def _unknown_table_text(table_name: str) -> str:
     return f"left out; {suggestion_text}known tables: {', '.join(_TABLE_CLASS_BY_NAME)}"
 
 
-_TYPE_HINT_ITEMS = get_type_hints(Scene).items()
+_TABLE_NAMES_AND_TYPE_HINTS = get_type_hints(Scene).items()
 _TABLE_CLASS_BY_NAME: dict[str, type[Table]] = {
-    name: (get_args(hint) or (hint,))[0] for name, hint in _TYPE_HINT_ITEMS
+    name: (get_args(hint) or (hint,))[0] for name, hint in _TABLE_NAMES_AND_TYPE_HINTS
 }
-_LIST_TABLE_NAMES = tuple(name for name, hint in _TYPE_HINT_ITEMS if get_origin(hint) is tuple)
+_LIST_TABLE_NAMES = tuple(
+    name for name, hint in _TABLE_NAMES_AND_TYPE_HINTS if get_origin(hint) is tuple
+)
 _OPTIONAL_TABLE_NAMES = tuple(
-    name for name, hint in _TYPE_HINT_ITEMS if type(None) in get_args(hint)
+    name for name, hint in _TABLE_NAMES_AND_TYPE_HINTS if type(None) in get_args(hint)
 )
 _PATH_KEYS = tuple(
     kind.full_key(key)

@@ -24,18 +24,18 @@ from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.scene.fields import (
     ZERO_OR_MAGNITUDE_TEXT,
     Axis,
-    Face,
+    FacePoints,
     Harmonic,
     MeshFile,
+    NamedPoint,
     Pair,
-    Point,
     Table,
     Vector,
     bounded_field,
     choice_field,
+    harmonic_order_field,
     harmonics_field,
     hertz_field,
-    load_order_field,
     nonnegative_field,
     number_field,
     path_field,
@@ -50,11 +50,11 @@ FORCE_KEYS = ("force_mean", "force_cos", "force_sin")
 """Keys for the parts of the excitation's force."""
 LOAD_KINDS = ("force", "pressure", "traction")
 """Kinds of loads: at a point, or on an edge."""
-MAX_ALLOWED_POINTS = 100
+MAX_ALLOWED_OUTPUT_POINTS = 100
 """Maximum number of points in ``[output.points]``: each is computed, printed and written."""
 MAX_ALLOWED_FACE_POINTS = 200
 """Maximum number of points in ``[geometry.faces]``."""
-MIN_ALLOWED_UNKNOWN_VALUES = 4
+MIN_ALLOWED_VALUES_PER_UNKNOWN = 4
 """Minimum number of values for an unknown; interpolation needs as many."""
 
 
@@ -81,7 +81,7 @@ class Geometry(Table):
     """CAD file with a part without a crack, one solid, for meshing."""
     unit: str | None = choice_field("mm", "m", "inch", default=None)
     """Length unit of a .brep file, which does not state the unit."""
-    faces: tuple[Face, ...] = value_field(
+    faces: tuple[FacePoints, ...] = value_field(
         "names with lists of points [x, y, z] in m, one on each face, "
         f"at most {MAX_ALLOWED_FACE_POINTS}",
         lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
@@ -111,8 +111,8 @@ class Geometry(Table):
     @property
     def sides(self) -> Vector:
         """Width, height and, for a solid, thickness [m], if given."""
-        sides = (self.width, self.height, self.thickness)[: self.dimension]
-        return tuple(side for side in sides if side is not None)
+        side_lengths = (self.width, self.height, self.thickness)[: self.dimension]
+        return tuple(side_length for side_length in side_lengths if side_length is not None)
 
     @property
     def circumferential_width(self) -> float:
@@ -330,7 +330,7 @@ class Damping(Table):
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
 
 
-class Periodic:
+class PeriodicLoad:
     """Load with further harmonics and, for an excitation, a table of one period, "wave"."""
 
     harmonics: tuple[Harmonic, ...]
@@ -345,7 +345,7 @@ class Periodic:
 
 
 @dataclass(frozen=True)
-class Excitation(Table, Periodic):
+class Excitation(Table, PeriodicLoad):
     """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t).
 
     ``[[excitation.harmonics]]`` adds further orders k, cos cos(k omega t) + sin sin(k omega t).
@@ -374,7 +374,7 @@ class Excitation(Table, Periodic):
     Each row has a time, in any unit, and the force components [N]. Values are linear in between;
     two rows with the same time are a jump.
     """
-    wave_harmonics: int = load_order_field(20)
+    wave_harmonics: int = harmonic_order_field(20)
     """Number of harmonics kept from ``wave``; the neglected part is stated."""
 
     def __post_init__(self) -> None:
@@ -388,10 +388,10 @@ class Excitation(Table, Periodic):
         """Return the excitation with omega from the order and a rotor speed [rad/s]."""
         if "_inferred_keys" not in vars(self):
             self.forbid_keys(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        return self.with_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
+        return self.with_unchecked_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
 
     @classmethod
-    def with_twins_removed(
+    def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], current_values: Mapping[str, object]
     ) -> dict[str, Any]:
         """As for all tables; a new frequency also removes the order, a new order the frequency.
@@ -408,7 +408,7 @@ class Excitation(Table, Periodic):
             changes = {"order": None, **changes}
         elif changes.get("order", current_values.get("order")) is not None:
             changes = {"omega": None, **changes}
-        return super().with_twins_removed(changes, current_values)
+        return super().make_changes_with_twins_removed(changes, current_values)
 
     @property
     def first_force_key(self) -> str:
@@ -430,7 +430,7 @@ def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...
 
 
 @dataclass(frozen=True)
-class Load(Table, Periodic):
+class Load(Table, PeriodicLoad):
     """Further load: a force at a point, or a pressure or traction on an edge.
 
     q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase), at the excitation's
@@ -541,7 +541,7 @@ class Load(Table, Periodic):
 
 
 @dataclass(frozen=True)
-class Base(Table, Periodic):
+class Base(Table, PeriodicLoad):
     """Clamp that moves as a whole, as on a shaker.
 
     The acceleration is given, at the excitation's frequency. Displacements are relative to the
@@ -577,10 +577,10 @@ class Base(Table, Periodic):
         return harmonic_vectors[1:]
 
     @property
-    def direction(self) -> Vector:
+    def dominant_unit_vector(self) -> Vector:
         """Unit vector along the axis with the largest acceleration."""
-        max_components = np.abs(self.accelerations).max(axis=0)
-        return tuple(np.eye(len(max_components))[int(np.argmax(max_components))].tolist())
+        component_sizes = np.abs(self.accelerations).max(axis=0)
+        return tuple(np.eye(len(component_sizes))[int(np.argmax(component_sizes))].tolist())
 
 
 @dataclass(frozen=True)
@@ -832,7 +832,7 @@ class HarmonicBalance(Table):
         self.require(
             has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement
         )
-        return self if has_enough_harmonics else self.with_values(harmonics=highest_order)
+        return self if has_enough_harmonics else self.with_unchecked_values(harmonics=highest_order)
 
 
 @dataclass(frozen=True)
@@ -905,7 +905,7 @@ class Mesh(Table):
     def with_dimension(self, dimension: int) -> Mesh:
         """Return the mesh with the default order for a plane (1) or space (2)."""
         polynomial_order = self.order or dimension - 1
-        return self.with_values(
+        return self.with_unchecked_values(
             order=polynomial_order, _inferred_keys={"order"} if polynomial_order == 1 else set()
         )
 
@@ -1020,8 +1020,8 @@ class Curve(Table):
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
         if self.at is not None:
             self.require(self.parameter == "load", "at", "left out, or curve.parameter = 'load'")
-        positive_parameters = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
-        if self.parameter in positive_parameters or self.at is not None:
+        names_of_positive_parameters = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
+        if self.parameter in names_of_positive_parameters or self.at is not None:
             # Rounding would take a smaller end to 0.
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
@@ -1030,7 +1030,7 @@ class Curve(Table):
                 self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
 
     @property
-    def continuation_range(self) -> tuple[str, float, float]:
+    def parameter_and_range(self) -> tuple[str, float, float]:
         """Parameter in the equations, start and stop.
 
         "omega" and "speed" are in rad/s, also if Hz or revolutions per minute are given. At
@@ -1349,11 +1349,13 @@ class Identify(Table):
             raise InputError("identify.unknown", None, requirement)
         self._check_meshes()
         for axis in self.unknown:
-            is_word = [isinstance(value, str) for value in axis.values]
-            has_enough_numbers = not any(is_word) and len(axis.values) >= MIN_ALLOWED_UNKNOWN_VALUES
-            if not (all(is_word) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
+            word_flags = [isinstance(value, str) for value in axis.values]
+            has_enough_numbers = (
+                not any(word_flags) and len(axis.values) >= MIN_ALLOWED_VALUES_PER_UNKNOWN
+            )
+            if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
                 requirement = (
-                    f"words, or {MIN_ALLOWED_UNKNOWN_VALUES} or more numbers in ascending order"
+                    f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending order"
                 )
                 raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
 
@@ -1365,9 +1367,9 @@ class Identify(Table):
             if key_field.metadata["unit"] == "m"
         ]
         allowed_names = {*map(Crack.full_key, length_keys)} - {axis.key for axis in self.unknown}
-        for mesh in self.meshes:
-            error_key = f'identify.meshes."{mesh.key}"'
-            parameter_names = [parameter_name for parameter_name, _ in mesh.values]
+        for mesh_file in self.meshes:
+            error_key = f'identify.meshes."{mesh_file.key}"'
+            parameter_names = [parameter_name for parameter_name, _ in mesh_file.values]
             if not parameter_names or set(parameter_names) != {
                 parameter_name for parameter_name, _ in self.meshes[0].values
             }:
@@ -1380,16 +1382,16 @@ class Identify(Table):
                     raise InputError(error_key, parameter_name, requirement)
         axes = self.mesh_axes
         for axis in axes:
-            if len(axis.values) < MIN_ALLOWED_UNKNOWN_VALUES:
-                requirement = f"{MIN_ALLOWED_UNKNOWN_VALUES} or more different ones"
+            if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
+                requirement = f"{MIN_ALLOWED_VALUES_PER_UNKNOWN} or more different ones"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
         n_meshes_by_values = Counter(
-            tuple(dict(mesh.values)[axis.key] for axis in axes) for mesh in self.meshes
+            tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
         )
         value_combinations = itertools.product(*(axis.values for axis in axes))
-        for combination in value_combinations if n_meshes_by_values else ():
-            if (n_meshes := n_meshes_by_values[combination]) != 1:
-                axes_and_values = zip(axes, combination, strict=True)
+        for value_combination in value_combinations if n_meshes_by_values else ():
+            if (n_meshes := n_meshes_by_values[value_combination]) != 1:
+                axes_and_values = zip(axes, value_combination, strict=True)
                 combination_text = ", ".join(
                     f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
                 )
@@ -1407,7 +1409,7 @@ class Identify(Table):
             [parameter_name for parameter_name, _ in self.meshes[0].values] if self.meshes else []
         )
         values_by_name = {
-            parameter_name: {dict(mesh.values)[parameter_name] for mesh in self.meshes}
+            parameter_name: {dict(mesh_file.values)[parameter_name] for mesh_file in self.meshes}
             for parameter_name in parameter_names
         }
         return tuple(
@@ -1419,16 +1421,16 @@ class Identify(Table):
     def mesh_files(self) -> tuple[str, ...]:
         """Mesh files ordered by their numbers, the last name fastest."""
         parameter_names = [axis.key for axis in self.mesh_axes]
-        ordered_meshes = sorted(
+        ordered_mesh_files = sorted(
             self.meshes,
-            key=lambda mesh: [
-                dict(mesh.values)[parameter_name] for parameter_name in parameter_names
+            key=lambda mesh_file: [
+                dict(mesh_file.values)[parameter_name] for parameter_name in parameter_names
             ],
         )
-        return tuple(mesh.key for mesh in ordered_meshes)
+        return tuple(mesh_file.key for mesh_file in ordered_mesh_files)
 
     @property
-    def priors(self) -> dict[str, Any]:
+    def inference_setting_by_key(self) -> dict[str, Any]:
         """Values of all keys that do not define the forward model, by key."""
         forward_model_keys = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
         return {
@@ -1539,11 +1541,11 @@ class Output(Table):
         None,
     )
     """Quantities for print and pictures; files have all. Default: a few."""
-    points: tuple[Point, ...] = value_field(
+    points: tuple[NamedPoint, ...] = value_field(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
-        f"finite numbers; {MAX_ALLOWED_POINTS} of them at most",
+        f"finite numbers; {MAX_ALLOWED_OUTPUT_POINTS} of them at most",
         lambda points: (
-            len(points) <= MAX_ALLOWED_POINTS
+            len(points) <= MAX_ALLOWED_OUTPUT_POINTS
             and all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points)
         ),
         (),

@@ -68,20 +68,18 @@ def describe_differences(scenes: Sequence[Scene]) -> list[str]:
     list of str
         One text for each scene; empty texts if all scenes are equal.
     """
-    file_values_by_scene = [file_value_by_key(scene) for scene in scenes]
-    all_keys = list(
-        dict.fromkeys(key for value_by_key in file_values_by_scene for key in value_by_key)
-    )
-    compared_values_by_scene = [
+    file_value_dicts = [file_value_by_key(scene) for scene in scenes]
+    all_keys = list(dict.fromkeys(key for value_by_key in file_value_dicts for key in value_by_key))
+    compared_value_dicts = [
         {key: value_by_key.get(key, _default_value(scene, key)) for key in all_keys}
-        for scene, value_by_key in zip(scenes, file_values_by_scene, strict=True)
+        for scene, value_by_key in zip(scenes, file_value_dicts, strict=True)
     ]
     differing_keys = [
         key
         for key in all_keys
         if any(
-            value_by_key[key] != compared_values_by_scene[0][key]
-            for value_by_key in compared_values_by_scene
+            value_by_key[key] != compared_value_dicts[0][key]
+            for value_by_key in compared_value_dicts
         )
     ]
     reported_keys = [
@@ -89,7 +87,7 @@ def describe_differences(scenes: Sequence[Scene]) -> list[str]:
     ] or differing_keys
     return [
         ", ".join(f"{key} = {value_in_words(key, value_by_key[key])}" for key in reported_keys)
-        for value_by_key in compared_values_by_scene
+        for value_by_key in compared_value_dicts
     ]
 
 

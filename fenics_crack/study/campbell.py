@@ -369,7 +369,7 @@ class Campbell(SavedResult):
 
     def said(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
-        axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
+        axis, order = speed_axis(self.scene.is_speed_in_rpm), self.scene.excitation.order
         modes_text = format_count(self.omega_open.shape[1], "mode")
         outcome_text = (
             f"{modes_text} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
@@ -436,7 +436,7 @@ def campbell(
         requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
         raise InputError("disk", "a table", requirement)
     scene.given("rotation")
-    _, axis = scene.axis
+    _, axis = scene.axis_point_and_direction
     check_count("count", few if count is None else count, 1)
     speed_array = np.atleast_1d(floats_or_nan(speeds))
     is_rising = (
@@ -531,14 +531,18 @@ def report_of_campbell(diagram: Campbell) -> Report:
     """
     scene = diagram.scene
     load_order = scene.excitation.order
-    frequency_name = "frequency" if scene.in_hertz or scene.in_rpm else "omega"
+    frequency_name = (
+        "frequency" if scene.is_frequency_in_hertz or scene.is_speed_in_rpm else "omega"
+    )
     orders = [load_order] if load_order else [*range(1, MAX_REPORTED_ORDER + 1)]
     notes = [text for order in orders for text in diagram.meetings(order)]
     if not notes and load_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
-        notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), diagram.speed[-1])} {text}")
-    columns = ["rpm" if scene.in_rpm else "speed", "mode"]
+        notes.append(
+            f"at {format_in_unit(speed_axis(scene.is_speed_in_rpm), diagram.speed[-1])} {text}"
+        )
+    columns = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
     columns += [
         *(f"{frequency_name}_{kind}" for kind in diagram.kinds),
         *(["crack"] if diagram.cracked else []),

@@ -96,7 +96,7 @@ def _element_length_ratio(
     shortest side does not count, because elements cannot be longer than the solid is thick.
     """
     element_size, is_plane = scene.mesh.size, scene.dimension == 2
-    if scene.has_element_lengths and element_size is not None and (scene.all_cracks or is_plane):
+    if scene.has_graded_lengths and element_size is not None and (scene.crack_by_name or is_plane):
         if is_plane or element_size <= min(scene.geometry.sides, default=math.inf):
             return coarser_scene.mesh.given("size") / element_size
     return float((element_counts[0] / element_counts[1]) ** (1.0 / scene.dimension))
@@ -155,9 +155,9 @@ def refine_scene(scene: Scene, refinement_factor: float) -> Scene | None:
         return None
     key_changes: dict[str, Any] = {}
     n_face_elements, element_size = mesh_table.lip_elements, mesh_table.size
-    if scene.has_element_lengths and element_size is not None and refinement_factor > 1.0:
+    if scene.has_graded_lengths and element_size is not None and refinement_factor > 1.0:
         element_size = min([element_size, *scene.geometry.sides])
-    if scene.has_element_lengths and n_face_elements is not None and n_face_elements > 2:
+    if scene.has_graded_lengths and n_face_elements is not None and n_face_elements > 2:
         n_new_elements, grading, refinement_factor = _similar_grading(
             n_face_elements, mesh_table.grading, refinement_factor
         )

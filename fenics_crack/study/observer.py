@@ -30,7 +30,7 @@ from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
 from fenics_crack.scene.scene import (
     Scene,
-    quantities_on_request,
+    list_requested_extra_quantities,
     reason_without_stress_intensity,
     refuse_for_reason,
 )
@@ -55,7 +55,7 @@ def make_requested_rows(study: Study) -> list[ExtraRows]:
     Rows are made once for the study's structure.
     """
     requested_places = {
-        OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(study.scene)
+        OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
     }
     return [
         make_rows(study)
@@ -99,7 +99,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
             column, value = displacement.column(name), getattr(indicators, name)
             quantities.append(ObservedQuantity(column, words, value, observable.unit, name))
     value_by_name = motion.faces | {
-        name: extra_value_by_name[name] for name in quantities_on_request(study.scene)
+        name: extra_value_by_name[name] for name in list_requested_extra_quantities(study.scene)
     }
     for name, value in value_by_name.items():
         observable = OBSERVABLES_BY_NAME[name]
@@ -285,13 +285,13 @@ def estimate_front_errors(
         may vanish by chance. Infinite if the coarser mesh lacks the numbers or has too few stations
         for K to vary along a front; the first dict then is empty.
     """
-    requested_names = set(quantities_on_request(study.scene))
+    requested_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
         requested_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
     )
     if study.scene.dimension == 2 or not quantity_names:
         return {}, {}
-    if not requested_names.intersection(quantities_on_request(coarser_study.scene)):
+    if not requested_names.intersection(list_requested_extra_quantities(coarser_study.scene)):
         return {}, dict.fromkeys(quantity_names, math.inf)
     fronts = _collect_fronts(study, motion)
     coarser_fronts = _collect_fronts(coarser_study, coarser_motion)

@@ -458,10 +458,10 @@ def load_frequency_range(scene: Scene, command: str) -> tuple[float, float]:
     """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
     curve = scene.curve if command == "curve" else None
-    if curve is not None and curve.continuation_range[0] == "omega":
-        omegas = [*curve.continuation_range[1:]]
-    elif curve is not None and curve.continuation_range[0] == "speed":
-        omegas = [(scene.excitation.order or 1) * speed for speed in curve.continuation_range[1:]]
+    if curve is not None and curve.parameter_and_range[0] == "omega":
+        omegas = [*curve.parameter_and_range[1:]]
+    elif curve is not None and curve.parameter_and_range[0] == "speed":
+        omegas = [(scene.excitation.order or 1) * speed for speed in curve.parameter_and_range[1:]]
     if command == "sweep":
         omegas = [*scene.swept_omegas]
     return min(omegas), max(omegas)
@@ -479,7 +479,9 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
         )
     harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
-        harmonic_counts = [*scene.swept.get("harmonic_balance.harmonics", harmonic_counts)]
+        harmonic_counts = [
+            *scene.swept_values_by_key.get("harmonic_balance.harmonics", harmonic_counts)
+        ]
     return load_frequency_range(scene, command)[1] * max(harmonic_counts)
 
 
@@ -504,9 +506,9 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     """
     excitation, scene_curve, resonance = scene.excitation, scene.curve, figures.load_resonance
     is_speed_curve = excitation.order is not None and scene.disk is None
-    parameter = "frequency" if scene.in_hertz else "omega"
+    parameter = "frequency" if scene.is_frequency_in_hertz else "omega"
     if is_speed_curve:
-        parameter = "rpm" if scene.in_rpm else "speed"
+        parameter = "rpm" if scene.is_speed_in_rpm else "speed"
     if scene_curve is not None:
         parameter = scene_curve.parameter
     if parameter not in CURVE_UNIT_BY_PARAMETER:
@@ -532,8 +534,8 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         start, stop = start - 3.0 * resonance.width, stop + 3.0 * resonance.width
     if (
         scene_curve is not None
-        and min(scene_curve.continuation_range[1:]) <= highest_resonance
-        and max(scene_curve.continuation_range[1:]) >= lowest_resonance
+        and min(scene_curve.parameter_and_range[1:]) <= highest_resonance
+        and max(scene_curve.parameter_and_range[1:]) >= lowest_resonance
     ):
         return None
     if not 0.0 < start < stop < math.inf:
@@ -574,7 +576,7 @@ def scales_with_load(scene: Scene) -> bool:
     """
     if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
-    tables = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
+    tables = scene.crack_by_name.values() if scene.structure is None else (scene.structure,)
     return all(table.clearance == 0.0 for table in tables)
 
 
@@ -691,7 +693,9 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
     for dotted_key in keys.split():
         table_name, field_name = dotted_key.split(".")
         table_by_name = (
-            scene.all_cracks if table_name == "crack" else {table_name: getattr(scene, table_name)}
+            scene.crack_by_name
+            if table_name == "crack"
+            else {table_name: getattr(scene, table_name)}
         )
         value_by_key = {
             f"{path}.{field_name}": getattr(table, field_name, None)
@@ -780,7 +784,9 @@ def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None
         return None
     if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
         return None
-    point, axis = (vector[: structure.nodes.points.shape[1]] for vector in scene.axis)
+    point, axis = (
+        vector[: structure.nodes.points.shape[1]] for vector in scene.axis_point_and_direction
+    )
     offsets = gather_rows(structure.comm, structure.nodes.points) - point
     radial_offsets = offsets - np.outer(offsets @ axis, axis)
     return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
@@ -813,7 +819,7 @@ def _clamp_bending_stress(
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
         return None
-    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
+    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis_point_and_direction
     sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
     normal_axis, free_dofs = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
     axis_offset = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
@@ -836,7 +842,7 @@ def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | No
     """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
-    angular_velocity = structure.rotation.speed * scene.axis[1]
+    angular_velocity = structure.rotation.speed * scene.axis_point_and_direction[1]
     modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
     return float(np.abs(relative_coriolis_shifts(modes, angular_velocity)).max())
 
@@ -909,7 +915,7 @@ def _missed_first_frequency(
     find_crossing_parameters = np.vectorize(
         partial(_crossing_parameter, scene, curve.parameter, slope=figures.speed_slopes[0])
     )
-    curve_start, curve_end = sorted(curve.continuation_range[1:])
+    curve_start, curve_end = sorted(curve.parameter_and_range[1:])
     natural_omegas = figures.omega_open, figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (

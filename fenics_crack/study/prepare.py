@@ -169,11 +169,11 @@ def _find_watched_displacements(
     InputError
         A point is not near a node of its own, or the structure has no nodes.
     """
-    if not scene.points:
+    if not scene.output_points:
         dof = structure.watched_dof
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
     displacements, sector = [], structure.sector_structure  # the points belong to a blade
-    for point in scene.points:
+    for point in scene.output_points:
         point_key = f"output.points.{point.key}"
         if sector.nodes is None:
             raise InputError(point_key, point.values, "left out: the structure has no positions")
@@ -184,7 +184,7 @@ def _find_watched_displacements(
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
                 name = f"{point.key}.u{axis}"
-                words = scene.point_names[name]
+                words = scene.label_by_point_name[name]
                 watched_sector_index = structure.watched_sector_index
                 global_dof = structure.dof_of(watched_sector_index + 1, int(dof))
                 displacements.append(WatchedDisplacement(name, words, global_dof, distance))
@@ -277,7 +277,7 @@ def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
         reduction_table = Reduction("free_interface" if is_small else None)
     if reduction_table.method == "off":
         return None
-    n_kept_modes = reduction_table.modes or scene.damped_modes
+    n_kept_modes = reduction_table.modes or scene.n_damped_modes
     if isinstance(n_kept_modes, str):  # "all"
         n_kept_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, structure.n_dofs)
     has_massless_faces = structure.n_pairs > 0 and n_kept_modes < structure.n_dofs
@@ -365,7 +365,7 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     solver_bytes = 2.0 * estimate_factor_bytes(
         n_real_dofs, solid=is_solid
     ) + 16.0 * n_real_dofs * krylov_size(n_families)
-    mode_bytes = 16.0 * len(sector.nodal_diameters) * n_dofs * n_families
+    mode_bytes = 16.0 * len(sector.nodal_diameter_range) * n_dofs * n_families
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
     n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))

@@ -145,7 +145,7 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
     clearances_and_damping : tuple
         Clearance of each crack, and the table ``[damping]``.
     """
-    cracks = [*scene.all_cracks.values()]
+    cracks = [*scene.crack_by_name.values()]
     pair_kind = scene.contact is not None and scene.contact.pairs
     mesh_dependencies = (
         scene.geometry, scene.material, _values_without_keys(scene.mesh, "error", "coarser"),

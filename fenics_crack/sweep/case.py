@@ -145,7 +145,7 @@ class SweepGeometry:
                 [getattr(scene.excitation, force_key) for force_key in FORCE_KEYS]
             )
             load_factors[:, -scene.dimension :] = force_vectors[:, ::-1]
-        clearance = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
+        clearance = clearance_of(scene, self.structure.pairs) if scene.crack_by_name else 0.0
         return self.structure.varied(load=load_factors, clearance=clearance)
 
 
@@ -157,7 +157,7 @@ def build_geometry(
     ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
     mesh, for another rotor speed.
     """
-    scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.all_cracks})
+    scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.crack_by_name})
     if request.has_unit_loads:
         dimension = scene.dimension
         unit_force_by_key = zip(
@@ -189,7 +189,7 @@ def build_geometry(
         requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", reduction_method, requirement)
     make_requested_rows(many_mode_study)
-    crack_lengths = [crack.length for crack in many_mode_study.scene.all_cracks.values()]
+    crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
     study = reduce_to_modes(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study

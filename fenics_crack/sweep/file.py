@@ -43,7 +43,7 @@ from fenics_crack.basics.tables import UNIT_BY_NAME
 from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
 from fenics_crack.files.store import describe_dataset
-from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, quantities_on_request
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
 
@@ -146,11 +146,11 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     """
     requested_quantities = (
         *(observable_names(required_flags=REQUIRES_FRICTION) if scene.has_friction else ()),
-        *quantities_on_request(scene),
+        *list_requested_extra_quantities(scene),
     )
     unit_and_type_by_point_column = {
         f"{point_name}.{column_name}": (unit, "f8")
-        for point_name in scene.point_names
+        for point_name in scene.label_by_point_name
         for column_name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     }
     return (

@@ -70,7 +70,7 @@ class Plan:
     """
 
     def __init__(self, scene: Scene) -> None:
-        sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
+        sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept_values_by_key
         self._scene_without_sweep = scene.replace({"sweep": None})
         self._gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
@@ -149,7 +149,7 @@ class Plan:
                 bounds_and_lengths.append((0, 0.0))
                 continue
             pair_selection = scene.contact and scene.contact.pairs
-            cracks = tuple(replace(crack, clearance=0.0) for crack in scene.all_cracks.values())
+            cracks = tuple(replace(crack, clearance=0.0) for crack in scene.crack_by_name.values())
             mesh_key = scene.structure, scene.mesh, pair_selection, cracks, scene.geometry
             if mesh_key not in pair_bound_by_mesh:
                 pair_bound_by_mesh[mesh_key] = _find_pair_upper_bound(scene)
@@ -199,7 +199,7 @@ def _find_pair_upper_bound(scene: Scene) -> int:
         n_cracks = len(plate_mesh.crack_paths_or_surfaces)
         n_face_nodes = len(plate_mesh.facets("lower_lip")) * mesh_table.order + n_cracks
     else:
-        n_cracks = len(scene.all_cracks)
+        n_cracks = len(scene.crack_by_name)
         n_face_nodes = plate_pair_upper_bound(scene) if n_cracks else 0
     return int(min(max_pairs_per_crack * n_cracks, n_face_nodes)) if n_cracks else 0
 

@@ -432,7 +432,7 @@ class SweepResult(Tabular):
 
         The scene's ``[output] quantities`` chooses them; otherwise there are a few.
         """
-        label_by_point, label_and_unit_by_column = self.scene.point_names, {}
+        label_by_point, label_and_unit_by_column = self.scene.label_by_point_name, {}
         for quantity_name in self.scene.quantities or observable_names(
             required_flags=IN_SWEEP_PICTURES
         ):

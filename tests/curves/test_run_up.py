@@ -212,7 +212,7 @@ def test_run_up_in_the_scenes_unit(
     )
     run, unit = replace(run_up, scene=blade(speeds)), "rpm" if in_rpm else "rad/s"
     factor, per_speed = (1.0 / RAD_PER_S_PER_RPM, 12.0 / 60.0) if in_rpm else (1.0, 12.0)
-    figure = fc.draw_curve(run.result, run.watched_dof, in_hertz=run.scene.in_hertz)
+    figure = fc.draw_curve(run.result, run.watched_dof, in_hertz=run.scene.is_frequency_in_hertz)
     [panel] = figure.axes
     assert panel.get_xlabel() == f"rotor speed [{unit}]"
     assert panel.lines[0].get_xdata()[0] == pytest.approx(560.0 * factor)

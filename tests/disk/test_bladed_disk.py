@@ -329,7 +329,7 @@ def test_refused_later() -> None:
 def test_at_rest() -> None:
     """The same frequency and phases without rotation."""
     rotor_scene = ring(rotation__rpm=3000.0, excitation__frequency=None)
-    resting_scene = rotor_scene.at_rest()
+    resting_scene = rotor_scene.without_rotation()
     assert (
         resting_scene.excitation.omega == rotor_scene.excitation.omega
         and resting_scene.excitation.order == 2

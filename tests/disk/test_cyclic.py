@@ -13,7 +13,7 @@ from wheels import RING, SOLID, ring, wheel_of, whole_scene, write_whole
 
 import fenics_crack as fc
 from fenics_crack.disk.cyclic import CyclicModes
-from fenics_crack.disk.wheel import WheelStructure
+from fenics_crack.disk.wheel import WheelInFewCoordinates
 from fenics_crack.scene.scene import Scene
 
 
@@ -25,7 +25,7 @@ def grid(columns: int, rows: int) -> dict[str, Any]:
 
 def of_wheel(found: CyclicModes) -> np.ndarray:
     """The frequencies of the modes of the wheel, ascending."""
-    single = [found.sector.has_single_wave(n) for n in found.sector.nodal_diameters]
+    single = [found.sector.has_single_wave(n) for n in found.sector.nodal_diameter_range]
     parts = zip(found.omega, single, strict=True)
     return np.sort(np.concatenate([np.repeat(own, 1 if one else 2) for own, one in parts]))
 
@@ -62,8 +62,8 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     plane = whole_scene(scene, tmp_path / "whole.msh")
     rotor_scene = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
     center = np.append(wheel.sector.center, 0.0)
-    axis = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
-    monkeypatch.setattr(Scene, "axis", axis)
+    axis_point_and_direction = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
+    monkeypatch.setattr(Scene, "axis_point_and_direction", axis_point_and_direction)
     whole_structure = fc.build_structure(rotor_scene)
     sector_omega_at_rest = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
     sector_omega = of_wheel(wheel.cyclic_modes(6))[:12]
@@ -79,7 +79,7 @@ def test_coordinates_are_those_of_the_whole_matrices(given: dict[str, object]) -
     if scene.dimension == 2:
         scene = ring(disk__sectors=4)
     wheel = wheel_of(scene).mistuned(np.linspace(-0.02, 0.03, scene.given("disk").sectors))
-    two_family_wheel = WheelStructure(wheel, 2)
+    two_family_wheel = WheelInFewCoordinates(wheel, 2)
     basis = two_family_wheel.expand(np.eye(two_family_wheel.n_dofs)).T
     for name, limit in (("mass", 1e-9), ("stiffness", 1e-9)):
         reduced_matrix, whole_matrix = (
@@ -134,8 +134,8 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     """The response of every tip of a tuned wheel is that of one sector with its complex ties."""
     wheel = wheel_of(ring(**without, disk__families=6))
     sector, order, omega = wheel.sector, wheel.order, 2.0 * np.pi * 990.0
-    with sector.factor_stiffness() as stiffness_factor:
-        ties = stiffness_factor.at_diameter(order).tie_matrix.toarray()
+    with sector.yield_zero_diameter_solver() as zero_diameter_solver:
+        ties = zero_diameter_solver.at_diameter(order).tie_matrix.toarray()
     dynamic = (sector.stiffness - omega**2 * sector.mass) @ ties
     force = sector.structure.force
     pull = ties.conj().T @ (force[1] - 1j * force[2])

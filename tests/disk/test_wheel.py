@@ -10,7 +10,7 @@ import pytest
 from wheels import RING, SOLID, ring, wheel_of
 
 import fenics_crack as fc
-from fenics_crack.disk.wheel import Wheel, WheelStructure
+from fenics_crack.disk.wheel import Wheel, WheelInFewCoordinates
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.study.meshes import refine_scene
 
@@ -216,7 +216,7 @@ def test_names_of_dofs(mistuned: Wheel) -> None:
     for call, words in (
         (lambda: mistuned.dof_of(9, base_dof), "blade = 9: must be a whole number from 1 to 8"),
         (lambda: mistuned.mistuned([0.0, 0.1]), "mistuning"),
-        (lambda: fc.reduce_wheel(WheelStructure(mistuned, 2)), "wheel"),
+        (lambda: fc.reduce_wheel(WheelInFewCoordinates(mistuned, 2)), "wheel"),
     ):
         with pytest.raises(fc.InputError, match=words):
             call()

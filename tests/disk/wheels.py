@@ -65,7 +65,7 @@ def write_whole(wheel: Wheel, path: Path) -> None:
     number[used_nodes] = np.arange(len(used_nodes))
     points, cells = [], []
     for place in range(wheel.sector.n_sectors):
-        moved_points = wheel.sector.place_points(nodes.points[used_nodes], place)
+        moved_points = wheel.sector.turn_points(nodes.points[used_nodes], place)
         cells.append(number[nodes.cells[:, :corners]] + len(used_nodes) * place)
         points.append(moved_points)
     all_points, all_cells = np.concatenate(points), np.concatenate(cells)

@@ -82,7 +82,7 @@ def test_pairs_crack_by_crack(layout: str, cells: str, cracks: list[dict[str, An
     np.testing.assert_allclose(normals, np.tile([0.0, 1.0], (len(points), 1)), atol=1e-12)
     for side in (lower_nodes, upper_nodes):
         np.testing.assert_allclose(structure.nodes.points[side], points, atol=1e-12)
-    for number, crack in enumerate(scene.all_cracks.values()):
+    for number, crack in enumerate(scene.crack_by_name.values()):
         is_own = structure.pairs.cracks == number
         start, stop = crack.span(WIDTH)
         if crack.edge == "right":
@@ -256,7 +256,7 @@ def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     structure = build_structure(scene, comm)
     points = structure.nodes.points
     linear = points @ np.array([[0.3, 1.7], [-0.4, 0.9]])
-    for number, crack in enumerate(scene.all_cracks.values()):
+    for number, crack in enumerate(scene.crack_by_name.values()):
         is_above = nodes_of_side(structure, (0.0, crack.height), (0.0, 1.0))
         linear[is_above] *= 1.5 + number
     displacement = np.zeros((1, structure.n_local))

@@ -17,7 +17,7 @@ GRID = {"mesh.columns": 8, "mesh.rows": 8}
 def test_lists_are_changed_and_written(paper_scene: Scene) -> None:
     """The next table is made, one is changed, all are removed; a file reads back."""
     scene = paper_scene.replace(GRID | SECOND)
-    assert list(scene.all_cracks) == ["crack", "cracks.1"]
+    assert list(scene.crack_by_name) == ["crack", "cracks.1"]
     assert scene.cracks[0].span(0.1) == pytest.approx((0.025, 0.075))
     longer_scene = scene.replace({"cracks.1.length": 0.025, "cracks.1.center": 0.0375})
     assert longer_scene.cracks[0].length == 0.025 and scene.cracks[0].length == 0.05
@@ -31,7 +31,7 @@ def test_lists_are_changed_and_written(paper_scene: Scene) -> None:
 def test_cracks_inside_alone(paper_scene: Scene) -> None:
     """[[cracks]] without [crack]; and what no list may be."""
     scene = paper_scene.replace(GRID | SECOND | {"crack": None})
-    assert list(scene.all_cracks) == ["cracks.1"]
+    assert list(scene.crack_by_name) == ["cracks.1"]
     for key in ("cracks.0.length", "cracks.x.length", "cracks.1", "cracks.1.colour"):
         with pytest.raises(InputError) as caught:
             scene.replace({key: 0.05})

@@ -78,7 +78,7 @@ def test_a_frequency_replaces_its_twin() -> None:
         100.0,
         TURN * 100.0,
     )
-    assert turned_scene.in_hertz and not scene.in_hertz
+    assert turned_scene.is_frequency_in_hertz and not scene.is_frequency_in_hertz
     assert turned_scene.replace({"excitation.omega": 2000.0}) == scene
     for key in ("excitation.omega", "excitation.frequency"):
         with pytest.raises(InputError, match=r"excitation\.omega is missing"):
@@ -99,7 +99,7 @@ def test_sweeps_in_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases are those of the sweep in rad/s; both twins in one sweep are refused."""
     scene = Scene.from_mapping(GOOD).replace({"contact.stiffness": 1e7})
     swept_scene = scene.replace({"sweep.over": {"excitation.frequency": [300.0, 310.0]}})
-    assert swept_scene.in_hertz and swept_scene.sweep is not None
+    assert swept_scene.is_frequency_in_hertz and swept_scene.sweep is not None
     assert swept_scene.swept_omegas == (TURN * 300.0, TURN * 310.0)
     built, prepare_function = [], fc.prepare
     monkeypatch.setattr(
@@ -125,7 +125,7 @@ def test_a_curve_in_hertz() -> None:
     )  # fmt: skip
     span = {"curve.start": 300.0, "curve.stop": 330.0, "curve.stability": False}
     turned_scene = scene.replace(span | {"curve.parameter": "frequency"})
-    assert turned_scene.in_hertz
+    assert turned_scene.is_frequency_in_hertz
     found = fc.curve(turned_scene).result
     assert found.parameter == "omega"
     assert found.values[[0, -1]] == pytest.approx([TURN * 300.0, TURN * 330.0], rel=1e-14)

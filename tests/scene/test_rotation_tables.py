@@ -31,7 +31,7 @@ def test_an_order_gives_the_frequency() -> None:
     """w = order * W, also after either is changed; a frequency takes the place of the order."""
     scene = Scene.from_mapping(changed(ORDERED))
     assert scene.excitation.omega == 3 * RPM * 6000.0
-    assert scene.in_hertz and scene.in_rpm
+    assert scene.is_frequency_in_hertz and scene.is_speed_in_rpm
     text = scene.as_toml()
     assert "order = 3" in text and "omega" not in text
     assert Scene.from_text(text) == scene and Scene.from_text(text).as_toml() == text
@@ -42,7 +42,7 @@ def test_an_order_gives_the_frequency() -> None:
         assert other_excitation.order is None and getattr(other_excitation, key) == 50.0
     fixed_scene = Scene.from_mapping(changed(ROTATING))
     assert fixed_scene.replace({"excitation.order": 3}).excitation == scene.excitation
-    rest = scene.at_rest()
+    rest = scene.without_rotation()
     assert rest.speed == 0.0 and rest.excitation.omega == scene.excitation.omega
 
 

@@ -116,7 +116,7 @@ def test_proposed_curve_meets_its_peak() -> None:
     figures = find_key_figures(study)
     resonance = find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
     curve = propose_curve(study.scene, replace(figures, load_resonance=resonance))
-    start, stop = curve.continuation_range[1:]
+    start, stop = curve.parameter_and_range[1:]
     assert (
         start
         <= resonance.value - 3.0 * resonance.width

@@ -171,7 +171,9 @@ def test_digest_has_what_a_structure_follows_from() -> None:
                 continue
             other_scene = copy.copy(scene)
             word = () if key == "sweep.over" else "another"  # axes may name files
-            value: Any = (table_value[0] if number else table_value).with_values(**{name: word})
+            value: Any = (table_value[0] if number else table_value).with_unchecked_values(
+                **{name: word}
+            )
             vars(other_scene)[table] = (value,) if number else value
             earlier_key, later_key = (
                 dependencies_key(structure_dependencies(keyed_scene, MPI.COMM_SELF))

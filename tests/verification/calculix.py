@@ -147,7 +147,7 @@ def rotating_blade() -> dict[float, tuple[np.ndarray, np.ndarray]]:
     scene = fc.Scene.load(ROOT / "demos" / "solid_blade.toml")
     structure = fc.build_structure(scene)
     lines, hertz_by_rpm = mesh_lines(structure, scene, "C3D10"), {}
-    place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis))
+    place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis_point_and_direction))
     for rpm in SPEEDS:
         loads = ["*DLOAD", f"PLATE, CENTRIF, {(RPM * rpm) ** 2:.13e}, {place}"] if rpm else None
         ours = fc.solve_modes(structure.rotation.at(RPM * rpm), 6).omega
@@ -613,7 +613,7 @@ def wheel_frequencies(rpm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     modes, sector = structure.cyclic_modes(FAMILIES), structure.sector
     ours, density = np.array(modes.omega), scene.material.density
     masses = [mass_at_four_points(sector.structure, density, v) for v in modes.shapes]
-    place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis))
+    place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis_point_and_direction))
     loads = ["*DLOAD", f"PLATE, CENTRIF, {(RPM * rpm) ** 2:.13e}, {place}"] if rpm else None
     theirs = nodal_diameters(sector_lines(sector, scene), SECTORS, FAMILIES, loads)
     hertz = 1.0 / (2.0 * np.pi)

@@ -98,7 +98,7 @@ def sector_lines(sector: Sector, scene: fc.Scene) -> list[str]:
     for name, nodes in (("LEFT", left), ("RIGHT", right)):
         lines += [f"*SURFACE, NAME={name}, TYPE=NODE", *(str(node + 1) for node in nodes)]
     lines += ["*TIE, NAME=SIDES, CYCLIC SYMMETRY", "RIGHT, LEFT"]  # the right one follows
-    center, axis = scene.axis
+    center, axis = scene.axis_point_and_direction
     ends = ", ".join(f"{x:.13e}" for x in (*center, *(center + axis)))
     return [*lines, f"*CYCLIC SYMMETRY MODEL, N={sector.n_sectors}, TIE=SIDES", ends]
 

@@ -47,7 +47,7 @@ from fenics_crack.monitoring.identification.posterior import (
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import MIN_ALLOWED_UNKNOWN_VALUES, Identify, Sweep
+from fenics_crack.scene.tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, Sweep
 from fenics_crack.study.meshes import refine_scene
 from fenics_crack.sweep.result import SweepResult, describe_by_reason, run_sweep
 
@@ -592,7 +592,7 @@ class _ForwardSweeper:
         """Run sweeps on the finer mesh and halfway, if any, beside all cases (collective)."""
         table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
         n_numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-        n_axis_values = MIN_ALLOWED_UNKNOWN_VALUES - (n_numbers > 2)
+        n_axis_values = MIN_ALLOWED_VALUES_PER_UNKNOWN - (n_numbers > 2)
         finer_sweep = halfway_sweep = None
         if self.fine_scene is not None:
             check_axes = [
@@ -653,7 +653,9 @@ def _refine_axis_at_resonance(
     None if no crack between vibrates much more than the solved ones, if that does not matter, or if
     the cases would be too many.
     """
-    models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
+    models_loads_points = itertools.product(
+        models, load_frequencies, scene.label_by_point_name or ("",)
+    )
     vibration_cases = (
         []
         if has_load_independent_shape(scene)

@@ -226,7 +226,7 @@ class Measurement:
                 "left out unless the load is an engine order (excitation.order) of [rotation]"
             )
             raise InputError("measurements.rpm", self.rpm, allowed_text)
-        point_names = scene.point_names
+        point_names = scene.label_by_point_name
         if self.point and self.point not in point_names:
             allowed_text = (
                 f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}"
@@ -560,7 +560,7 @@ def list_crack_removal_changes(scene: Scene) -> dict[str, Any] | None:
     if scene.identify is not None and scene.identify.uncracked is not None:
         return value_by_key | {"mesh.file": scene.identify.uncracked}
     is_removable = (
-        scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
+        scene.structure is None and scene.mesh.layout != "file" and len(scene.crack_by_name) == 1
     )
     return value_by_key if is_removable else None
 

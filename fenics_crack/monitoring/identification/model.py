@@ -323,7 +323,7 @@ class ForwardModel:
         ]
         load_frequencies = self.coarse_cases.swept_loads.frequencies
         ratio_names = ("ratio_2_1", "ratio_3_1")
-        point_names = ["", *self.coarse_cases.sweep_result.scene.point_names]
+        point_names = ["", *self.coarse_cases.sweep_result.scene.label_by_point_name]
         for load_frequency, point_name, ratio_name in itertools.product(
             load_frequencies, point_names, ratio_names
         ):
@@ -435,7 +435,7 @@ class MeasurementPredictor:
             if any(measurement.resonance for measurement in self.rows)
             else (BREATHING_FACES,)
         )
-        self._is_free_at_rest = scales_with_load(model.scene.at_rest())
+        self._is_free_at_rest = scales_with_load(model.scene.without_rotation())
         self._interpolate_features()
 
     def _index_features(self) -> None:

@@ -103,7 +103,9 @@ class UncrackedPlate:
         self.rotor_speed = scene.speed
         self.identify_table = identify_table
         plate_modes = _solve_plate_modes(scene)
-        modes_at_rest = _solve_plate_modes(scene.at_rest()) if scene.speed > 0.0 else plate_modes
+        modes_at_rest = (
+            _solve_plate_modes(scene.without_rotation()) if scene.speed > 0.0 else plate_modes
+        )
         mode_shapes = (
             np.hstack([modes_at_rest.shapes, plate_modes.shapes])
             if scene.speed > 0.0
@@ -479,7 +481,9 @@ class BaselineChanges:
                 )[measurement.mode - 1]
         has_unknown_offset = (is_baseline & ~has_known_offset)[:, None]
         self.unknown_temperature_changes = (
-            -identify_table.priors["temperature_deviation"] * has_unknown_offset * kelvin_changes
+            -identify_table.inference_setting_by_key["temperature_deviation"]
+            * has_unknown_offset
+            * kelvin_changes
         )
         known_offset_changes = [
             identify_table.coefficient_deviation

@@ -386,7 +386,7 @@ class Identification(Tabular):
     @property
     def priors(self) -> dict[str, float]:
         """Return priors and confidence levels by their keys in ``[identify]``."""
-        return self._identify_table.priors
+        return self._identify_table.inference_setting_by_key
 
     @property
     def _identify_table(self) -> Identify:

@@ -373,7 +373,7 @@ def test_units_at_other_speeds() -> None:
     def hertz(**rotor: float | None) -> float:
         rotor_settings = {f"rotation.{key}": rotor_value for key, rotor_value in rotor.items()}
         structure = fc.build_structure(
-            plain_scene.replace(rotor_settings) if rotor else plain_scene.at_rest()
+            plain_scene.replace(rotor_settings) if rotor else plain_scene.without_rotation()
         )
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 

@@ -38,7 +38,7 @@ def scene() -> fc.Scene:
 def natural(scene: fc.Scene, rpm: float, kind: str, mode: int = 1) -> float:
     """A natural frequency of the blade at a speed [Hz]."""
     own_scene = scene.replace({"identify": None} | TRUE)
-    own_scene = own_scene.replace({"rotation.rpm": rpm}) if rpm else own_scene.at_rest()
+    own_scene = own_scene.replace({"rotation.rpm": rpm}) if rpm else own_scene.without_rotation()
     bilinear_frequencies = fc.bilinear_frequencies(fc.build_structure(own_scene))
     return float(getattr(bilinear_frequencies, f"omega_{kind}")[mode - 1]) / TURN
 
