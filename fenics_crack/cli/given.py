@@ -307,11 +307,11 @@ def _read_arrivals(scene: Scene, arguments: Namespace, path: Path | None) -> Arr
     if path is None or path.suffix.lower() == ".h5":
         return path
     timing_table = scene.given("tip_timing")
-    from fenics_crack.arrivals.arrival_times import probes_of_blades, read_record
+    from fenics_crack.arrivals.arrival_times import find_probe_angles_by_blade, read_record
 
     probe_angles: Any = np.radians(timing_table.probes)
     if scene.disk is not None:
-        probe_angles = probes_of_blades(probe_angles, scene.disk.sectors)
+        probe_angles = find_probe_angles_by_blade(probe_angles, scene.disk.sectors)
     arrivals_by_blade = read_record(path, tip_radius=timing_table.tip_radius, probes=probe_angles)
     return select_blades(
         arrivals_by_blade, arguments.blade, path, allows_several=scene.disk is not None
