@@ -271,9 +271,10 @@ class _FrequencySearch:
         columns_and_values = self._subtract_constants(
             np.column_stack([wave_columns, values]), weights
         )
-        reduced_columns, reduced_values = columns_and_values[:, :-1], columns_and_values[:, -1]
+        reduced_columns = columns_and_values[:, :-1]
+        reduced_displacements = columns_and_values[:, -1]
         coefficients = np.linalg.lstsq(
-            root_weights * reduced_columns, root_weights[:, 0] * reduced_values, rcond=1e-10
+            root_weights * reduced_columns, root_weights[:, 0] * reduced_displacements, rcond=1e-10
         )[0]
         quadrature_waves = (
             wave_columns[:, 0::2] * coefficients[1::2] - wave_columns[:, 1::2] * coefficients[0::2]
@@ -283,7 +284,7 @@ class _FrequencySearch:
         )
         return (
             coefficients,
-            reduced_values - reduced_columns @ coefficients,
+            reduced_displacements - reduced_columns @ coefficients,
             np.column_stack([reduced_columns, omega_slope]),
         )
 
@@ -501,16 +502,16 @@ def _compute_spectrum(
     middle_mode, n_cells = n_modes // 2, 2 * n_modes
     # Of Greengard and Lee, twice as fine a grid.
     gaussian_width = np.pi * reach_in_cells / (n_modes**2 * 3.0)
-    shifted_values = values * np.exp(-1j * (first_frequency_number + middle_mode) * phases)
+    shifted_terms = values * np.exp(-1j * (first_frequency_number + middle_mode) * phases)
     nearest_cells = np.floor(phases * n_cells / RAD_PER_TURN).astype(int)
     grid = np.zeros(n_cells, dtype=complex)
     for cell_offset in range(1 - reach_in_cells, reach_in_cells + 1):
         cell_indices = nearest_cells + cell_offset
-        spread_values = shifted_values * np.exp(
+        spread_terms = shifted_terms * np.exp(
             -((phases - RAD_PER_TURN * cell_indices / n_cells) ** 2) / (4.0 * gaussian_width)
         )
-        grid += np.bincount(cell_indices % n_cells, spread_values.real, n_cells)
-        grid += 1j * np.bincount(cell_indices % n_cells, spread_values.imag, n_cells)
+        grid += np.bincount(cell_indices % n_cells, spread_terms.real, n_cells)
+        grid += 1j * np.bincount(cell_indices % n_cells, spread_terms.imag, n_cells)
     mode_numbers = np.arange(n_modes) - middle_mode
     spectrum = np.fft.fft(grid)[mode_numbers] / n_cells
     return np.asarray(

@@ -139,20 +139,17 @@ def _fit_best_order(
     """Fit all orders, and return the smallest of the best vibrations."""
     n_unknowns = 2 * len(multiples) + 1
     fit_or_none_by_index = {
-        order_index: means.fit_order_or_none(order, multiples)
-        for order_index, order in enumerate(orders)
+        index: means.fit_order_or_none(order, multiples) for index, order in enumerate(orders)
     }
-    fit_by_index = {
-        order_index: fit for order_index, fit in fit_or_none_by_index.items() if fit is not None
-    }
+    fit_by_index = {index: fit for index, fit in fit_or_none_by_index.items() if fit is not None}
     if not fit_by_index:
         raise_too_few_probes(arrivals, n_unknowns)
     is_hidden = np.full(len(orders), True)
-    (residual_squares, vibration_sizes, likelihood_costs) = np.full((3, len(orders)), np.inf)
-    for order_index, fit in fit_by_index.items():
-        is_hidden[order_index], residual_squares[order_index] = False, fit.sum_of_squares
-        vibration_sizes[order_index] = np.linalg.norm(fit.coefficients[1:])
-    variance_ratio, misfit_chance, freedom = means.run_misfit_f_test(
+    residual_squares, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
+    for index, fit in fit_by_index.items():
+        is_hidden[index], residual_squares[index] = False, fit.sum_of_squares
+        vibration_sizes[index] = np.linalg.norm(fit.coefficients[1:])
+    variance_ratio, misfit, freedom = means.run_misfit_f_test(
         float(residual_squares.min()), n_unknowns
     )
     is_equivalent, best_index = select_candidate(
@@ -171,16 +168,12 @@ def _fit_best_order(
     is_equivalent |= (
         wave_residual_squares < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
     )
-    covariance_factor = variance_ratio if np.isfinite(variance_ratio) else np.nan
+    covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
     if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        for order_index, fit in fit_by_index.items():
-            likelihood_costs[order_index], fit_by_index[order_index] = (
-                means.find_cost_and_fit_with_omitted(fit)
-            )
-        is_equivalent |= (
-            likelihood_costs - likelihood_costs.min() < CONFIDENCE_LEVELS.allowed_cost_difference
-        )
+        for index, fit in fit_by_index.items():
+            costs[index], fit_by_index[index] = means.find_cost_and_fit_with_omitted(fit)
+        is_equivalent |= costs - costs.min() < CONFIDENCE_LEVELS.allowed_cost_difference
         best_fit = fit_by_index[best_index]
         covariance_factor, _, freedom = means.run_misfit_f_test(best_fit.sum_of_squares, n_unknowns)
         covariance_factor = max(covariance_factor, 1.0)
@@ -199,9 +192,8 @@ def _fit_best_order(
         multiples=multiples,
         coefficients=best_fit.coefficients,
         covariance=best_fit.covariance,
-        scatter=means.scatter
-        * float(np.sqrt(variance_ratio if np.isfinite(variance_ratio) else np.nan)),
-        misfit=misfit_chance,
+        scatter=means.scatter * float(np.sqrt(finite_ratio)),
+        misfit=misfit,
         folded=means.compute_folding_chance(best_fit),
         candidates=Candidates(
             orders, rms_residuals, np.array(condition_numbers), is_equivalent, is_hidden
@@ -321,17 +313,17 @@ class _Sample:
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
             fitted_residual_per_error = residual_per_error
-            (whitened_columns, whitened_values) = self._whiten_columns_and_values(
+            (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
                 columns, self.displacements, residual_per_error
             )
-            coefficients = np.linalg.lstsq(whitened_columns, whitened_values, rcond=None)[0]
+            coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
             quadrature_waves = (
                 columns[:, 1::2] * coefficients[2::2] - columns[:, 2::2] * coefficients[1::2]
             )
             residual_per_error = 1.0 + order * quadrature_waves @ multiples / self._radius
             if np.any(residual_per_error <= 0.0):
                 return None
-        residuals = whitened_values - whitened_columns @ coefficients
+        residuals = whitened_displacements - whitened_columns @ coefficients
         covariance = np.linalg.inv(whitened_columns.T @ whitened_columns)
         return _OrderFit(
             order,
@@ -449,7 +441,7 @@ class _Sample:
         log_gram_determinant = np.linalg.slogdet(
             wave_columns[:, :n_unknowns].T @ wave_columns[:, :n_unknowns]
         )[1]
-        wave_columns, whitened_values = self._whiten_columns_and_values(
+        wave_columns, whitened_displacements = self._whiten_columns_and_values(
             wave_columns, self.displacements, fit.residual_per_error
         )
         column_scales = np.ones((len(omitted_size_rows), wave_columns.shape[1]))
@@ -460,9 +452,9 @@ class _Sample:
         normal_matrices += np.diag(np.arange(wave_columns.shape[1]) >= n_unknowns)
         covariances = np.linalg.inv(normal_matrices)
         coefficients = (
-            covariances @ (column_scales * (wave_columns.T @ whitened_values))[..., None]
+            covariances @ (column_scales * (wave_columns.T @ whitened_displacements))[..., None]
         )[..., 0]
-        residuals = whitened_values - (column_scales * coefficients) @ wave_columns.T
+        residuals = whitened_displacements - (column_scales * coefficients) @ wave_columns.T
         residual_squares = (residuals**2).sum(axis=1) + (coefficients[:, n_unknowns:] ** 2).sum(
             axis=1
         )
@@ -755,28 +747,22 @@ def track_order(
     first_phases = order * arrivals.nominal_angle[:revolutions].ravel()
     if np.isinf(condition_number(fourier_basis(first_phases, multiples))):
         raise_too_few_probes(arrivals, n_unknowns)
-    grouped_shape = (n_groups, revolutions * n_probes)
     angles, nominal_angles, displacements = (
-        source_array[: n_groups * revolutions].reshape(grouped_shape)
+        source_array[: n_groups * revolutions].reshape(n_groups, revolutions * n_probes)
         for source_array in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
     )
     has_arrival = np.isfinite(displacements)
     n_arrivals, displacements = has_arrival.sum(axis=1), np.where(has_arrival, displacements, 0.0)
     wave_columns, nominal_columns = (
-        np.where(
-            has_arrival[..., None],
-            fourier_basis(order * np.nan_to_num(source_array), multiples),
-            0.0,
-        )
-        for source_array in (angles, nominal_angles)
+        np.where(has_arrival[..., None], fourier_basis(order * angle_array, multiples), 0.0)
+        for angle_array in (np.nan_to_num(angles), nominal_angles)
     )
     has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == n_unknowns
     column_pseudoinverses = np.linalg.pinv(wave_columns)
-    group_positions = (nominal_angles - nominal_angles[:, :1] + arrivals.probes[0]) / (
-        RAD_PER_TURN * revolutions
-    ) - 0.5
+    group_angle = RAD_PER_TURN * revolutions
+    positions = (nominal_angles - nominal_angles[:, :1] + arrivals.probes[0]) / group_angle - 0.5
     displacements, coefficient_changes = _subtract_linear_changes(
-        displacements, column_pseudoinverses, wave_columns, group_positions, np.flatnonzero(has_fit)
+        displacements, column_pseudoinverses, wave_columns, positions, np.flatnonzero(has_fit)
     )
     coefficients = column_pseudoinverses @ displacements[..., None]
     residuals = np.where(
@@ -784,72 +770,117 @@ def track_order(
     )
     places = np.nonzero(has_arrival.reshape(-1, n_probes))
     n_spare = n_probes * (subharmonic if revolutions > 1 else 1) - n_unknowns
-    misfit_chance = (
-        correlation_p_value(residuals.reshape(-1, n_probes)[places], places)
-        if n_spare > 0
-        else np.nan
-    )
-    arrival_variance, variance_freedom = _estimate_variance_and_freedom(
+    misfit = np.nan
+    if n_spare > 0:
+        misfit = correlation_p_value(residuals.reshape(-1, n_probes)[places], places)
+    variance, freedom = _estimate_variance_and_freedom(
         residuals, has_arrival, np.where(has_fit, n_arrivals - n_unknowns, 0)
     )
-    arrival_variance = max(arrival_variance, arrivals.rounding**2)
-    probe_indices = np.tile(np.arange(n_probes), revolutions)
-    angle_covariance = (arrivals.tip_radius * angle_deviation) ** 2 * (
-        probe_indices[:, None] == probe_indices
-    )
-    covariance = arrival_variance * np.eye(len(probe_indices)) + angle_covariance
-    coefficients = np.full((n_groups, n_unknowns), np.nan)
-    covariances = np.full((n_groups, n_unknowns, n_unknowns), np.nan)
-    sample_fit_by_group = {}
-    for group_index in np.flatnonzero(has_fit).tolist():
-        is_used_arrival = has_arrival[group_index]
-        sample_covariance = covariance[np.ix_(is_used_arrival, is_used_arrival)]
-        sample = _Sample(
-            nominal_angles[group_index, is_used_arrival],
-            displacements[group_index, is_used_arrival],
-            sample_covariance,
-            variance_freedom,
-            arrivals.tip_radius,
-        )
-        if (fit := sample.fit_order_or_none(order, multiples)) is not None:
-            sample_fit_by_group[group_index] = sample, fit
-    if n_spare > 1 and variance_freedom > 0:
+    variance = max(variance, arrivals.rounding**2)
+    sample_fit_by_group = _fit_samples_by_group(
+        arrivals, order, multiples, nominal_angles, displacements, has_arrival,
+        np.flatnonzero(has_fit), variance, freedom, angle_deviation,
+    )  # fmt: skip
+    if n_spare > 1 and freedom > 0:
         sample_fit_by_group = _fit_omitted_with_neighbours(sample_fit_by_group)
-    for group_index, (sample, fit) in sample_fit_by_group.items():
-        coefficients[group_index] = fit.coefficients
-        if n_arrivals[group_index] > n_unknowns:
-            covariance_factor, _, total_freedom = sample.run_misfit_f_test(
-                fit.sum_of_squares, n_unknowns
-            )
-            covariance_factor = (
-                max(covariance_factor, 1.0) if variance_freedom else covariance_factor
-            )
-            covariances[group_index] = (
-                covariance_factor * student_variance_ratio(total_freedom) * fit.covariance
-            )
-            covariances[group_index] += np.outer(
-                coefficient_changes[group_index], coefficient_changes[group_index]
-            )
-    amplitudes, amplitude_errors = compute_amplitudes(coefficients, covariances)
-    folding_chance = np.nan
-    if n_spare > 1 and variance_freedom > 0 and sample_fit_by_group:
+    coefficients, covariances = _find_coefficients_and_covariances(
+        sample_fit_by_group, n_arrivals, coefficient_changes, freedom
+    )
+    amplitudes, errors = compute_amplitudes(coefficients, covariances)
+    fold_risk = np.nan
+    if n_spare > 1 and freedom > 0 and sample_fit_by_group:
         peak_groups = {int(np.nanargmax(group_amplitudes)) for group_amplitudes in amplitudes.T}
-        folding_chance = max(
+        fold_risk = max(
             sample.compute_folding_chance(fit)
             for sample, fit in map(sample_fit_by_group.__getitem__, peak_groups)
         )
     group_marks = arrivals.marks[: n_groups * revolutions + 1 : revolutions]
-    group_speeds = 2.0 * np.pi * revolutions / np.diff(group_marks)
-    return TipTrack(
-        order,
-        group_speeds,
-        multiples,
-        coefficients,
-        amplitudes,
-        amplitude_errors,
-        misfit_chance,
-        folding_chance,
-    )
+    speeds = 2.0 * np.pi * revolutions / np.diff(group_marks)
+    return TipTrack(order, speeds, multiples, coefficients, amplitudes, errors, misfit, fold_risk)
+
+
+def _fit_samples_by_group(
+    arrivals: ArrivalTimes,
+    order: float,
+    multiples: np.ndarray,
+    nominal_angles: np.ndarray,
+    displacements: np.ndarray,
+    has_arrival: np.ndarray,
+    fitted_groups: np.ndarray,
+    variance: float,
+    freedom: int,
+    angle_deviation: float,
+) -> dict[int, tuple[_Sample, _OrderFit]]:
+    """Fit an order to each group, and return samples and fits by group index.
+
+    There are n groups with m arrivals each. A group is left out if the probes cannot measure the
+    order.
+
+    Parameters
+    ----------
+    arrivals, order, multiples, angle_deviation
+        Record, order p, multiples (K,), and standard deviation of the probes' angles [rad].
+    nominal_angles, displacements, has_arrival : (n, m)
+        Rotor angles without vibration [rad], displacements [m], and True for an arrival.
+    fitted_groups : (k,)
+        Indices of groups with enough arrivals.
+    variance, freedom : float [m^2], int
+        Variance of a displacement, and its degrees of freedom.
+    """
+    probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
+    is_same_probe = probe_indices[:, None] == probe_indices
+    covariance = variance * np.eye(len(probe_indices))
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * is_same_probe
+    sample_fit_by_group = {}
+    for group in fitted_groups.tolist():
+        is_used = has_arrival[group]
+        sample = _Sample(
+            nominal_angles[group, is_used],
+            displacements[group, is_used],
+            covariance[np.ix_(is_used, is_used)],
+            freedom,
+            arrivals.tip_radius,
+        )
+        if (fit := sample.fit_order_or_none(order, multiples)) is not None:
+            sample_fit_by_group[group] = sample, fit
+    return sample_fit_by_group
+
+
+def _find_coefficients_and_covariances(
+    sample_fit_by_group: dict[int, tuple[_Sample, _OrderFit]],
+    n_arrivals: np.ndarray,
+    coefficient_changes: np.ndarray,
+    freedom: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients and covariances of n groups; nan without a fit.
+
+    Parameters
+    ----------
+    sample_fit_by_group : dict
+        Samples and fits by group index.
+    n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
+        Arrivals in each group, and changes by :func:`_subtract_linear_changes`.
+    freedom : int
+        Degrees of freedom of the variance of a displacement.
+
+    Returns
+    -------
+    coefficients : (n, 2K+1) [m]
+        a0, a1, b1, ....
+    covariances : (n, 2K+1, 2K+1) [m^2]
+        Covariances of the coefficients; nan also without a spare arrival.
+    """
+    coefficients = np.full(coefficient_changes.shape, np.nan)
+    n_unknowns = coefficient_changes.shape[1]
+    covariances = np.full((len(n_arrivals), n_unknowns, n_unknowns), np.nan)
+    for group, (sample, fit) in sample_fit_by_group.items():
+        coefficients[group] = fit.coefficients
+        if n_arrivals[group] > n_unknowns:
+            factor, _, total_freedom = sample.run_misfit_f_test(fit.sum_of_squares, n_unknowns)
+            factor = max(factor, 1.0) if freedom else factor
+            covariances[group] = factor * student_variance_ratio(total_freedom) * fit.covariance
+            covariances[group] += np.outer(coefficient_changes[group], coefficient_changes[group])
+    return coefficients, covariances
 
 
 def _subtract_linear_changes(
