@@ -47,9 +47,9 @@ __version__ = VERSION
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        from fenics_crack.basics.suggestions import suggest_replacements
+        from fenics_crack.basics.suggestions import replacement_question_text
 
-        question = suggest_replacements(name, __all__)
+        question = replacement_question_text(name, __all__)
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; {question}".rstrip("; ")
         )

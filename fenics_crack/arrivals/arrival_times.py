@@ -21,9 +21,9 @@ import numpy as np
 from fenics_crack.basics.errors import InputError, check_count, check_number, report_read_errors
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Table, Tabular, format_count
 from fenics_crack.basics.untrusted_files import (
-    SI_UNIT_AND_FACTOR,
+    SI_UNIT_AND_FACTOR_BY_UNIT,
     convert_heading_to_si,
-    read_csv_rows,
+    read_numbered_csv_rows,
 )
 
 ARRIVAL_COLUMN_NAMES = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
@@ -433,7 +433,7 @@ def _read_headings_lines_numbers(path: str | Path) -> tuple[list[str], list[int]
         Numbers in SI; nan in cells without a number.
     """
     with report_read_errors("path", path, "a table of numbers"):
-        (_, original_headings), *numbered_rows = read_csv_rows(path) or [(0, [])]
+        (_, original_headings), *numbered_rows = read_numbered_csv_rows(path) or [(0, [])]
         for line_number, cells in numbered_rows:
             if len(cells) < len(original_headings):
                 requirement = (
@@ -497,7 +497,7 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
 PASSAGE_HEADING_PATTERN = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of a blade's arrivals at a probe; the default is blade 1."""
 RAD_PER_S_BY_SPEED_UNIT = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
-RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR["deg"][1]}
+RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_UNIT["deg"][1]}
 SECONDS_BY_TIME_UNIT = {"s": 1.0}
 """Factors of units to rad/s, rad and s; the first unit is the default of a heading."""
 

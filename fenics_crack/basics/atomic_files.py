@@ -227,7 +227,7 @@ def _is_link_or_file(path: Path) -> bool:
     return path.is_symlink() or (path.exists() and not path.is_dir())
 
 
-def make_temporary_folder() -> Path:
+def make_folder_until_exit() -> Path:
     """Return a new folder for this user alone, removed when the program ends."""
     folder = tempfile.mkdtemp(prefix="fenics_crack-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

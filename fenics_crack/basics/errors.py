@@ -113,7 +113,7 @@ class StoppedError(ConvergenceError):
     """Ctrl-C has stopped a computation; the same command continues it."""
 
 
-INTERRUPTED_STATUS = "interrupted"
+INTERRUPTED_CURVE_STATUS = "interrupted"
 """Status of a curve that Ctrl-C has ended."""
 
 
@@ -177,7 +177,7 @@ def check_choice(key: str, value: object, choices: Iterable[str]) -> None:
         raise InputError(key, value, describe_choices(choices))
 
 
-def check_damping_ratios(
+def check_rayleigh_damping_ratios(
     key: str, damping_ratios: Sequence[float], omegas: Sequence[float]
 ) -> None:
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].

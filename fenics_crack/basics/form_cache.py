@@ -22,7 +22,7 @@ from fenics_crack.basics.ranks import MPI, Result, on_root
 from fenics_crack.basics.untrusted_files import file_sha256, read_utf8_text
 
 
-def load_form(
+def load_or_compile_form(
     comm: MPI.Comm, record_file: Path, compile_form: Callable[[dict[str, object]], Result]
 ) -> Result:
     """Load a compiled form, or compile it (collective).

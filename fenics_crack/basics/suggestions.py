@@ -153,7 +153,7 @@ def did_you_mean_text(suggested_names: Sequence[str]) -> str:
     return f"did you mean {' or '.join(suggested_names[:3])}? " if suggested_names else ""
 
 
-def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
+def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
     """Return a question with replacements for a name that the package lacks.
 
     Without a similar name, and for private names, the text is "".
@@ -216,7 +216,9 @@ def _class_names_of(value: object) -> set[str]:
     }
 
 
-def fit_argument(key: str, value: Any, annotation: str, known_class_names: Collection[str]) -> Any:
+def fit_argument_to_annotation(
+    key: str, value: Any, annotation: str, known_class_names: Collection[str]
+) -> Any:
     """Return a value that fits an annotation: the argument, or the result of a Run.
 
     Raise InputError if the value is of no class of the annotation. Unless every class there is in
@@ -257,7 +259,8 @@ def check_calls(
 
     A wrong argument raises a TypeError with suggestions: another argument, a key of the scene from
     ``find_scene_keys``, or another function. A ``comm`` that is no communicator raises an
-    InputError. Each argument goes through :func:`fit_argument`, with ``known_class_names``.
+    InputError. Each argument goes through :func:`fit_argument_to_annotation`, with
+    ``known_class_names``.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
@@ -316,7 +319,7 @@ def check_calls(
             check_communicator(arguments["comm"])
         for name, value in arguments.items():
             annotation = str(signature.parameters[name].annotation)
-            arguments[name] = fit_argument(name, value, annotation, known_class_names)
+            arguments[name] = fit_argument_to_annotation(name, value, annotation, known_class_names)
         return function(*bound_arguments.args, **bound_arguments.kwargs)
 
     return cast(Function, call)

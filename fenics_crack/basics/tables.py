@@ -205,7 +205,7 @@ class Described:
         """Return the text between the brackets of the one line."""
         return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
-    def said(self) -> Conclusion | None:
+    def build_conclusion(self) -> Conclusion | None:
         """Return the parts of the last sentence; None if the one line says everything."""
         return None
 
@@ -213,7 +213,7 @@ class Described:
         return f"{type(self).__name__}({self._title()})"
 
     def __str__(self) -> str:
-        conclusion = self.said()
+        conclusion = self.build_conclusion()
         return repr(self) if conclusion is None else f"{self!r}: {conclusion.sentence()}"
 
     def _repr_html_(self) -> str:

@@ -44,7 +44,7 @@ READER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
 """Environment variables that a reader gets."""
-READER_PROGRAM = Path(__file__).with_name("untrusted_reader.py")
+READER_PROGRAM_PATH = Path(__file__).with_name("untrusted_reader.py")
 ENCODING_BY_BYTE_ORDER_MARK = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
@@ -56,9 +56,12 @@ COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
 """Patterns of numbers with a decimal comma, and with a decimal point."""
 FACTOR_BY_HEADING_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
 """Factor from a prefixed unit in a heading to the unit."""
-SI_UNIT_AND_FACTOR = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
+SI_UNIT_AND_FACTOR_BY_UNIT = {
+    "rad": ("rad", 1.0),
+    **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0)),
+}
 """SI unit and factor, by the unit of a heading that is converted."""
-SI_UNIT_AND_FACTOR |= {
+SI_UNIT_AND_FACTOR_BY_UNIT |= {
     name + unit: (unit, part)
     for name, part in FACTOR_BY_HEADING_PREFIX.items()
     for unit in ("m", "Hz")
@@ -175,7 +178,7 @@ def read_utf8_text(path: str | Path) -> str:
     return content.decode("utf-8-sig")
 
 
-def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
+def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     """Return number and cells of each line of a CSV file.
 
     Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas, which
@@ -252,7 +255,7 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
     """
     heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
     si_unit, factor = (
-        SI_UNIT_AND_FACTOR.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
+        SI_UNIT_AND_FACTOR_BY_UNIT.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
     )
     return f"{heading_match[1]} [{si_unit}]" if heading_match and si_unit else heading, factor
 
@@ -390,7 +393,10 @@ def _start_reader(
     reader_descriptor = reader_socket.fileno()
     with reader_socket:
         reader_process = subprocess.Popen(
-            [sys.executable, "-I", str(READER_PROGRAM), str(reader_file), str(reader_descriptor)],
+            [
+                sys.executable, "-I", str(READER_PROGRAM_PATH), str(reader_file),
+                str(reader_descriptor),
+            ],
             env=environment | READER_ENVIRONMENT, pass_fds=[reader_descriptor],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip

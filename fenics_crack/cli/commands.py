@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fenics_crack.basics.atomic_files import complete_files_together, remove_file
 from fenics_crack.basics.errors import (
-    INTERRUPTED_STATUS,
+    INTERRUPTED_CURVE_STATUS,
     N_LOWEST_MODES,
     Exit,
     InputError,
@@ -74,7 +74,7 @@ def run_and_report_function(
         result = package_function(**arguments_by_parameter)
     file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
-    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_STATUS
+    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_CURVE_STATUS
     try:
         with console.report_stage("errors"):
             if run is not None and not is_stopped:

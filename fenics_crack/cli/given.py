@@ -33,7 +33,7 @@ from fenics_crack.basics.atomic_files import (
     write_file_whole,
 )
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
-from fenics_crack.basics.progress import LOGGER, StageLines, begin_stage
+from fenics_crack.basics.progress import LOGGER, StageLineHandler, begin_stage
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
@@ -433,7 +433,7 @@ class Console:
         """
         start_time = time.perf_counter()
         is_silent = self.is_quiet or (has_bars and self.shows_progress)
-        with nullcontext() if is_silent else StageLines(keeps_lines=self.shows_progress):
+        with nullcontext() if is_silent else StageLineHandler(keeps_lines=self.shows_progress):
             begin_stage(stage_name)
             yield
         if self.is_verbose:

@@ -295,7 +295,7 @@ class Verification(SavedResult):
     def _title(self) -> str:
         return self.statement[0]
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the parts of the study's concluding sentence."""
         name = next(iter(self.values))
         words = getattr(OBSERVABLES_BY_NAME.get(name.rpartition(".")[2]), "words", name)
@@ -417,7 +417,7 @@ def verification_of(result_file: StoredFile) -> Verification | None:
     InputError
         The stored verification does not fit.
     """
-    with result_file.checked_datasets() as parts:
+    with result_file.yield_checked_datasets() as parts:
         if "verification" not in parts:
             return None
         verification = dataclass_from_json(Verification, parts["verification"], result_file.scene())

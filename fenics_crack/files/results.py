@@ -132,7 +132,7 @@ def unpack_result(
     Raises as :func:`load`.
     """
     result_type = result_class(stored_file)
-    with stored_file.checked_datasets() as datasets:
+    with stored_file.yield_checked_datasets() as datasets:
         if (friction := friction_of(contact)) is not None and "law_direction" in datasets:
             line_field_by_name = {
                 name: datasets[f"law_{name}"] for name in ("direction", "turning")

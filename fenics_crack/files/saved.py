@@ -47,7 +47,7 @@ class SavedResult(Tabular):
     def of(cls, stored_file: StoredFile) -> Self:
         """Return the result in an open result file; raises as :meth:`load`."""
         stored_file.check_kind(cls.KIND)
-        with stored_file.checked_datasets() as datasets:
+        with stored_file.yield_checked_datasets() as datasets:
             result = cls._unpack_fields(datasets, stored_file.scene())
             repr(result), result.table()  # whose columns are of one length
             return result

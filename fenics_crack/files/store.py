@@ -101,7 +101,7 @@ def write_result_file(
                     file_dataset = file.create_dataset(
                         dataset_name, data=content, **compression_options
                     )
-                    file_dataset.attrs.update(describe_dataset(dataset_name, datasets))
+                    file_dataset.attrs.update(dataset_attribute_texts(dataset_name, datasets))
             file.attrs["digest"] = content_digest(attribute_texts(file), datasets)
         write_file_whole(path, file_buffer.getvalue())
 
@@ -110,13 +110,15 @@ def write_result_file(
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     """Write the attributes: kind of contents, program, versions and scene."""
-    file.attrs.update(kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions())
+    file.attrs.update(
+        kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions_text()
+    )
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(scene_file_digests(scene))
+        file.attrs["meshes"] = "\n".join(list_scene_file_digests(scene))
 
 
-def library_versions() -> str:
+def library_versions_text() -> str:
     """Return library versions as text; SLEPc, DOLFINx and gmsh only if loaded."""
     module_by_name = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
     version_by_name = {
@@ -131,7 +133,7 @@ def library_versions() -> str:
 
 
 @functools.cache
-def program_fingerprint() -> str:
+def program_fingerprint_text() -> str:
     """Return a text that changes with the program, and with libraries for meshes and assembly.
 
     The text has sizes and times of the program's sources, and of the libraries' first files.
@@ -304,7 +306,7 @@ class StoredFile:
             raise self.refusal(f"a file with a {kind}; in this one is a {self.kind}")
 
     @contextlib.contextmanager
-    def checked_datasets(self) -> Iterator[dict[str, Any]]:
+    def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
         """Yield a dict of the datasets that the block may change.
 
         InputError if the numbers are unusable, or the block raises any of ``DATASET_ERRORS``.
@@ -422,7 +424,7 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
             raise ValueError(f"its {name} does not fit")
 
 
-def read_header(path: str | Path) -> StoredFile:
+def read_result_file_without_numbers(path: str | Path) -> StoredFile:
     """Return a file without the numbers; the digest is verified with the numbers.
 
     Raises as :func:`read_result_file`. A changed file is read again.
@@ -431,14 +433,14 @@ def read_header(path: str | Path) -> StoredFile:
         file_status = os.stat(path)
     except (OSError, ValueError):
         return read_result_file(path)  # which says why it cannot be
-    return _read_header_cached(
+    return _read_without_numbers_cached(
         Path(path),
         (file_status.st_dev, file_status.st_ino, file_status.st_size, file_status.st_mtime_ns),
     )
 
 
 @functools.lru_cache(maxsize=32)
-def _read_header_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
+def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
     return replace(_read_and_check(path), datasets={})
 
 
@@ -459,7 +461,7 @@ def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-def scene_file_digests(scene: Scene) -> list[str]:
+def list_scene_file_digests(scene: Scene) -> list[str]:
     """Return SHA-256 digests for a scene's files, and for the files read with them."""
     return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
@@ -546,7 +548,7 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
 """Units and meanings by dataset name; a meaning goes axis by axis."""
 
 
-def describe_dataset(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
+def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
     """Return a dataset's attributes ``unit`` and ``about``; counts and words have none."""
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
         parameter = str(datasets["parameter"])  # most are factors

@@ -528,7 +528,7 @@ def quantities_on_request(scene: Scene) -> tuple[str, ...]:
     return tuple(
         quantity_name
         for quantity_name in scene.quantities or ()
-        if OBSERVABLES_BY_NAME[quantity_name].place.on_request
+        if OBSERVABLES_BY_NAME[quantity_name].place.is_made_on_request
     )
 
 

@@ -367,7 +367,7 @@ class Campbell(SavedResult):
                 columns[name] = getattr(self, name).ravel().tolist()
         return add_frequency_entries(columns)
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
         axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
         modes_text = format_count(self.omega_open.shape[1], "mode")
@@ -543,7 +543,7 @@ def report_of_campbell(diagram: Campbell) -> Report:
     ]
     return Report(
         diagram.table(),
-        diagram.said(),
+        diagram.build_conclusion(),
         printed_table=diagram.table(*columns),
         notes=notes,
         remarks=remarks_on_scene(scene),

@@ -70,7 +70,7 @@ def test_long_stages_leave_a_line(stream: io.StringIO, monkeypatch: pytest.Monke
     """A terminal shows each as it begins; only what took more than a second stays."""
     clock = iter([0.0, 0.5, 3.0, 3.1])
     monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
-    with progress.StageLines(stream):
+    with progress.StageLineHandler(stream):
         progress.begin_stage("mesh")
         progress.begin_stage("natural modes")
         progress.begin_stage("solution")
@@ -120,7 +120,7 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
     monkeypatch.setattr(progress.time, "perf_counter", lambda: 7.0)
     stream.seek(0)
     stream.truncate()
-    with progress.StageLines(stream, keeps_lines=kept):
+    with progress.StageLineHandler(stream, keeps_lines=kept):
         progress.begin_stage("path")
         assert passed_event.wait(LIMIT)
     shown_text = stream.getvalue()

@@ -22,9 +22,9 @@ from fenics_crack.basics.errors import (
     check_number,
     report_read_errors,
 )
-from fenics_crack.basics.suggestions import check_calls, fit_argument
+from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
-from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_csv_rows
+from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import (
     MAX_ALLOWED_MAGNITUDE,
@@ -254,7 +254,7 @@ class Measurements(Tabular):
     rows: tuple[Measurement, ...]
 
     def __post_init__(self) -> None:
-        fit_argument("measurements", self.rows, "Iterable", ())
+        fit_argument_to_annotation("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(
             isinstance(measurement, Measurement) for measurement in self.rows
@@ -303,7 +303,7 @@ class Measurements(Tabular):
         InputError
             A value cannot be used, or the lengths differ.
         """
-        fit_argument("values", values, "Iterable", ())
+        fit_argument_to_annotation("values", values, "Iterable", ())
         n_values = len(values)
         column_by_name = {"value": values, **optional_columns}
         has_deviation_column = isinstance(deviations, Iterable)
@@ -571,7 +571,7 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     Raises InputError.
     """
     with report_read_errors("measurements", path, "a CSV file"):
-        (_, heading_cells), *table_lines = read_csv_rows(path) or [(0, [])]
+        (_, heading_cells), *table_lines = read_numbered_csv_rows(path) or [(0, [])]
     table_lines = table_lines[: OPTIONS.max_measurements + 1]  # enough to be too many
     # Those of a value depend on the quantity.
     headings_in_si = [
