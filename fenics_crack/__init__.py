@@ -23,7 +23,7 @@ from typing import Any
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.threads import (
-    check_debian_modules,
+    check_debian_module_versions,
     is_started_by_mpirun,
     run_single_threaded,
 )
@@ -31,7 +31,7 @@ from fenics_crack.version import VERSION
 
 if is_started_by_mpirun():
     with suppress(InputError):  # raised again where the package is used
-        check_debian_modules()
+        check_debian_module_versions()
         import_module("fenics_crack.basics.ranks")
 
 _MODULES = {
@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; {question}".rstrip("; ")
         )
-    check_debian_modules()
+    check_debian_module_versions()
     with run_single_threaded():
         value = getattr(import_module(_MODULES[name]), name)
     if isinstance(value, FunctionType):

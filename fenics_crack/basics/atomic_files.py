@@ -117,13 +117,15 @@ def partial_file(
             _OPEN_FILE_STACKS[-1] if _OPEN_FILE_STACKS and not must_be_new else single_file_stack
         )
         file_stack.enter_context(report_write_errors(path, key))
-        hidden_path = file_stack.enter_context(_hidden_file(Path(path), must_be_new=must_be_new))
+        hidden_path = file_stack.enter_context(
+            _yield_hidden_path(Path(path), must_be_new=must_be_new)
+        )
         with report_write_errors(path, key):
             yield hidden_path
 
 
 @contextlib.contextmanager
-def _hidden_file(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
+def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
     """Yield a hidden path beside a file, and rename it after the block."""
     random_text = os.urandom(4).hex()
     hidden_path = final_path.parent / f".{random_text}.{final_path.name}"
@@ -165,7 +167,7 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
         if (folder / name).is_file() and not (folder / name).is_symlink()
     ]
     for name in existing_file_names:
-        with _hidden_file(kept_folder / name) as hidden_path:
+        with _yield_hidden_path(kept_folder / name) as hidden_path:
             try:
                 os.link(folder / name, hidden_path)  # a new file takes the place of the first name
             except OSError:  # a file system without links

@@ -36,7 +36,9 @@ def load_or_compile_form(
     compile_form : callable
         Function that loads or compiles the form, given options of DOLFINx.
     """
-    form_folder, compiler_command = on_root(comm, lambda: _find_form_folder(record_file))
+    form_folder, compiler_command = on_root(
+        comm, lambda: _find_form_folder_and_compiler(record_file)
+    )
     previous_compiler = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
@@ -60,7 +62,7 @@ def load_or_compile_form(
     return compiled_form
 
 
-def _find_form_folder(record_file: Path) -> tuple[Path, str]:
+def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
     """Return the recorded folder, or make a new folder and find a compiler.
 
     Returns

@@ -101,11 +101,13 @@ def find_similar_names(
     name_by_lower_case = {name.lower(): name for name in known_names}
     lower_word = str(word).lower()[:100]
     similar_names = difflib.get_close_matches(lower_word, name_by_lower_case, 2, min_likeness)
-    ratios = [difflib.SequenceMatcher(None, name, lower_word).ratio() for name in similar_names]
+    likeness_ratios = [
+        difflib.SequenceMatcher(None, name, lower_word).ratio() for name in similar_names
+    ]
     return [
         name_by_lower_case[name]
-        for name, ratio in zip(similar_names, ratios, strict=True)
-        if ratio == ratios[0]
+        for name, likeness in zip(similar_names, likeness_ratios, strict=True)
+        if likeness == likeness_ratios[0]
     ]
 
 

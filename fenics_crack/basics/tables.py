@@ -31,7 +31,7 @@ RAD_PER_TURN = 2.0 * math.pi
 RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-_NAMES_BY_UNIT = {
+_NAME_WORDS_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
     "frequency_error",
@@ -43,7 +43,9 @@ _NAMES_BY_UNIT = {
 }
 UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
 """Units of the entries of ``to_dict``; all other entries have no unit."""
-UNIT_BY_NAME |= {name: unit for unit, names in _NAMES_BY_UNIT.items() for name in names.split()}
+UNIT_BY_NAME |= {
+    name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()
+}
 """Units of the entries of ``to_dict``; all others have none."""
 
 
@@ -322,15 +324,15 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
 
     "frequency" [Hz] follows "omega" [rad/s], "rpm" follows "speed" [rad/s]: numbers or lists.
     """
-    second_name_and_factor = {
+    second_name_factor_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
         "speed": ("rpm", RAD_PER_S_PER_RPM),
     }
     extended_value_by_name: dict[str, Any] = {}
     for name, value in values_by_name.items():
         extended_value_by_name[name] = value
-        if name in second_name_and_factor:
-            second_name, factor = second_name_and_factor[name]
+        if name in second_name_factor_by_name:
+            second_name, factor = second_name_factor_by_name[name]
             extended_value_by_name[second_name] = (np.array(value) / factor).tolist()
     return extended_value_by_name
 

@@ -217,7 +217,7 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         )
     if [cells[0] for _, cells in numbered_rows] == ["", *map(str, range(len(numbered_rows) - 1))]:
         numbered_rows = [(line_number, cells[1:]) for line_number, cells in numbered_rows]
-    text_by_cell = _replace_decimal_commas(
+    text_by_cell = _map_decimal_commas_to_points(
         [cell for _, cells in numbered_rows[1:] for cell in cells]
     )
     return [
@@ -226,7 +226,7 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     ]
 
 
-def _replace_decimal_commas(cells: Sequence[str]) -> dict[str, str]:
+def _map_decimal_commas_to_points(cells: Sequence[str]) -> dict[str, str]:
     """Return numbers with decimal points, by cell with a decimal comma.
 
     Raises
@@ -310,13 +310,14 @@ def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
 
 
 def run_reader(
-    reader_file: Path, path: Path, max_seconds: int, base_memory: int = 2**30, **request: Any
+    reader_file: Path, path: Path, max_seconds: int, base_memory_bytes: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
     """Let a separate program read a file (:mod:`fenics_crack.basics.untrusted_reader`).
 
     Processor time [s] and address space [bytes] of the program are limited. The address space is
-    ``base_memory`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB, h5py half
-    as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword arguments.
+    ``base_memory_bytes`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB,
+    h5py half as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword
+    arguments.
 
     Returns
     -------
@@ -332,7 +333,7 @@ def run_reader(
     }
     request_entries |= {
         "most": max_array_bytes,
-        "memory": base_memory + 4 * max_array_bytes,
+        "memory": base_memory_bytes + 4 * max_array_bytes,
         "request": request,
     }
     with os.fdopen(os.memfd_create("numbers"), "w+b") as array_file:  # a disk may be full

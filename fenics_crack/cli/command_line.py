@@ -250,7 +250,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     """
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
-    threads.check_debian_modules()
+    threads.check_debian_module_versions()
     from fenics_crack.cli.given import (
         STRUCTURE_FILE_NAME,
         Console,

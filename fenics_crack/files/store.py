@@ -220,7 +220,7 @@ class Column:
         return f"{self.dtype.str} {self.shape} {self.offset}"
 
     @property
-    def size(self) -> int:
+    def n_bytes(self) -> int:
         """Size of the dataset in the file [byte]."""
         return math.prod(self.shape) * self.dtype.itemsize
 
@@ -232,9 +232,9 @@ class Column:
         OSError or ValueError if the file cannot be read, or ends too early.
         """
         start_byte = self.offset + first_index * self.dtype.itemsize
-        n_values = math.prod(self.shape) if count is None else count
-        numbers = np.fromfile(path, self.dtype, n_values, offset=start_byte)
-        if len(numbers) < n_values:
+        n_numbers = math.prod(self.shape) if count is None else count
+        numbers = np.fromfile(path, self.dtype, n_numbers, offset=start_byte)
+        if len(numbers) < n_numbers:
             raise ValueError("it ends too early")
         return numbers.reshape(self.shape) if count is None else numbers
 
@@ -276,7 +276,7 @@ class StoredFile:
         if "scene" not in self.attributes:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
-        if len(self._digests) < len(file_keys_and_paths(scene)):
+        if len(self._stored_scene_file_digests) < len(file_keys_and_paths(scene)):
             raise self._older_version_error("digests of its mesh or matrices")
         return scene
 
@@ -286,14 +286,16 @@ class StoredFile:
         A missing file is an error only if ``is_required``.
         """
         key_path_pairs = _list_scene_files(scene)
-        for (key, path), stored_digest in zip(key_path_pairs, self._digests, strict=False):
+        for (key, path), stored_digest in zip(
+            key_path_pairs, self._stored_scene_file_digests, strict=False
+        ):
             file_digest = _file_digest(path)
             if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
                 requirement = (
                     f"the file with which {self.path} was computed; it has changed or gone"
                 )
                 raise InputError(key, path, requirement)
-        if is_required and len(self._digests) != len(key_path_pairs):
+        if is_required and len(self._stored_scene_file_digests) != len(key_path_pairs):
             raise self._older_version_error("digests of all files of its matrices")
 
     def refusal(self, requirement: str) -> InputError:
@@ -320,7 +322,7 @@ class StoredFile:
             raise self.refusal(f"a {self.kind} written by save ({error})") from None
 
     @property
-    def _digests(self) -> list[str]:
+    def _stored_scene_file_digests(self) -> list[str]:
         """Digests of the scene's files."""
         return self.attributes.get("meshes", "").split()
 

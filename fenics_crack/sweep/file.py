@@ -302,7 +302,7 @@ class SweepFile:
     def _write_column(self, column_name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
         """Write values of cases into a column or a wave, from each case's offset on."""
         stored_column = self.sweep_header.columns[column_name]
-        bytes_per_case = stored_column.size // self.case_states.size
+        bytes_per_case = stored_column.n_bytes // self.case_states.size
         byte_rows = (
             np.ascontiguousarray(values, stored_column.dtype).view("u1").reshape(len(values), -1)
         )
@@ -556,7 +556,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
             raise sweep_header.refusal("a whole sweep")
-        n_bytes += stored_column.size
+        n_bytes += stored_column.n_bytes
     if n_bytes > MAX_FILE_BYTES:
         raise sweep_header.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene

@@ -389,7 +389,7 @@ def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: 
     shutil.copy(swept.path, path)
     column = read_result_file_without_numbers(path).columns[name]
     content = bytearray(path.read_bytes())
-    content[column.offset + column.size // 4] ^= 1  # the first byte of the second case
+    content[column.offset + column.n_bytes // 4] ^= 1  # the first byte of the second case
     path.write_bytes(content)
     if name == "state":
         assert same(SweepResult.load(path).columns, swept.columns)
