@@ -420,7 +420,7 @@ def choose_tip_radius(
     return float(distinct_radii[0])
 
 
-def _read_headings_lines_numbers(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
+def _read_headings_and_number_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
     """Read a CSV file without lines that begin with #.
 
     Returns
@@ -464,7 +464,7 @@ def _parse_number_or_nan(cell: str) -> float:
 
 def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read a file's required columns (5, rows), and radii (rows,) or None."""
-    headings, line_numbers, number_columns = _read_headings_lines_numbers(path)
+    headings, line_numbers, number_columns = _read_headings_and_number_table(path)
     for required_heading in ARRIVAL_COLUMN_NAMES:
         if required_heading not in headings:
             contents_text = f"it has {', '.join(headings)}" if any(headings) else "it is empty"
@@ -554,7 +554,7 @@ def read_record(
     >>> arrivals.to_csv("record.csv")
     >>> blades = fc.read_record("record.csv")
     """
-    headings, _, number_table = _read_headings_lines_numbers(path)
+    headings, _, number_table = _read_headings_and_number_table(path)
     if not any(map(PASSAGE_HEADING_PATTERN.search, headings)):
         return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
     column_by_heading = dict(zip(headings, number_table, strict=True))
@@ -595,7 +595,7 @@ def read_record(
 
 def has_probe_angles(path: str | Path) -> bool:
     """Return True if a file has the angles of its probes."""
-    return ARRIVAL_COLUMN_NAMES[1] in _read_headings_lines_numbers(path)[0]
+    return ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
 
 
 def find_probe_angles_by_blade(

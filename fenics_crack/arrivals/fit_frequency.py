@@ -121,7 +121,7 @@ def fit_frequency(
     return fit
 
 
-def find_constant_frequency_lines(
+def find_lines_and_residuals(
     arrivals: ArrivalTimes,
     displacements: np.ndarray,
     constant_numbers: np.ndarray,
@@ -193,7 +193,7 @@ class _FrequencySearch:
         Frequency.
     coefficients, columns : (2K,) [m], (n, 2K+1)
         Coefficients and derivatives by :meth:`_fit_harmonics`.
-    noise : Noise
+    noise : StudentNoise
         Residuals and weights.
     """
 
@@ -221,7 +221,7 @@ class _FrequencySearch:
         ).astype(float)
         self._n_unknowns = 2 * n_harmonics + 1 + self._constant_columns.shape[1]
         self._rounding = arrivals.rounding
-        self._tip_deviation = constants_deviation * arrivals.tip_radius
+        self._constants_deviation = constants_deviation * arrivals.tip_radius
         self._constants_stiffness = 0.0
         self._set_constants_stiffness(
             float(
@@ -238,7 +238,7 @@ class _FrequencySearch:
     def _set_constants_stiffness(self, displacement_scatter: float) -> None:
         """Set the stiffness that couples the probes' constants, for a scatter [m]."""
         if self._constant_columns.shape[1] > 1:
-            self._constants_stiffness = (displacement_scatter / self._tip_deviation) ** 2
+            self._constants_stiffness = (displacement_scatter / self._constants_deviation) ** 2
 
     def _subtract_constants(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Subtract the weighted best constants from values (n,) or (n, m)."""
@@ -267,14 +267,14 @@ class _FrequencySearch:
             Derivatives of the fit by the coefficients and by the frequency.
         """
         wave_columns = fourier_basis(omega * times, self._multiples)[:, 1:]
-        root_weights = np.sqrt(weights)[:, None]
+        sqrt_weights = np.sqrt(weights)[:, None]
         columns_and_values = self._subtract_constants(
             np.column_stack([wave_columns, values]), weights
         )
         reduced_columns = columns_and_values[:, :-1]
         reduced_displacements = columns_and_values[:, -1]
         coefficients = np.linalg.lstsq(
-            root_weights * reduced_columns, root_weights[:, 0] * reduced_displacements, rcond=1e-10
+            sqrt_weights * reduced_columns, sqrt_weights[:, 0] * reduced_displacements, rcond=1e-10
         )[0]
         quadrature_waves = (
             wave_columns[:, 0::2] * coefficients[1::2] - wave_columns[:, 1::2] * coefficients[0::2]
@@ -290,7 +290,7 @@ class _FrequencySearch:
 
     def _refine_omega_and_fit(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
         """Return a frequency [rad/s] refined by least squares, and its fit."""
-        omega_unit, root_weights = np.pi / self._duration, np.sqrt(weights)[:, None]
+        omega_unit, sqrt_weights = np.pi / self._duration, np.sqrt(weights)[:, None]
         best_omega, fit = omega, None
 
         def evaluate(unit_step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -299,12 +299,12 @@ class _FrequencySearch:
             _, residuals, columns = fit = self._fit_harmonics(
                 best_omega, weights, self._displacements, self._times
             )
-            weighted_columns = root_weights * columns[:, :-1]
-            omega_slopes = -omega_unit * root_weights * columns[:, -1:]
+            weighted_columns = sqrt_weights * columns[:, :-1]
+            omega_slopes = -omega_unit * sqrt_weights * columns[:, -1:]
             omega_slopes -= (
                 weighted_columns @ np.linalg.lstsq(weighted_columns, omega_slopes, rcond=1e-10)[0]
             )
-            return root_weights[:, 0] * residuals, omega_slopes
+            return sqrt_weights[:, 0] * residuals, omega_slopes
 
         min_unit_steps, max_unit_steps = (
             [(omega_bound - omega) / omega_unit] for omega_bound in self._omega_bounds

@@ -28,15 +28,15 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes, smooth_series
-from fenics_crack.arrivals.fit_frequency import find_constant_frequency_lines
+from fenics_crack.arrivals.fit_frequency import find_lines_and_residuals
 from fenics_crack.arrivals.harmonics import (
     ORDERS,
     Candidates,
     HarmonicFit,
     TipFit,
-    check_orders_and_multiples,
-    compute_amplitudes,
+    compute_amplitudes_and_errors,
     condition_number,
+    make_orders_and_multiples,
     raise_too_few_probes,
     select_candidate,
 )
@@ -118,7 +118,7 @@ def fit_order(
     --------
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
-    candidate_orders, multiples = check_orders_and_multiples(orders, harmonics, subharmonic)
+    candidate_orders, multiples = make_orders_and_multiples(orders, harmonics, subharmonic)
     arrivals.check_places(angle_deviation)
     period_in_revolutions = _find_period_in_revolutions(candidate_orders, multiples)
     max_order = float(candidate_orders.max())
@@ -353,11 +353,13 @@ class _Sample:
         likely variance for the displacements. If they are significant, the errors include their
         folding onto the fitted harmonics.
         """
-        costs, fits = self.list_costs_and_fits_by_size(fit, self._list_trial_omitted_sizes(fit))
+        costs, fits = self.list_costs_and_fits_by_omitted_size(
+            fit, self._list_omitted_harmonic_sizes(fit)
+        )
         best_index = int(np.argmin(costs))
         return float(costs[best_index]), fits[best_index]
 
-    def list_costs_and_fits_by_size(
+    def list_costs_and_fits_by_omitted_size(
         self, fit: _OrderFit, omitted_sizes: np.ndarray
     ) -> tuple[np.ndarray, list[_OrderFit]]:
         """Return costs (n,) and fits for given sizes of the omitted harmonics.
@@ -386,12 +388,14 @@ class _Sample:
         if self.freedom_within_groups < 1:
             return np.nan
         omitted_size_rows = np.array(
-            list(product(self._list_trial_omitted_sizes(fit), repeat=N_FOLDED_HARMONICS))
+            list(product(self._list_omitted_harmonic_sizes(fit), repeat=N_FOLDED_HARMONICS))
         )
         costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(fit, omitted_size_rows)
         likelihood_weights = np.exp(0.5 * (costs.min() - costs))
-        fitted_amplitudes, fitted_errors = compute_amplitudes(fit.coefficients, fit.covariance)
-        amplitudes, errors = compute_amplitudes(*estimate_arrays)
+        fitted_amplitudes, fitted_errors = compute_amplitudes_and_errors(
+            fit.coefficients, fit.covariance
+        )
+        amplitudes, errors = compute_amplitudes_and_errors(*estimate_arrays)
         allowed_deviations = CONFIDENCE_LEVELS.allowed_standard_errors * fitted_errors
         upper_cdf, lower_cdf = (
             ndtr((fitted_amplitudes + interval_end - amplitudes) / errors)
@@ -401,7 +405,7 @@ class _Sample:
             (likelihood_weights @ (upper_cdf - lower_cdf)).min() / likelihood_weights.sum()
         )
 
-    def _list_trial_omitted_sizes(self, fit: _OrderFit) -> np.ndarray:
+    def _list_omitted_harmonic_sizes(self, fit: _OrderFit) -> np.ndarray:
         """Return trial standard deviations (n,) [m] of an omitted harmonic.
 
         They follow from :data:`FOLDED_SIZE_RATIOS`.
@@ -536,7 +540,7 @@ class ProbeMeans(_Sample):
         n_revolutions, n_probes = arrivals.time.shape
         row_in_period = (arrivals.first + np.arange(n_revolutions)) % period_in_revolutions
         constant_numbers = row_in_period[:, None] * n_probes + np.arange(n_probes)
-        self.lines, displacements = find_constant_frequency_lines(
+        self.lines, displacements = find_lines_and_residuals(
             arrivals, arrivals.displacement - line_displacement_changes, constant_numbers, max_order
         )
         has_arrival = np.isfinite(displacements)
@@ -737,7 +741,7 @@ def track_order(
     --------
     >>> track = fc.track_order(arrivals, 6)
     """
-    _, multiples = check_orders_and_multiples([order], harmonics, subharmonic)
+    _, multiples = make_orders_and_multiples([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
     arrivals.check_places(angle_deviation)
     n_groups, n_unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
@@ -782,11 +786,11 @@ def track_order(
         np.flatnonzero(has_fit), variance, freedom, angle_deviation,
     )  # fmt: skip
     if n_spare > 1 and freedom > 0:
-        sample_fit_by_group = _fit_omitted_with_neighbours(sample_fit_by_group)
+        sample_fit_by_group = _refit_groups_with_omitted_harmonics(sample_fit_by_group)
     coefficients, covariances = _find_coefficients_and_covariances(
         sample_fit_by_group, n_arrivals, coefficient_changes, freedom
     )
-    amplitudes, errors = compute_amplitudes(coefficients, covariances)
+    amplitudes, errors = compute_amplitudes_and_errors(coefficients, covariances)
     fold_risk = np.nan
     if n_spare > 1 and freedom > 0 and sample_fit_by_group:
         peak_groups = {int(np.nanargmax(group_amplitudes)) for group_amplitudes in amplitudes.T}
@@ -924,7 +928,7 @@ def _subtract_linear_changes(
     ) * coefficient_rates
 
 
-def _fit_omitted_with_neighbours(
+def _refit_groups_with_omitted_harmonics(
     sample_fit_by_group: dict[int, tuple[_Sample, _OrderFit]],
 ) -> dict[int, tuple[_Sample, _OrderFit]]:
     """Fit groups with omitted harmonics, in the likeliest ratio among neighbours.
@@ -938,7 +942,7 @@ def _fit_omitted_with_neighbours(
             np.linalg.norm(fit.coefficients[1:]) * FOLDED_SIZE_RATIOS,
             sample.max_allowed_omitted_size,
         )
-        size_costs, size_fits = sample.list_costs_and_fits_by_size(fit, omitted_sizes)
+        size_costs, size_fits = sample.list_costs_and_fits_by_omitted_size(fit, omitted_sizes)
         group_costs.append(size_costs)
         group_fits.append(size_fits)
     residual_squares = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])

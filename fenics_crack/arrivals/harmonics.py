@@ -166,12 +166,12 @@ class TipFit(HarmonicFit):
     @property
     def amplitudes(self) -> np.ndarray:
         """Amplitudes of the harmonics: (K,) [m]."""
-        return compute_amplitudes(self.coefficients, self.covariance)[0]
+        return compute_amplitudes_and_errors(self.coefficients, self.covariance)[0]
 
     @property
     def amplitude_errors(self) -> np.ndarray:
         """Standard errors of the amplitudes: (K,) [m]."""
-        return compute_amplitudes(self.coefficients, self.covariance)[1]
+        return compute_amplitudes_and_errors(self.coefficients, self.covariance)[1]
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
@@ -265,7 +265,9 @@ class TipFit(HarmonicFit):
         multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
         mean_and_error = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
-        amplitudes, amplitude_errors = compute_amplitudes(self.coefficients, self.covariance)
+        amplitudes, amplitude_errors = compute_amplitudes_and_errors(
+            self.coefficients, self.covariance
+        )
         column_by_name = {
             "multiple": multiples.tolist(),
             "order": (multiples * self.order).tolist(),
@@ -304,7 +306,7 @@ def format_first_orders(orders: Sequence[float]) -> str:
     return ", ".join([*(f"{order:.6g}" for order in orders[:6]), *["..."] * (len(orders) > 6)])
 
 
-def compute_amplitudes(
+def compute_amplitudes_and_errors(
     coefficients: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return amplitudes (..., K) and standard errors of coefficients (..., 2K+1).
@@ -345,7 +347,7 @@ def compute_amplitudes(
 # --- fits -----------------------------------------------------------------------------------------
 
 
-def check_orders_and_multiples(
+def make_orders_and_multiples(
     orders: Iterable[float], harmonics: int, subharmonic: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Check and return candidate orders (n,) and harmonic multiples (K,)."""

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from fenics_crack.arrivals.arrival_times import MIN_REQUIRED_REVOLUTIONS, ArrivalTimes
-from fenics_crack.arrivals.fit_frequency import MIN_RELATIVE_PEAK, find_constant_frequency_lines
-from fenics_crack.arrivals.harmonics import ORDERS, TipFit, check_orders_and_multiples
+from fenics_crack.arrivals.fit_frequency import MIN_RELATIVE_PEAK, find_lines_and_residuals
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit, make_orders_and_multiples
 from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS, TRIAL_STUDENT_FREEDOMS
 from fenics_crack.arrivals.transient import (
     DAMPING_RATIO_BOUNDS,
@@ -335,7 +335,7 @@ def fit_passage(
     >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
     """
     check_number("speed", speed, 0.0, excludes_bound=True)
-    candidate_orders, _ = check_orders_and_multiples(orders, 1, 1)
+    candidate_orders, _ = make_orders_and_multiples(orders, 1, 1)
     record = Record(arrivals, _make_stiffening_function(stiffening))
     runs = record.find_runs(arrivals.displacement, speed)
     if not runs:
@@ -347,7 +347,7 @@ def fit_passage(
             "speed", speed, f"{allowed_speed_text}{speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s"
         )
     resonance = _Resonance(runs, speed, candidate_orders)
-    if len(blind_probe_indices := resonance.best_fit.blind_probes):
+    if len(blind_probe_indices := resonance.best_fit.blind_probe_indices):
         reliable_arrivals = arrivals.without(blind_probe_indices)
         reliable_fit = fit_passage(
             reliable_arrivals, speed, candidate_orders, stiffening=stiffening
@@ -404,7 +404,7 @@ def find_passages(
     >>> for fit in fc.find_passages(record[1], range(6, 10), most=2):
     ...     print(fit)
     """
-    candidate_orders, _ = check_orders_and_multiples(orders, 1, 1)
+    candidate_orders, _ = make_orders_and_multiples(orders, 1, 1)
     check_count("most", most, 1)
     check_count("asynchronous", asynchronous, 0)
     record = Record(arrivals, _make_stiffening_function(stiffening))
@@ -414,7 +414,9 @@ def find_passages(
     # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
     # them lines are found, then the others, and lines beside all of them.
     search.add_resonances_up_to(1 if asynchronous else most)
-    if search.resonances and len(blind_probe_indices := search.resonances[0].best_fit.blind_probes):
+    if search.resonances and len(
+        blind_probe_indices := search.resonances[0].best_fit.blind_probe_indices
+    ):
         fits = find_passages(
             arrivals.without(blind_probe_indices), candidate_orders, most=most,
             asynchronous=asynchronous, stiffening=stiffening,
@@ -454,7 +456,7 @@ def _find_lines_and_motion(
     """
     begin_stage("vibrations of constant frequency")
     constant_numbers = np.arange(displacements.shape[1]) * np.ones(displacements.shape, dtype=int)
-    line_fits, residuals = find_constant_frequency_lines(
+    line_fits, residuals = find_lines_and_residuals(
         arrivals, displacements, constant_numbers, orders.max(), max_lines
     )
     return line_fits, displacements - residuals
@@ -560,7 +562,7 @@ class _ResonanceSearch:
                 continue
             self.resonances.append(new_resonance)
             self.add_motion(new_resonance, -1.0)
-            self._compare_with_neighbour(new_resonance)
+            self._compare_orders_with_neighbour(new_resonance)
             self._refit_neighbours_until_settled()
             gains_and_reductions[
                 (np.abs(centre_speeds / clearest_speed - 1.0) < 2.0 * RELATIVE_SPEED_HALF_WIDTH)
@@ -572,7 +574,7 @@ class _ResonanceSearch:
                 or resonance.compared_neighbours == resonance.list_neighbours(self.resonances)
             ):
                 continue
-            if not self._compare_with_neighbour(resonance):
+            if not self._compare_orders_with_neighbour(resonance):
                 self.add_motion(resonance, 1.0)
                 if runs := self.record.find_runs(self.residuals, resonance.speed):
                     resonance.compare_orders(runs, resonance.speed, self.orders)
@@ -600,16 +602,18 @@ class _ResonanceSearch:
         else:
             self.resonances.remove(resonance)
 
-    def _compare_with_neighbour(self, resonance: _Resonance) -> bool:
+    def _compare_orders_with_neighbour(self, resonance: _Resonance) -> bool:
         """Compare the orders of a resonance and its largest neighbour jointly.
 
         Resonances covered by either may be residuals of wrong orders, and are dropped. Return False
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
         covers this one.
         """
-        resonances, amplitude = self.resonances, resonance.best_fit.amplitude
+        resonances, amplitude = self.resonances, resonance.best_fit.largest_amplitude
         larger_resonances = [
-            neighbour for neighbour in resonances if neighbour.best_fit.amplitude > amplitude
+            neighbour
+            for neighbour in resonances
+            if neighbour.best_fit.largest_amplitude > amplitude
         ]
         if len(self.orders) < 2 or any(
             neighbour.has_within_width(resonance) for neighbour in larger_resonances
@@ -625,7 +629,7 @@ class _ResonanceSearch:
             return False
         resonance_pair = (
             resonance,
-            max(neighbours, key=lambda neighbour: neighbour.best_fit.amplitude),
+            max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_amplitude),
         )
         for covered_resonance in [*resonances]:
             if covered_resonance in resonance_pair or any(
@@ -655,13 +659,13 @@ class _ResonanceSearch:
         for _ in range(MAX_SEARCH_ROUNDS):
             has_moved = False
             for resonance in sorted(
-                crowded_resonances, key=lambda resonance: -resonance.best_fit.amplitude
+                crowded_resonances, key=lambda resonance: -resonance.best_fit.largest_amplitude
             ):
                 previous_pole = resonance.best_fit.mode.pole
                 self._refit_or_drop(resonance)
                 pole_change = abs(resonance.best_fit.mode.pole - previous_pole)
                 has_moved |= resonance not in self.resonances or pole_change > 0.1 * float(
-                    resonance.best_fit.errors[0]
+                    resonance.best_fit.omega_and_damping_errors[0]
                 )
             if not has_moved:
                 break
@@ -792,7 +796,7 @@ class _Resonance:
         if not (is_passed and fit.likelihood_gain > CONFIDENCE_LEVELS.min_likelihood_gain):
             return False
         return (
-            CONFIDENCE_LEVELS.allowed_standard_errors * float(fit.errors[1])
+            CONFIDENCE_LEVELS.allowed_standard_errors * float(fit.omega_and_damping_errors[1])
             < fit.mode.damping
             < 0.5 * DAMPING_RATIO_BOUNDS[1]
         )
@@ -822,7 +826,7 @@ class _Resonance:
         is_covered_at_order = (
             resonance.has_within_width(self) and larger_fit.mode.order == own_fit.mode.order
         )
-        return is_covered_at_order and larger_fit.amplitude > own_fit.amplitude
+        return is_covered_at_order and larger_fit.largest_amplitude > own_fit.largest_amplitude
 
     def refit_and_test_clarity(
         self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
@@ -950,21 +954,21 @@ class _Resonance:
         margin_by_order = self.margins | {
             resonance.best_fit.mode.order: 0.0 for resonance in rival_resonances
         }
-        errors, orders = best_fit.errors, np.array(sorted(margin_by_order))
+        errors, orders = best_fit.omega_and_damping_errors, np.array(sorted(margin_by_order))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
             omega_error=float(errors[0]),
             damping=(1.0 - stiffening) * mode.damping,
             damping_error=(1.0 - stiffening) * float(errors[1]),
-            amplitude=best_fit.amplitude,
+            amplitude=best_fit.largest_amplitude,
             forces=best_fit.forces[0],
             ends=np.array([(run.begin, run.end) for run in runs]),
             omegas=np.array([fit.mode.omega for fit in single_run_fits]),
-            omega_errors=np.array([fit.errors[0] for fit in single_run_fits]),
+            omega_errors=np.array([fit.omega_and_damping_errors[0] for fit in single_run_fits]),
             dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in single_run_fits]),
             damping_errors=(1.0 - stiffening)
-            * np.array([fit.errors[1] for fit in single_run_fits]),
+            * np.array([fit.omega_and_damping_errors[1] for fit in single_run_fits]),
             orders=orders,
             margins=np.array([margin_by_order[order] for order in orders]),
             probes=max(run.n_probes for run in runs),

@@ -76,7 +76,7 @@ RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 """Revolutions and probes of arrivals: two (n,)."""
 
 
-class Noise:
+class StudentNoise:
     """Fit Student's t to residuals by maximum likelihood.
 
     Scale steps are 1 + 3 / nu times the steps of the weighted squares, since the information in
@@ -390,7 +390,7 @@ def fit_noise_by_reweighting(
     weights: np.ndarray,
     n_unknowns: int,
     min_scale: float,
-) -> Noise:
+) -> StudentNoise:
     """Find weights of arrivals, in turns with the residuals of a fit.
 
     Parameters
@@ -406,12 +406,12 @@ def fit_noise_by_reweighting(
 
     Returns
     -------
-    Noise
+    StudentNoise
         Residuals in the last round, with their weights.
     """
     previous_residuals, trial_scales = np.inf, None
     for _ in range(MAX_WEIGHTING_ROUNDS):
-        noise = Noise(residual_function(weights), n_unknowns, min_scale, trial_scales)
+        noise = StudentNoise(residual_function(weights), n_unknowns, min_scale, trial_scales)
         trial_scales = noise.trial_scales
         largest_changes = (
             np.abs(noise.weights - weights).max(),

@@ -203,12 +203,12 @@ class Run:
             for begin_index, end_index in itertools.pairwise(edge_indices)
         ]
 
-    def _compute_orthonormal_drifts(self, root_weights: np.ndarray) -> np.ndarray:
+    def _compute_orthonormal_drifts(self, sqrt_weights: np.ndarray) -> np.ndarray:
         """Return the drifts of each probe, weighted and orthonormal: (2, R, P).
 
-        Drifts are a constant and a slope over the speed, times roots of weights (R, P).
+        Drifts are a constant and a slope over the speed, times square roots of weights (R, P).
         """
-        drifts = np.stack([root_weights, root_weights * self.scaled_speed[:, None]])
+        drifts = np.stack([sqrt_weights, sqrt_weights * self.scaled_speed[:, None]])
         constant_drift, slope_drift = drifts
         constant_drift /= np.sqrt(
             np.maximum((constant_drift * constant_drift).sum(axis=0), SMALLEST_NORMAL)
@@ -218,13 +218,13 @@ class Run:
         return drifts
 
     def subtract_weighted_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return waves (m, R, P) times roots of weights (R, P), without drifts.
+        """Return waves (m, R, P) times square roots of weights (R, P), without drifts.
 
         The drifts are :meth:`_compute_orthonormal_drifts`.
         """
-        root_weights = np.sqrt(weights)
-        weighted_residuals = root_weights * waves
-        for drift in self._compute_orthonormal_drifts(root_weights):
+        sqrt_weights = np.sqrt(weights)
+        weighted_residuals = sqrt_weights * waves
+        for drift in self._compute_orthonormal_drifts(sqrt_weights):
             weighted_residuals -= drift * (drift * weighted_residuals).sum(axis=-2, keepdims=True)
         return np.asarray(weighted_residuals)
 
@@ -259,10 +259,10 @@ class Run:
 
         Vibrations have orders (n,), equidistant poles lambda (n, m), any F; weights are (R, P).
         """
-        root_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
-        weighted_drifts = root_weights * self._compute_orthonormal_drifts(root_weights)
+        sqrt_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
+        weighted_drifts = sqrt_weights * self._compute_orthonormal_drifts(sqrt_weights)
         weighted_residuals = (
-            root_weights * self.subtract_weighted_drifts(self.displacements, weights)
+            sqrt_weights * self.subtract_weighted_drifts(self.displacements, weights)
         ).ravel()
         for order, order_poles in zip(orders.tolist(), pole_rows, strict=True):
             waves = self.compute_waves(order, order_poles)
@@ -373,7 +373,7 @@ class Fit:
         Fitted modes.
     forces : (modes, runs) complex [m]
         Amplitudes F.
-    noise : Noise
+    noise : StudentNoise
         Residuals and their weights.
     """
 
@@ -388,10 +388,10 @@ class Fit:
         )
         n_unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.n_probes for run in runs)
         self.noise = fit_noise_by_reweighting(
-            self._refit_modes_to_residuals, initial_weights, n_unknowns, runs[0].rounding
+            self._refit_modes_and_return_residuals, initial_weights, n_unknowns, runs[0].rounding
         )
 
-    def _refit_modes_to_residuals(self, weights: np.ndarray) -> np.ndarray:
+    def _refit_modes_and_return_residuals(self, weights: np.ndarray) -> np.ndarray:
         """Fit with weights (n,) of the arrivals, and return the residuals (n,) [m]."""
         initial_modes, run_weights = self.modes, self._split_by_run(weights)
         step_bounds = [
@@ -411,7 +411,7 @@ class Fit:
                 mode.with_step(step) if any(step) else mode for mode, step in mode_step_pairs
             )
             units = np.array([unit for mode in initial_modes for unit in (mode.damping, 1.0)])
-            residual_vector, self._slopes = self._fit_forces_with_slopes(run_weights)
+            residual_vector, self._slopes = self._fit_forces_and_return_residuals(run_weights)
             return residual_vector, self._slopes * units
 
         lower_bounds, upper_bounds = np.concatenate(step_bounds, axis=1)
@@ -423,7 +423,7 @@ class Fit:
         """Return waves and slopes of modes in each run, by :meth:`Run.compute_wave_and_slope`."""
         return [np.concatenate([*map(run.compute_wave_and_slope, modes)]) for run in self._runs]
 
-    def _fit_forces_with_slopes(
+    def _fit_forces_and_return_residuals(
         self, weights: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fit the forces with weights (R, P) of the arrivals in each run.
@@ -431,8 +431,8 @@ class Fit:
         Returns
         -------
         residuals, slopes : (n,), (n, m)
-            Residuals [m], and derivatives by ln w_n and ln zeta for each mode; times roots of
-            weights.
+            Residuals [m], and derivatives by ln w_n and ln zeta for each mode; times square roots
+            of weights.
         """
         run_forces, residual_blocks = [], []
         log_pole_slopes = np.array([(1.0, mode.pole.real / mode.pole) for mode in self.modes])
@@ -507,14 +507,14 @@ class Fit:
         )
 
     @cached_property
-    def errors(self) -> np.ndarray:
+    def omega_and_damping_errors(self) -> np.ndarray:
         """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
         covariance = self.noise.coefficient_covariance(columns, self.places)
         return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
 
     @cached_property
-    def amplitude(self) -> float:
+    def largest_amplitude(self) -> float:
         """Largest amplitude [m] of the first mode in the runs."""
         force_run_pairs = zip(self.forces[0], self._runs, strict=True)
         return float(
@@ -543,7 +543,10 @@ class Fit:
 
     @property
     def whiteness(self) -> float:
-        """Probability that noise alone leaves residuals as correlated: :meth:`Noise.whiteness`."""
+        """Probability that noise alone leaves residuals as correlated.
+
+        From :meth:`StudentNoise.whiteness`.
+        """
         mark_numbers = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
         mark_shares = interpolate_by_splines(
             mark_numbers,
@@ -558,7 +561,7 @@ class Fit:
         return self._split_by_run(self.noise.weights)
 
     @property
-    def blind_probes(self) -> np.ndarray:
+    def blind_probe_indices(self) -> np.ndarray:
         """Indices (n,) of probes with pulses from another source than the blade.
 
         A vibration of any phase is fitted at each probe, in units of the first mode's motion. Blind

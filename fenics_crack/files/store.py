@@ -38,7 +38,7 @@ from fenics_crack.basics.untrusted_files import (
     run_reader,
 )
 from fenics_crack.fem.model_files import list_included_files
-from fenics_crack.files.codec import DATASET_ERRORS, check_arrays
+from fenics_crack.files.codec import DATASET_ERROR_CLASSES, check_arrays
 from fenics_crack.scene.scene import Scene, file_keys_and_paths, with_file_paths
 from fenics_crack.version import VERSION
 
@@ -311,14 +311,15 @@ class StoredFile:
     def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
         """Yield a dict of the datasets that the block may change.
 
-        InputError if the numbers are unusable, or the block raises any of ``DATASET_ERRORS``.
+        InputError if the numbers are unusable, or the block raises one of
+        ``DATASET_ERROR_CLASSES``.
         """
         try:
             check_arrays(self.datasets)
             yield dict(self.datasets)
         except InputError:
             raise
-        except DATASET_ERRORS as error:
+        except DATASET_ERROR_CLASSES as error:
             raise self.refusal(f"a {self.kind} written by save ({error})") from None
 
     @property

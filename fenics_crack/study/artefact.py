@@ -169,7 +169,7 @@ class PreparedStructure:
         """Make the structure with a scene's damping and clearance (collective).
 
         Rank 0 has all rows. Datasets that are no structure raise an error of
-        :data:`fenics_crack.files.codec.DATASET_ERRORS`.
+        :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES`.
 
         Parameters
         ----------

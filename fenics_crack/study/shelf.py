@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.setting import force_vector_by_part
-from fenics_crack.files.codec import DATASET_ERRORS, pack_dataclass, unpack_dataclass
+from fenics_crack.files.codec import DATASET_ERROR_CLASSES, pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import program_fingerprint_text, read_result_file, write_result_file
 from fenics_crack.model.factor import local_rows
 from fenics_crack.scene.scene import Scene
@@ -87,7 +87,7 @@ class StructureFile:
             entry = prepared_file.make_structures(
                 scene, load_weights_from_rows(prepared_file.structure.excitation, scene), comm
             )
-        except (InputError, *DATASET_ERRORS) as error:
+        except (InputError, *DATASET_ERROR_CLASSES) as error:
             self._cached_files[:] = [None]
             self._print_line(f"{self._path}: not used, {error}")
             return None
