@@ -48,8 +48,8 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
     """
     content_bytes = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICE_FOLDERS:
-        with report_write_errors(path, key), open(path, "wb") as device:
-            device.write(content_bytes)
+        with report_write_errors(path, key), open(path, "wb") as device_file:
+            device_file.write(content_bytes)
         return
     with partial_file(path, key) as hidden_path, open(hidden_path, "wb") as file:
         file.write(content_bytes)
@@ -244,10 +244,10 @@ def remove_file(path: Path, key: str) -> None:
 
 def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:
     """Write all bytes at an offset of an open file; OSError if the disk is full."""
-    remaining_bytes = memoryview(content)
-    while remaining_bytes:
-        n_written = os.pwrite(file_descriptor, remaining_bytes, offset)
-        remaining_bytes, offset = remaining_bytes[n_written:], offset + n_written
+    remaining_content = memoryview(content)
+    while remaining_content:
+        n_written = os.pwrite(file_descriptor, remaining_content, offset)
+        remaining_content, offset = remaining_content[n_written:], offset + n_written
 
 
 @contextlib.contextmanager

@@ -39,7 +39,7 @@ def load_or_compile_form(
     form_folder, compiler_command = on_root(
         comm, lambda: _find_form_folder_and_compiler(record_file)
     )
-    previous_compiler = os.environ.get("CC")
+    previous_compiler_command = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
     os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler_command}"
@@ -51,7 +51,7 @@ def load_or_compile_form(
         raise
     finally:
         del os.environ["CC"]
-        os.environ.update({"CC": previous_compiler} if previous_compiler else {})
+        os.environ.update({"CC": previous_compiler_command} if previous_compiler_command else {})
     if compiler_command:
         on_root(
             comm,

@@ -141,11 +141,11 @@ def find_calls_by_synonyms(name: str) -> list[str]:
         )
         for call_text, synonym_text in SEARCH_WORDS_BY_CALL.items()
     }
-    max_matches = max(n_matches_by_call.values())
+    largest_match_count = max(n_matches_by_call.values())
     call_texts = [
         call_text
         for call_text, n_matches in n_matches_by_call.items()
-        if n_matches == max_matches > 0
+        if n_matches == largest_match_count > 0
     ]
     return [call_text for call_text in call_texts if call_text.startswith("fc.")] or call_texts
 
@@ -240,14 +240,14 @@ def fit_argument_to_annotation(
             annotation_class_names
         ):
             return value.result
-        is_plain = isinstance(value, str | int | float | None)
+        is_plain_value = isinstance(value, str | int | float | None)
         class_descriptions = (
             DESCRIPTION_BY_CLASS_NAME.get(class_name)
             or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
             for class_name in annotation_class_names
         )
         raise InputError(
-            key, value if is_plain else type(value).__name__, " or ".join(class_descriptions)
+            key, value if is_plain_value else type(value).__name__, " or ".join(class_descriptions)
         )
     return value
 

@@ -116,7 +116,7 @@ class Table:
                     for text in column_texts
                 ]
             )
-        lines = ["  ".join(line).rstrip() for line in zip(*text_columns, strict=True)]
+        lines = ["  ".join(line_texts).rstrip() for line_texts in zip(*text_columns, strict=True)]
         if len(self.rows) > len(printed_rows):
             lines.append(f"... and {len(self.rows) - len(printed_rows)} more")
         return "\n".join(lines) + "\n"
@@ -269,9 +269,11 @@ UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "
 _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def choose_unit_prefix(max_value: float, unit: str) -> tuple[float, str]:
+def choose_unit_prefix(largest_value: float, unit: str) -> tuple[float, str]:
     """Return factor and prefixed unit for numbers up to a maximum: (1e6, "µm")."""
-    exponent = 3 * int(np.floor(np.log10(max_value) / 3.0)) if 0.0 < max_value < math.inf else 0
+    exponent = (
+        3 * int(np.floor(np.log10(largest_value) / 3.0)) if 0.0 < largest_value < math.inf else 0
+    )
     prefix = _PREFIX_BY_EXPONENT.get(exponent)
     return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
 

@@ -153,11 +153,11 @@ def max_unpacked_bytes(packed_bytes: int) -> int:
 
 def file_sha256(path: str | Path) -> str:
     """Return the SHA-256 of a regular file; OSError from :func:`regular_file_size`."""
-    remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
+    n_remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
     with open(path, "rb") as file:
-        while remaining_bytes > 0 and (block := file.read(min(remaining_bytes, 2**20))):
+        while n_remaining_bytes > 0 and (block := file.read(min(n_remaining_bytes, 2**20))):
             hash_object.update(block)
-            remaining_bytes -= len(block)
+            n_remaining_bytes -= len(block)
     return hash_object.hexdigest()
 
 
@@ -196,10 +196,14 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         for line_number, line in numbered_lines
         if line.strip()[:1] not in ("", "#")
     ]
-    heading = re.sub('"[^"]*"', "", numbered_content_lines[0][1]) if numbered_content_lines else ""
-    separator = next((separator for separator in ",;\t" if separator in heading), ",")
+    heading_line = (
+        re.sub('"[^"]*"', "", numbered_content_lines[0][1]) if numbered_content_lines else ""
+    )
+    cell_separator = next(
+        (cell_separator for cell_separator in ",;\t" if cell_separator in heading_line), ","
+    )
     numbered_rows = [
-        (line_number, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))])
+        (line_number, [cell.strip() for cell in next(csv.reader([line], delimiter=cell_separator))])
         for line_number, line in numbered_content_lines
     ]
     numbered_extra_cells = (
@@ -358,12 +362,12 @@ def _send_request(reader_file: Path, request_bytes: bytes, array_descriptor: int
 
     The reader itself waits for the next file.
     """
-    passed_descriptors = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
+    descriptor_message = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
         reader_socket, answer_bytes = _start_reader(reader_file, os.getpid(), get_ident())[1], b""
         try:
             # PETSc ends the program at a signal of a line that is broken.
-            reader_socket.sendmsg([request_bytes], [passed_descriptors], socket.MSG_NOSIGNAL)
+            reader_socket.sendmsg([request_bytes], [descriptor_message], socket.MSG_NOSIGNAL)
             answer_bytes = reader_socket.recv(64)
         except OSError:
             continue

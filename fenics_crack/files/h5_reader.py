@@ -31,7 +31,9 @@ def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
     """
     with h5py.File(path, "r", locking=False) as file:
         contents, arrays = read_content(file, os.path.getsize(path), max_bytes)
-    array_by_numbered_name = {f"arr_{number}": array for number, array in enumerate(arrays)}
+    array_by_numbered_name = {
+        f"arr_{array_index}": array for array_index, array in enumerate(arrays)
+    }
     return {"head": np.array(json.dumps(contents)), **array_by_numbered_name}
 
 

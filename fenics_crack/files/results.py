@@ -84,10 +84,10 @@ def save(
         raise InputError("result", type(result).__name__, f"one of {class_names_text}")
     datasets = _FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
     if watched:
-        motion_kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
+        watched_quantity = "displacement" if isinstance(result, TimeHistory) else "coefficients"
         datasets |= {
             "watched": [*watched],
-            f"watched_{motion_kind}": np.stack([*watched.values()], axis=-1),
+            f"watched_{watched_quantity}": np.stack([*watched.values()], axis=-1),
         }
     write_result_file(datasets, path, result.KIND, scene, result.structure.comm)
 
@@ -268,11 +268,12 @@ def _unpack_solution(
 ) -> PeriodicSolution:
     gap_coefficients = datasets["gap_coefficients"]
     coefficient_shape = len(gap_coefficients) | 1, gap_coefficients.shape[-1]
-    wave_names = "gap_coefficients", "force_coefficients"
+    wave_dataset_names = "gap_coefficients", "force_coefficients"
     check_shapes(
         datasets,
         dict.fromkeys(
-            [*wave_names, *(f"tangential_{name}" for name in wave_names)], coefficient_shape
+            [*wave_dataset_names, *(f"tangential_{name}" for name in wave_dataset_names)],
+            coefficient_shape,
         ),
     )
     check_shapes(datasets, {"multipliers": (max(np.size(datasets.get("multipliers")), 1),)})

@@ -401,7 +401,8 @@ def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]
     """Return a file's contents from the reader's arrays."""
     contents = json.loads(str(array_by_name["head"]))
     array_by_dataset_name = {
-        name: array_by_name[f"arr_{number}"] for number, name in enumerate(contents["arrays"])
+        name: array_by_name[f"arr_{array_index}"]
+        for array_index, name in enumerate(contents["arrays"])
     }
     array_or_number_by_name = {
         name: array if array.ndim else array.item() for name, array in array_by_dataset_name.items()
@@ -554,8 +555,11 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
 def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
     """Return a dataset's attributes ``unit`` and ``about``; counts and words have none."""
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
-        parameter = str(datasets["parameter"])  # most are factors
-        unit_and_meaning = UNIT_BY_NAME.get(parameter, "1"), f"of the parameter {parameter}"
+        parameter_name = str(datasets["parameter"])  # most are factors
+        unit_and_meaning = (
+            UNIT_BY_NAME.get(parameter_name, "1"),
+            f"of the parameter {parameter_name}",
+        )
     elif name.startswith("error_"):
         unit_and_meaning = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():

@@ -143,9 +143,9 @@ class Campbell(SavedResult):
     frequency_bilinear = hertz_property("omega_bilinear")
 
     @classmethod
-    def of(cls, stored: StoredFile) -> Campbell:
+    def from_stored_file(cls, stored: StoredFile) -> Campbell:
         """Return the diagram of a file; its mesh must not have changed."""
-        diagram = super().of(stored)
+        diagram = super().from_stored_file(stored)
         stored.check_files(diagram.scene)
         return diagram
 

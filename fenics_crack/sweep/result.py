@@ -183,7 +183,7 @@ def run_sweep(
             serve_jobs(worker, job_comm)
     worker.release_geometry(is_stopped=stop_request.is_requested(comm))
     job_comm.Free()
-    return on_root(comm, lambda: SweepResult.of(managers[0].sweep_header))
+    return on_root(comm, lambda: SweepResult.from_stored_file(managers[0].sweep_header))
 
 
 def can_seek_resonance(scene: Scene) -> bool:
@@ -249,10 +249,10 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        return cls.of(read_result_file_without_numbers(Path(path)))
+        return cls.from_stored_file(read_result_file_without_numbers(Path(path)))
 
     @classmethod
-    def of(cls, sweep_header: StoredFile) -> SweepResult:
+    def from_stored_file(cls, sweep_header: StoredFile) -> SweepResult:
         """Return the table from a file's header."""
         scene = scene_of_sweep(sweep_header)
         return cls(sweep_header.path, scene, read_columns(sweep_header, scene))

@@ -33,7 +33,7 @@ class IdentificationOutput:
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
-    def of(cls, stored_file: StoredFile) -> IdentificationOutput:
+    def from_stored_file(cls, stored_file: StoredFile) -> IdentificationOutput:
         """Take a stored result, and the picture beside its file.
 
         Raises LookupError for files of older versions, and InputError without the picture.
