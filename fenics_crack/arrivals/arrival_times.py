@@ -643,20 +643,20 @@ def write_record(
     """
     if not blades:
         raise InputError("blades", blades, "arrivals of one blade or more")
-    first_blade = next(iter(blades.values()))
+    first_arrivals = next(iter(blades.values()))
     column_by_heading: dict[str, Any] = {
-        "revolution": (first_blade.first + np.arange(len(first_blade))).tolist(),
-        "mark [s]": first_blade.marks[:-1].tolist(),
+        "revolution": (first_arrivals.first + np.arange(len(first_arrivals))).tolist(),
+        "mark [s]": first_arrivals.marks[:-1].tolist(),
     }
     probe_angles_by_blade = find_probe_angles_by_blade(probes, len(blades))
     for blade_number, arrivals in blades.items():
-        for angle_rank, probe_index in enumerate(
+        for probe_number, sorted_probe_index in enumerate(
             np.argsort(np.argsort(probe_angles_by_blade[blade_number])), 1
         ):
-            column_by_heading[f"blade {blade_number} probe {angle_rank} [s]"] = arrivals.time[
-                :, probe_index
+            column_by_heading[f"blade {blade_number} probe {probe_number} [s]"] = arrivals.time[
+                :, sorted_probe_index
             ].tolist()
-    column_by_heading[RADIUS_COLUMN_NAME] = [first_blade.tip_radius] * len(first_blade)
+    column_by_heading[RADIUS_COLUMN_NAME] = [first_arrivals.tip_radius] * len(first_arrivals)
     Table.from_dict(column_by_heading, {}).save(path)
 
 

@@ -429,12 +429,12 @@ class _FrequencySearch:
             self._fit_harmonics(omega, weights, self._displacements, self._times)
             for omega in omegas
         ]
-        residual_squares = np.array([weights @ residuals**2 for _, residuals, _ in fits])
+        residual_square_sums = np.array([weights @ residuals**2 for _, residuals, _ in fits])
         vibration_sizes = np.array([np.linalg.norm(coefficients) for coefficients, _, _ in fits])
         condition_numbers = np.array([condition_number(columns[:, :-1]) for _, _, columns in fits])
         is_hidden = np.array([self._constants_absorb_vibration(columns) for _, _, columns in fits])
         is_equivalent, best_index = select_candidate(
-            residual_squares, vibration_sizes, allowed_difference, ~is_hidden
+            residual_square_sums, vibration_sizes, allowed_difference, ~is_hidden
         )
         # Arrivals that are not where they were expected distinguish aliases, but not reliably.
         expected_wave = (
@@ -448,7 +448,7 @@ class _FrequencySearch:
         is_equivalent |= (
             np.array([weights @ residuals**2 for residuals in wave_residuals]) < allowed_difference
         )
-        rms_residuals = np.sqrt(residual_squares / len(self._displacements))
+        rms_residuals = np.sqrt(residual_square_sums / len(self._displacements))
         orders = omegas / self._arrivals.mean_speed
         return Candidates(
             orders, rms_residuals, condition_numbers, is_equivalent, is_hidden

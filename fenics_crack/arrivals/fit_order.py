@@ -145,15 +145,15 @@ def _fit_best_order(
     if not fit_by_index:
         raise_too_few_probes(arrivals, n_unknowns)
     is_hidden = np.full(len(orders), True)
-    residual_squares, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
+    residual_square_sums, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
     for index, fit in fit_by_index.items():
-        is_hidden[index], residual_squares[index] = False, fit.sum_of_squares
+        is_hidden[index], residual_square_sums[index] = False, fit.sum_of_squares
         vibration_sizes[index] = np.linalg.norm(fit.coefficients[1:])
     variance_ratio, misfit, freedom = means.run_misfit_f_test(
-        float(residual_squares.min()), n_unknowns
+        float(residual_square_sums.min()), n_unknowns
     )
     is_equivalent, best_index = select_candidate(
-        residual_squares,
+        residual_square_sums,
         vibration_sizes,
         CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio,
     )
@@ -162,11 +162,11 @@ def _fit_best_order(
     best_wave = (
         fourier_basis(orders[best_index] * means.nominal_angles, multiples) @ best_fit.coefficients
     )
-    wave_residual_squares = np.array(
-        [means.compute_wave_residual_squares(best_wave, order, multiples) for order in orders]
+    wave_residual_square_sums = np.array(
+        [means.compute_wave_residual_square_sum(best_wave, order, multiples) for order in orders]
     )
     is_equivalent |= (
-        wave_residual_squares < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
+        wave_residual_square_sums < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
     )
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
     if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
@@ -374,9 +374,9 @@ class _Sample:
                 fit,
                 coefficients=coefficients,
                 covariance=covariance,
-                sum_of_squares=float(residual_squares),
+                sum_of_squares=float(residual_square_sum),
             )
-            for coefficients, covariance, residual_squares in zip(*estimate_arrays, strict=True)
+            for coefficients, covariance, residual_square_sum in zip(*estimate_arrays, strict=True)
         ]
 
     def compute_folding_chance(self, fit: _OrderFit) -> float:
@@ -434,7 +434,7 @@ class _Sample:
             Coefficients of the fitted harmonics.
         covariances : (n, 2K+1, 2K+1) [m^2]
             Covariances of these coefficients.
-        squares : (n,)
+        residual_square_sums : (n,)
             Sums of squares, in variances.
         """
         n_unknowns, multiples = len(fit.coefficients), fit.multiples
@@ -459,19 +459,19 @@ class _Sample:
             covariances @ (column_scales * (wave_columns.T @ whitened_displacements))[..., None]
         )[..., 0]
         residuals = whitened_displacements - (column_scales * coefficients) @ wave_columns.T
-        residual_squares = (residuals**2).sum(axis=1) + (coefficients[:, n_unknowns:] ** 2).sum(
+        residual_square_sums = (residuals**2).sum(axis=1) + (coefficients[:, n_unknowns:] ** 2).sum(
             axis=1
         )
-        costs = residual_squares + np.linalg.slogdet(normal_matrices)[1] - log_gram_determinant
+        costs = residual_square_sums + np.linalg.slogdet(normal_matrices)[1] - log_gram_determinant
         return (
             costs,
             coefficients[:, :n_unknowns],
             covariances[:, :n_unknowns, :n_unknowns],
-            residual_squares,
+            residual_square_sums,
         )
 
     def run_misfit_f_test(
-        self, residual_squares: float, n_unknowns: int
+        self, residual_square_sum: float, n_unknowns: int
     ) -> tuple[float, float, float]:
         """Test the misfit of a sum of squares, in variances (F test).
 
@@ -487,14 +487,14 @@ class _Sample:
         n_spare = len(self.displacements) - n_unknowns
         total_freedom = self.freedom_within_groups + n_spare
         if self.freedom_within_groups < 1:
-            return (residual_squares / n_spare if n_spare else np.inf), np.nan, total_freedom
+            return (residual_square_sum / n_spare if n_spare else np.inf), np.nan, total_freedom
         if n_spare < 1:
             return 1.0, np.nan, total_freedom
-        chance = float(fdtrc(n_spare, self.freedom_within_groups, residual_squares / n_spare))
+        chance = float(fdtrc(n_spare, self.freedom_within_groups, residual_square_sum / n_spare))
         if chance < CONFIDENCE_LEVELS.misfit_errors_significance_level:
-            return residual_squares / n_spare, chance, np.inf
+            return residual_square_sum / n_spare, chance, np.inf
         return (
-            (self.freedom_within_groups + residual_squares) / total_freedom,
+            (self.freedom_within_groups + residual_square_sum) / total_freedom,
             chance,
             total_freedom,
         )
@@ -595,7 +595,7 @@ class ProbeMeans(_Sample):
         moved_displacements = fit.displacement(group_angles - line_motion / arrivals.tip_radius)
         return moved_displacements - fit.displacement(group_angles)
 
-    def compute_wave_residual_squares(
+    def compute_wave_residual_square_sum(
         self, wave: np.ndarray, order: float, multiples: np.ndarray
     ) -> float:
         """Return the residual squares after fitting an order to a wave.
@@ -945,7 +945,7 @@ def _refit_groups_with_omitted_harmonics(
         size_costs, size_fits = sample.list_costs_and_fits_by_omitted_size(fit, omitted_sizes)
         group_costs.append(size_costs)
         group_fits.append(size_fits)
-    residual_squares = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])
+    residual_square_sums = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])
     spare_counts = [
         len(sample.displacements) - len(fit.coefficients)
         for sample, fit in sample_fit_by_group.values()
@@ -957,11 +957,11 @@ def _refit_groups_with_omitted_harmonics(
             max(position - N_NEIGHBOURS_PER_SIDE, 0), position + N_NEIGHBOURS_PER_SIDE + 1
         )
         max_trusted_squares = _estimate_quartile_variance(
-            residual_squares[window_slice], freedoms[window_slice]
+            residual_square_sums[window_slice], freedoms[window_slice]
         ) * chdtri(freedoms[window_slice], CONFIDENCE_LEVELS.misfit_significance_level)
         # Groups above the limit have wrong arrivals.
         trusted_cost_rows = np.array(group_costs[window_slice])[
-            residual_squares[window_slice] <= max_trusted_squares
+            residual_square_sums[window_slice] <= max_trusted_squares
         ]
         joint_fit_by_group[group] = (
             sample,
@@ -984,18 +984,18 @@ def _estimate_variance_and_freedom(
     is_usable = freedoms > 0
     if not np.any(is_usable):
         return (float((residuals**2).sum()) / total_freedom if total_freedom else 1.0), 0
-    difference_squares = 0.5 * (
+    difference_square_sums = 0.5 * (
         np.where(has_arrival_pair, np.diff(residuals, axis=0), 0.0) ** 2
     ).sum(axis=1)
-    return _estimate_quartile_variance(difference_squares[is_usable], freedoms[is_usable]), int(
+    return _estimate_quartile_variance(difference_square_sums[is_usable], freedoms[is_usable]), int(
         freedoms[is_usable].sum()
     ) // 2
 
 
-def _estimate_quartile_variance(residual_squares: np.ndarray, freedoms: np.ndarray) -> float:
+def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:
     """Return the variance from sums of squares (n,).
 
     Each sum has degrees of freedom (n,).
     The lower quartile is robust: nearly three quarters of the sums may have wrong arrivals.
     """
-    return float(np.quantile(residual_squares / chdtri(freedoms, 0.75), 0.25))
+    return float(np.quantile(residual_square_sums / chdtri(freedoms, 0.75), 0.25))

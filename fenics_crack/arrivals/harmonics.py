@@ -322,10 +322,10 @@ def compute_amplitudes_and_errors(
     direction_cosines, direction_sines = np.divide(
         cosine_sine_pairs, amplitudes, out=unit_directions, where=amplitudes > 0.0
     )
-    cosine_rows = np.arange(1, coefficients.shape[-1], 2)
-    cosine_variances = covariance[..., cosine_rows, cosine_rows]
-    sine_variances = covariance[..., cosine_rows + 1, cosine_rows + 1]
-    cosine_sine_covariances = covariance[..., cosine_rows, cosine_rows + 1]
+    cosine_indices = np.arange(1, coefficients.shape[-1], 2)
+    cosine_variances = covariance[..., cosine_indices, cosine_indices]
+    sine_variances = covariance[..., cosine_indices + 1, cosine_indices + 1]
+    cosine_sine_covariances = covariance[..., cosine_indices, cosine_indices + 1]
     radial_variances = (
         direction_cosines**2 * cosine_variances
         + 2.0 * direction_cosines * direction_sines * cosine_sine_covariances
@@ -364,23 +364,23 @@ def make_orders_and_multiples(
 
 
 def select_candidate(
-    residual_squares: np.ndarray,
+    residual_square_sums: np.ndarray,
     vibration_sizes: np.ndarray,
     allowed_difference: float,
     is_measurable: np.ndarray | bool = True,
 ) -> tuple[np.ndarray, int]:
     """Return the equivalent candidates (n,) bool, and the index to select.
 
-    Equivalent: ``residual_squares`` (n,) exceed the least sum by less than
+    Equivalent: ``residual_square_sums`` (n,) exceed the least sum by less than
     ``allowed_difference``. Among these candidates, or the measurable ones if there are any,
     ``vibration_sizes`` (n,) up to 20 % above the smallest compete, and the least sum is selected.
     """
-    is_equivalent = residual_squares - residual_squares.min() < allowed_difference
+    is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
     is_eligible = (
         is_equivalent & is_measurable if np.any(is_equivalent & is_measurable) else is_equivalent
     )
     is_small = is_eligible & (vibration_sizes <= 1.2 * vibration_sizes[is_eligible].min())
-    return is_equivalent, int(np.argmin(np.where(is_small, residual_squares, np.inf)))
+    return is_equivalent, int(np.argmin(np.where(is_small, residual_square_sums, np.inf)))
 
 
 def condition_number(columns: np.ndarray) -> float:

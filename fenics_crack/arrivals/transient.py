@@ -269,14 +269,16 @@ class Run:
             drift_products = np.einsum("krp,mrp->mkp", weighted_drifts, waves)
             waves = waves.reshape(len(order_poles), -1)
             wave_products = waves @ weighted_residuals
-            bilinear_squares = waves**2 @ weight_vector - (drift_products**2).sum(axis=(1, 2))
-            squares = (waves.real**2 + waves.imag**2) @ weight_vector
-            squares -= (drift_products.real**2 + drift_products.imag**2).sum(axis=(1, 2))
+            wave_bilinear_sums = waves**2 @ weight_vector - (drift_products**2).sum(axis=(1, 2))
+            wave_square_sums = (waves.real**2 + waves.imag**2) @ weight_vector
+            wave_square_sums -= (drift_products.real**2 + drift_products.imag**2).sum(axis=(1, 2))
             numerators = (
-                squares * np.abs(wave_products) ** 2
-                - (bilinear_squares.conj() * wave_products**2).real
+                wave_square_sums * np.abs(wave_products) ** 2
+                - (wave_bilinear_sums.conj() * wave_products**2).real
             )
-            reductions.append(2.0 * numerators / (squares**2 - np.abs(bilinear_squares) ** 2))
+            reductions.append(
+                2.0 * numerators / (wave_square_sums**2 - np.abs(wave_bilinear_sums) ** 2)
+            )
         return np.array(reductions)
 
 

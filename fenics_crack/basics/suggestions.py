@@ -330,7 +330,7 @@ def check_calls(
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def convert_number(text: str, unit: str) -> float | None:
+def convert_to_unit_or_none(text: str, unit: str) -> float | None:
     """Convert a number with a decimal comma, or in another unit, to a unit.
 
     Returns
@@ -364,13 +364,16 @@ def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
     Candidates are a number or None, a whole number, and a list of numbers.
     """
     if isinstance(value, str):
-        number = convert_number(value, unit)
+        number = convert_to_unit_or_none(value, unit)
         yield number
         if number is not None and number.is_integer():
             yield int(number)
         value = value.strip("[] ").split(",")
     if isinstance(value, list | tuple):
-        yield [convert_number(entry, unit) if isinstance(entry, str) else entry for entry in value]
+        yield [
+            convert_to_unit_or_none(entry, unit) if isinstance(entry, str) else entry
+            for entry in value
+        ]
 
 
 def format_scene_value(value: object) -> str:

@@ -79,10 +79,12 @@ def save(
     --------
     >>> fc.save(solution, "solution.h5", scene)
     """
-    if type(result) not in _FUNCTIONS_BY_CLASS:
-        class_names_text = ", ".join(result_type.__name__ for result_type in _FUNCTIONS_BY_CLASS)
+    if type(result) not in _PACK_UNPACK_FUNCTIONS_BY_CLASS:
+        class_names_text = ", ".join(
+            result_type.__name__ for result_type in _PACK_UNPACK_FUNCTIONS_BY_CLASS
+        )
         raise InputError("result", type(result).__name__, f"one of {class_names_text}")
-    datasets = _FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
+    datasets = _PACK_UNPACK_FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
     if watched:
         watched_quantity = "displacement" if isinstance(result, TimeHistory) else "coefficients"
         datasets |= {
@@ -138,7 +140,7 @@ def unpack_result(
                 name: datasets[f"law_{name}"] for name in ("direction", "turning")
             }
             contact = replace(friction, **line_field_by_name)
-        return _FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
+        return _PACK_UNPACK_FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
 
 
 def result_class(stored_file: StoredFile) -> type[Result]:
@@ -149,7 +151,7 @@ def result_class(stored_file: StoredFile) -> type[Result]:
     InputError
         The file holds something else.
     """
-    for result_type in _FUNCTIONS_BY_CLASS:
+    for result_type in _PACK_UNPACK_FUNCTIONS_BY_CLASS:
         if result_type.KIND == stored_file.kind:
             return result_type
     if stored_file.kind == "backbone":
@@ -683,7 +685,7 @@ _FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessm
 """Fields left out of a file, or stored in other datasets."""
 PackFunction = Callable[[Any], Datasets]
 UnpackFunction = Callable[[Datasets, Structure, OptionalLaw], Result]
-_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
+_PACK_UNPACK_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
     ResponseCurve: (_pack_curve, _unpack_curve),

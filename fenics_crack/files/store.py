@@ -358,10 +358,10 @@ def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored
     InputError
         The file cannot be read, is damaged, has an older version, or comes from another program.
     """
-    return on_root(comm, lambda: _read_and_check(Path(path)))
+    return on_root(comm, lambda: _read_and_check_result_file(Path(path)))
 
 
-def _read_and_check(path: Path) -> StoredFile:
+def _read_and_check_result_file(path: Path) -> StoredFile:
     def refusal(reason: str) -> InputError:
         kinds_text = "one of the .h5 files that solve, curve and the other commands write"
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
@@ -445,7 +445,7 @@ def read_result_file_without_numbers(path: str | Path) -> StoredFile:
 
 @functools.lru_cache(maxsize=32)
 def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
-    return replace(_read_and_check(path), datasets={})
+    return replace(_read_and_check_result_file(path), datasets={})
 
 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, Observable, ObservableFlag, Place
 from fenics_crack.basics.suggestions import (
     check_calls,
-    convert_number,
+    convert_to_unit_or_none,
     did_you_mean_text,
     find_similar_names,
     find_similar_or_longer_names,
@@ -630,7 +630,7 @@ def _suggest_line_fix(toml_text: str, error_text: str) -> str:
     key, _, value_text = (
         line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
     )
-    si_value = convert_number(
+    si_value = convert_to_unit_or_none(
         value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key]))
     )
     if si_value is None and not value_text.isidentifier():
