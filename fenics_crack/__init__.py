@@ -23,7 +23,7 @@ from typing import Any
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.threads import (
-    check_debian_modules,
+    check_debian_module_versions,
     is_started_by_mpirun,
     run_single_threaded,
 )
@@ -31,7 +31,7 @@ from fenics_crack.version import VERSION
 
 if is_started_by_mpirun():
     with suppress(InputError):  # raised again where the package is used
-        check_debian_modules()
+        check_debian_module_versions()
         import_module("fenics_crack.basics.ranks")
 
 _MODULE_BY_NAME = {
@@ -47,13 +47,13 @@ __version__ = VERSION
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULE_BY_NAME:
-        from fenics_crack.basics.suggestions import suggest_replacements
+        from fenics_crack.basics.suggestions import replacement_question_text
 
-        suggestion_text = suggest_replacements(name, __all__)
+        suggestion_text = replacement_question_text(name, __all__)
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; {suggestion_text}".rstrip("; ")
         )
-    check_debian_modules()
+    check_debian_module_versions()
     with run_single_threaded():
         public_object = getattr(import_module(_MODULE_BY_NAME[name]), name)
     if isinstance(public_object, FunctionType):

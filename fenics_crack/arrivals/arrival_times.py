@@ -21,22 +21,22 @@ import numpy as np
 from fenics_crack.basics.errors import InputError, check_count, check_number, report_read_errors
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Table, Tabular, format_count
 from fenics_crack.basics.untrusted_files import (
-    SI_UNIT_AND_FACTOR,
+    SI_UNIT_AND_FACTOR_BY_UNIT,
     convert_heading_to_si,
-    read_csv_rows,
+    read_numbered_csv_rows,
 )
 
-ARRIVAL_COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
+ARRIVAL_COLUMN_NAMES = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """Required columns of a CSV file."""
-RADIUS_COLUMN = "tip_radius [m]"
+RADIUS_COLUMN_NAME = "tip_radius [m]"
 """Optional column of a CSV file."""
-RADIUS_HINT = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
+RADIUS_HINT_TEXT = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
 """Hint of the error that the radius is missing."""
-STEADY = 1e-2
+MAX_STEADY_SPEED_VARIATION = 1e-2
 """Maximum relative variation of a constant speed."""
-MOST_PASSAGES = 10**7
+MAX_ALLOWED_PASSAGES = 10**7
 """Maximum number of passages in a record, which limits the memory."""
-FEWEST_REVOLUTIONS = 10
+MIN_REQUIRED_REVOLUTIONS = 10
 """Minimum number of revolutions for a smoothed speed, and for a passage through a resonance."""
 
 
@@ -81,29 +81,34 @@ class ArrivalTimes(Tabular):
     first: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("time", "marks", "probes"):
+        for field_name in ("time", "marks", "probes"):
             try:
-                values = np.asarray(getattr(self, name), dtype=float)
+                values = np.asarray(getattr(self, field_name), dtype=float)
             except (TypeError, ValueError):
-                raise InputError(name, getattr(self, name), "numbers") from None
-            object.__setattr__(self, name, values)
+                raise InputError(field_name, getattr(self, field_name), "numbers") from None
+            object.__setattr__(self, field_name, values)
         check_number("tip_radius", self.tip_radius, 0.0, excludes_bound=True)
-        check_probes(self.probes)
+        check_probe_angles(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
-            problem = f"of shape {self.marks.shape}"
-            raise InputError("marks", problem, "two or more increasing times")
-        if not np.all(is_rising := np.diff(self.marks) > 0.0):
-            mark, next_mark = self.marks[int(np.argmin(is_rising)) :][:2]
+            shape_text = f"of shape {self.marks.shape}"
+            raise InputError("marks", shape_text, "two or more increasing times")
+        if not np.all(has_later_mark := np.diff(self.marks) > 0.0):
+            mark, next_mark = self.marks[int(np.argmin(has_later_mark)) :][:2]
             raise InputError("marks", f"{next_mark:.9g} s after {mark:.9g} s", "increasing times")
-        check_turns("marks", np.diff(self.marks), self.first)
-        shape = (len(self.marks) - 1, len(self.probes))
-        if self.time.shape != shape:
-            requirement = f"of shape {shape}: a row for each revolution, a column for each probe"
+        check_revolution_durations("marks", np.diff(self.marks), self.first)
+        required_shape = (len(self.marks) - 1, len(self.probes))
+        if self.time.shape != required_shape:
+            requirement = (
+                f"of shape {required_shape}: a row for each revolution, a column for each probe"
+            )
             raise InputError("time", f"of shape {self.time.shape}", requirement)
         if not np.any(np.isfinite(self.time)):
             raise InputError("time", "no finite number", "the times of some arrivals")
-        turn, delay = np.diff(self.marks)[:, None], self.time - self.marks[:-1, None]
-        is_misplaced = (delay < -turn) | (delay > 2.0 * turn)
+        revolution_durations = np.diff(self.marks)[:, None]
+        delays_after_mark = self.time - self.marks[:-1, None]
+        is_misplaced = (delays_after_mark < -revolution_durations) | (
+            delays_after_mark > 2.0 * revolution_durations
+        )
         if np.any(is_misplaced):
             requirement = (
                 "within the revolution of the row, the one before or the one after; or nan"
@@ -121,33 +126,37 @@ class ArrivalTimes(Tabular):
     @property
     def mean_speed(self) -> float:
         """Mean speed between the first and last revolutions with arrivals [rad/s]."""
-        turns = np.flatnonzero(np.isfinite(self.time).any(axis=1))
-        begin, end = int(turns[0]), int(turns[-1]) + 1
-        return float(2.0 * np.pi * (end - begin) / (self.marks[end] - self.marks[begin]))
+        rows_with_arrivals = np.flatnonzero(np.isfinite(self.time).any(axis=1))
+        begin_row, end_row = int(rows_with_arrivals[0]), int(rows_with_arrivals[-1]) + 1
+        return float(
+            2.0 * np.pi * (end_row - begin_row) / (self.marks[end_row] - self.marks[begin_row])
+        )
 
     @property
     def steady(self) -> bool:
         """True if the speed varies by at most 1 %."""
         speed = self.speed
-        return bool(np.ptp(speed) <= STEADY * speed.mean())
+        return bool(np.ptp(speed) <= MAX_STEADY_SPEED_VARIATION * speed.mean())
 
     @cached_property
     def nominal_angle(self) -> np.ndarray:
         """Rotor angle phi + 2 pi n at arrivals without vibration: (revolutions, probes) [rad]."""
-        turns = self.first + np.arange(len(self))
-        return np.asarray(2.0 * np.pi * turns[:, None] + self.probes)
+        revolution_numbers = self.first + np.arange(len(self))
+        return np.asarray(2.0 * np.pi * revolution_numbers[:, None] + self.probes)
 
     @cached_property
     def angle(self) -> np.ndarray:
         """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
-        turns = self.first + np.arange(len(self.marks))
-        return between(self.marks, RAD_PER_TURN * turns, self.time)
+        mark_revolution_numbers = self.first + np.arange(len(self.marks))
+        return interpolate_by_splines(self.marks, RAD_PER_TURN * mark_revolution_numbers, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
         """Times at the nominal angles, with or without arrivals: (revolutions, probes) [s]."""
-        turns = self.first + np.arange(len(self.marks))
-        return between(RAD_PER_TURN * turns, self.marks, self.nominal_angle)
+        mark_revolution_numbers = self.first + np.arange(len(self.marks))
+        return interpolate_by_splines(
+            RAD_PER_TURN * mark_revolution_numbers, self.marks, self.nominal_angle
+        )
 
     @cached_property
     def displacement(self) -> np.ndarray:
@@ -157,8 +166,12 @@ class ArrivalTimes(Tabular):
     @cached_property
     def rounding(self) -> float:
         """Rounding of displacements [m]: by rounded angles, and 1e-9 of the motion."""
-        angle, motion = (float(np.nanmax(np.abs(x))) for x in (self.angle, self.displacement))
-        return 1e-9 * motion + 4.0 * float(np.spacing(angle)) * self.tip_radius
+        largest_angle, largest_displacement = (
+            float(np.nanmax(np.abs(quantity))) for quantity in (self.angle, self.displacement)
+        )
+        return (
+            1e-9 * largest_displacement + 4.0 * float(np.spacing(largest_angle)) * self.tip_radius
+        )
 
     def check_places(self, angle_deviation: float) -> None:
         """Check that arrivals are at their probes, apart from a common shift.
@@ -170,48 +183,57 @@ class ArrivalTimes(Tabular):
         check_number("angle_deviation", angle_deviation, 0.0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
-            shifts = np.nanmedian(self.nominal_angle - self.angle, axis=0)
-        shifts -= np.nanmedian(shifts)
-        far_probes = np.flatnonzero(np.abs(shifts) > 0.5 * RAD_PER_TURN)
-        if len(far_probes):
-            probe_text = f"those at {np.degrees(self.probes[far_probes[0]]):g} degrees"
-            problem = (
-                f"{probe_text} are of the revolutions "
-                f"{'before' if shifts[far_probes[0]] > 0.0 else 'after'}"
+            angle_shifts = np.nanmedian(self.nominal_angle - self.angle, axis=0)
+        angle_shifts -= np.nanmedian(angle_shifts)
+        far_probe_indices = np.flatnonzero(np.abs(angle_shifts) > 0.5 * RAD_PER_TURN)
+        if len(far_probe_indices):
+            far_probe_text = f"those at {np.degrees(self.probes[far_probe_indices[0]]):g} degrees"
+            problem_text = (
+                f"{far_probe_text} are of the revolutions "
+                f"{'before' if angle_shifts[far_probe_indices[0]] > 0.0 else 'after'}"
             )
-            raise InputError("time", problem, "in the rows of their own revolutions, at all probes")
-        distances = np.abs(self.probes - shifts - self.probes[:, None])  # [stated, passed]
-        nearest_probes = np.argmin(
-            np.minimum(distances % RAD_PER_TURN, -distances % RAD_PER_TURN), axis=0
-        )
-        swapped_probes = np.flatnonzero(
-            np.isfinite(shifts) & (nearest_probes != np.arange(len(shifts)))
-        )
-        if len(swapped_probes):
-            angle, passed_angle = np.degrees(
-                self.probes[[swapped_probes[0], nearest_probes[swapped_probes[0]]]]
+            raise InputError(
+                "time", problem_text, "in the rows of their own revolutions, at all probes"
             )
-            problem = (
-                f"the one at {angle:g} degrees is passed where that at {passed_angle:g} degrees is"
+        angle_distances = np.abs(
+            self.probes - angle_shifts - self.probes[:, None]
+        )  # [stated, passed]
+        nearest_probe_indices = np.argmin(
+            np.minimum(angle_distances % RAD_PER_TURN, -angle_distances % RAD_PER_TURN), axis=0
+        )
+        swapped_probe_indices = np.flatnonzero(
+            np.isfinite(angle_shifts) & (nearest_probe_indices != np.arange(len(angle_shifts)))
+        )
+        if len(swapped_probe_indices):
+            stated_degrees, passed_degrees = np.degrees(
+                self.probes[
+                    [swapped_probe_indices[0], nearest_probe_indices[swapped_probe_indices[0]]]
+                ]
+            )
+            problem_text = (
+                f"the one at {stated_degrees:g} degrees is passed "
+                f"where that at {passed_degrees:g} degrees is"
             )
             requirement = "where their arrivals are; two are swapped, or times too coarse"
-            raise InputError("probes", problem, requirement)
+            raise InputError("probes", problem_text, requirement)
 
     def zeroed(self, begin: int, end: int) -> Self:
         """Return these arrivals with displacements from quiet revolutions.
 
         The probes move to the median blade tip in revolutions begin to end - 1, counted from 0.
         """
-        median_displacement = np.nanmedian(self.between(begin, end).displacement[begin:end], axis=0)
-        return replace(self, probes=self.probes - median_displacement / self.tip_radius)
+        median_displacements = np.nanmedian(
+            self.between(begin, end).displacement[begin:end], axis=0
+        )
+        return replace(self, probes=self.probes - median_displacements / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
         """Keep only the arrivals in revolutions begin to end - 1, from 0."""
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
-        is_kept = np.zeros(len(self), dtype=bool)
-        is_kept[begin:end] = True
-        return replace(self, time=np.where(is_kept[:, None], self.time, np.nan))
+        is_kept_revolution = np.zeros(len(self), dtype=bool)
+        is_kept_revolution[begin:end] = True
+        return replace(self, time=np.where(is_kept_revolution[:, None], self.time, np.nan))
 
     def without(self, probes: np.ndarray) -> Self:
         """Return these arrivals without the probes of indices (n,), from 0."""
@@ -234,36 +256,54 @@ class ArrivalTimes(Tabular):
             The file cannot be read, a column is missing, or rows contradict each other or the given
             radius.
         """
-        (turn, angle, mark, next_mark, arrival), radius = _read_passages(path)
-        tip_radius = choose_radius(path, radius, tip_radius)
-        turns, row = np.unique(turn, return_inverse=True)
-        probes, column = np.unique(angle, return_inverse=True)
-        if np.any(np.diff(turns) != 1.0):
+        (
+            (passage_revolutions, passage_angles, passage_marks, passage_next_marks, arrival_times),
+            file_radii,
+        ) = _read_passages_and_radii(path)
+        tip_radius = choose_tip_radius(path, file_radii, tip_radius)
+        revolution_numbers, row_indices = np.unique(passage_revolutions, return_inverse=True)
+        probe_angles, probe_indices = np.unique(passage_angles, return_inverse=True)
+        if np.any(np.diff(revolution_numbers) != 1.0):
             raise InputError("path", str(path), "a file without gaps between its revolutions")
-        if len(turns) * len(probes) > MOST_PASSAGES:
-            size = f"{len(turns)} revolutions, {len(probes)} probes"
-            raise InputError("path", f"{path}: {size}", f"{MOST_PASSAGES:.0e} passages at most")
-        begins, ends = np.empty(len(turns)), np.empty(len(turns))
-        begins[row], ends[row] = mark, next_mark
-        time = np.full((len(turns), len(probes)), np.nan)
-        time[row, column] = arrival
-        checks = [begins[row] == mark, ends[row] == next_mark]
-        checks += [begins[1:] == ends[:-1], len(set(zip(row, column, strict=True))) == len(row)]
-        if not all(map(np.all, checks)):
+        if len(revolution_numbers) * len(probe_angles) > MAX_ALLOWED_PASSAGES:
+            size_text = f"{len(revolution_numbers)} revolutions, {len(probe_angles)} probes"
+            raise InputError(
+                "path", f"{path}: {size_text}", f"{MAX_ALLOWED_PASSAGES:.0e} passages at most"
+            )
+        begin_times = np.empty(len(revolution_numbers))
+        end_times = np.empty(len(revolution_numbers))
+        begin_times[row_indices], end_times[row_indices] = passage_marks, passage_next_marks
+        time = np.full((len(revolution_numbers), len(probe_angles)), np.nan)
+        time[row_indices, probe_indices] = arrival_times
+        check_results = [
+            begin_times[row_indices] == passage_marks,
+            end_times[row_indices] == passage_next_marks,
+        ]
+        check_results += [
+            begin_times[1:] == end_times[:-1],
+            len(set(zip(row_indices, probe_indices, strict=True))) == len(row_indices),
+        ]
+        if not all(map(np.all, check_results)):
             requirement = (
                 "a file in which each revolution has one mark and one next_mark, that of the "
             )
             raise InputError("path", str(path), requirement + "one after, and passes a probe once")
-        return cls(time, np.append(begins, ends[-1]), probes, tip_radius, int(turns[0]))
+        return cls(
+            time,
+            np.append(begin_times, end_times[-1]),
+            probe_angles,
+            tip_radius,
+            int(revolution_numbers[0]),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every passage."""
-        n_turns, n_probes = self.time.shape
-        rows = np.arange(n_turns)
+        n_revolutions, n_probes = self.time.shape
+        revolution_rows = np.arange(n_revolutions)
         return {
-            "revolution": np.repeat(self.first + rows, n_probes).tolist(),
-            "probe": np.tile(np.arange(1, n_probes + 1), n_turns).tolist(),
-            "angle": np.tile(self.probes, n_turns).tolist(),
+            "revolution": np.repeat(self.first + revolution_rows, n_probes).tolist(),
+            "probe": np.tile(np.arange(1, n_probes + 1), n_revolutions).tolist(),
+            "angle": np.tile(self.probes, n_revolutions).tolist(),
             "mark": np.repeat(self.marks[:-1], n_probes).tolist(),
             "next_mark": np.repeat(self.marks[1:], n_probes).tolist(),
             "arrival": self.time.ravel().tolist(),
@@ -274,13 +314,16 @@ class ArrivalTimes(Tabular):
 
     def _title(self) -> str:
         speed, n_missing = self.speed, int(np.isnan(self.time).sum())
-        parts = [format_count(len(self), "revolution"), format_count(len(self.probes), "probe")]
+        title_parts = [
+            format_count(len(self), "revolution"),
+            format_count(len(self.probes), "probe"),
+        ]
         is_steady = np.ptp(speed) <= 1e-6 * speed[0]
-        parts.append(f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s")
-        return ", ".join(parts + [f"{n_missing} missing"] * (n_missing > 0))
+        title_parts.append(f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s")
+        return ", ".join(title_parts + [f"{n_missing} missing"] * (n_missing > 0))
 
 
-def between(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
+def interpolate_by_splines(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Interpolate values (n, ...) at increasing knots (n,) by cubic splines."""
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
@@ -295,70 +338,89 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
     of Statistics 9, 1981, 1135). Fourth differences give the variance of errors. Fewer than 10
     values are returned unchanged.
     """
-    if len(values) < FEWEST_REVOLUTIONS:
+    if len(values) < MIN_REQUIRED_REVOLUTIONS:
         return values
     from scipy.signal import savgol_coeffs, savgol_filter
 
     # Fourth differences of white errors have 70 times their variance; the median of chi^2 is 0.455.
-    variance = float(np.median(np.diff(values, 4) ** 2)) / (70.0 * 0.455)
-    best_series, min_risk = values, variance
+    error_variance = float(np.median(np.diff(values, 4) ** 2)) / (70.0 * 0.455)
+    best_series, min_expected_error = values, error_variance
     for half_width in 2 ** np.arange(1, int(np.log2(len(values) / 4.0)) + 1):
-        candidate = savgol_filter(values, 2 * half_width + 1, 2)
+        smoothed_series = savgol_filter(values, 2 * half_width + 1, 2)
         centre_weight = float(savgol_coeffs(2 * half_width + 1, 2)[half_width])
-        risk = float(np.mean((values - candidate) ** 2)) + (2.0 * centre_weight - 1.0) * variance
-        if risk < min_risk:
-            best_series, min_risk = candidate, risk
+        expected_error = (
+            float(np.mean((values - smoothed_series) ** 2))
+            + (2.0 * centre_weight - 1.0) * error_variance
+        )
+        if expected_error < min_expected_error:
+            best_series, min_expected_error = smoothed_series, expected_error
     return np.asarray(best_series)
 
 
-def check_turns(name: str, turns: np.ndarray, first_turn: int = 0) -> None:
+def check_revolution_durations(key: str, durations: np.ndarray, first_revolution: int = 0) -> None:
     """Raise InputError unless durations of revolutions (n,) [s] vary smoothly.
 
     A duration more than 1.4 times the median of five, or less than 1 / 1.4 times, shows a missed
     mark or a false one.
     """
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(turns, 2, mode="symmetric"), 5)
-    medians = np.median(windows, axis=1)
-    is_outlier = np.abs(np.log(turns / medians)) > np.log(1.4)
+    duration_windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(durations, 2, mode="symmetric"), 5
+    )
+    median_durations = np.median(duration_windows, axis=1)
+    is_outlier = np.abs(np.log(durations / median_durations)) > np.log(1.4)
     if np.any(is_outlier):
-        index = int(np.argmax(is_outlier))
-        problem = (
-            f"revolution {first_turn + index} takes {turns[index] / medians[index]:.3g} times "
+        outlier_index = int(np.argmax(is_outlier))
+        problem_text = (
+            f"revolution {first_revolution + outlier_index} takes "
+            f"{durations[outlier_index] / median_durations[outlier_index]:.3g} times "
             "as long as those"
         )
         requirement = (
             "marks of which none was missed or seen twice; leave out such rows, but count "
         )
-        raise InputError(name, f"{problem} around it", f"{requirement}their revolutions")
+        raise InputError(key, f"{problem_text} around it", f"{requirement}their revolutions")
 
 
-def check_probes(probes: np.ndarray) -> None:
+def check_probe_angles(probes: np.ndarray) -> None:
     """Raise InputError unless probes are angles from 0 to 2 pi, increasing."""
-    valid = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
-    if not valid or probes[0] < 0.0 or probes[-1] >= 2.0 * np.pi or np.any(np.diff(probes) <= 0.0):
+    is_finite_vector = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
+    if (
+        not is_finite_vector
+        or probes[0] < 0.0
+        or probes[-1] >= 2.0 * np.pi
+        or np.any(np.diff(probes) <= 0.0)
+    ):
         raise InputError("probes", probes, "increasing angles [rad] from 0 to less than 2 pi")
 
 
-def choose_radius(path: str | Path, file_radii: np.ndarray | None, radius: float | None) -> float:
+def choose_tip_radius(
+    path: str | Path, file_radii: np.ndarray | None, given_radius: float | None
+) -> float:
     """Return the tip radius [m], from a file's column or as given.
 
     Raise InputError without a radius, or for contradictory ones.
     """
     if file_radii is None:
-        if radius is None:
-            requirement = f"given for {path}, which has no column '{RADIUS_COLUMN}': {RADIUS_HINT}"
+        if given_radius is None:
+            requirement = (
+                f"given for {path}, which has no column '{RADIUS_COLUMN_NAME}': {RADIUS_HINT_TEXT}"
+            )
             raise InputError("tip_radius", None, requirement)
-        return radius
-    radii = np.unique(np.append(file_radii, file_radii[0] if radius is None else radius))
-    if len(radii) > 1:
+        return given_radius
+    distinct_radii = np.unique(
+        np.append(file_radii, file_radii[0] if given_radius is None else given_radius)
+    )
+    if len(distinct_radii) > 1:
         requirement = "one number, in all rows" + (
-            "" if radius is None else f" {radius:g}, as given"
+            "" if given_radius is None else f" {given_radius:g}, as given"
         )
-        raise InputError("path", f"{path}, {RADIUS_COLUMN} = {radii.tolist()}", requirement)
-    return float(radii[0])
+        raise InputError(
+            "path", f"{path}, {RADIUS_COLUMN_NAME} = {distinct_radii.tolist()}", requirement
+        )
+    return float(distinct_radii[0])
 
 
-def _read_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
+def _read_headings_and_number_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
     """Read a CSV file without lines that begin with #.
 
     Returns
@@ -367,24 +429,32 @@ def _read_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
         Headings, with units converted to SI.
     line_numbers : list of int
         Numbers of the lines (n,) below the headings.
-    table : (columns, n)
+    number_table : (columns, n)
         Numbers in SI; nan in cells without a number.
     """
     with report_read_errors("path", path, "a table of numbers"):
-        (_, names), *rows = read_csv_rows(path) or [(0, [])]
-        for number, row in rows:
-            if len(row) < len(names):
+        (_, original_headings), *numbered_rows = read_numbered_csv_rows(path) or [(0, [])]
+        for line_number, cells in numbered_rows:
+            if len(cells) < len(original_headings):
                 requirement = (
-                    f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
+                    f"a row of {len(original_headings)} cells, as there are headings, "
+                    f"not of {len(cells)}"
                 )
-                raise InputError("path", f"{path}, line {number}", requirement)
-    headings = [convert_heading_to_si(name) for name in names]
-    columns = [[f * _number(row[n]) for _, row in rows] for n, (_, f) in enumerate(headings)]
-    table = np.array(columns).reshape(len(names), len(rows))
-    return [name for name, _ in headings], [number for number, _ in rows], table
+                raise InputError("path", f"{path}, line {line_number}", requirement)
+    heading_factor_pairs = [convert_heading_to_si(heading) for heading in original_headings]
+    number_columns = [
+        [factor * _parse_number_or_nan(cells[column_index]) for _, cells in numbered_rows]
+        for column_index, (_, factor) in enumerate(heading_factor_pairs)
+    ]
+    number_table = np.array(number_columns).reshape(len(original_headings), len(numbered_rows))
+    return (
+        [heading for heading, _ in heading_factor_pairs],
+        [line_number for line_number, _ in numbered_rows],
+        number_table,
+    )
 
 
-def _number(cell: str) -> float:
+def _parse_number_or_nan(cell: str) -> float:
     """Return the number in a cell, or nan without one."""
     try:
         return float(cell)
@@ -392,29 +462,43 @@ def _number(cell: str) -> float:
         return np.nan
 
 
-def _read_passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read a file's required columns (5, rows), and radii (rows,) or None."""
-    names, lines, columns = _read_table(path)
-    for name in ARRIVAL_COLUMNS:
-        if name not in names:
-            contents = f"it has {', '.join(names)}" if any(names) else "it is empty"
-            raise InputError("path", str(path), f"a file with the column '{name}'; {contents}")
-    passages = columns[[names.index(name) for name in ARRIVAL_COLUMNS]]
-    if not lines:
+    headings, line_numbers, number_columns = _read_headings_and_number_table(path)
+    for required_heading in ARRIVAL_COLUMN_NAMES:
+        if required_heading not in headings:
+            contents_text = f"it has {', '.join(headings)}" if any(headings) else "it is empty"
+            raise InputError(
+                "path", str(path), f"a file with the column '{required_heading}'; {contents_text}"
+            )
+    passages = number_columns[
+        [headings.index(required_heading) for required_heading in ARRIVAL_COLUMN_NAMES]
+    ]
+    if not line_numbers:
         raise InputError("path", str(path), "a file with rows of numbers below its headings")
-    is_finite, turns = np.isfinite(passages[:4]).all(axis=0), np.nan_to_num(passages[0])
-    if not np.all(is_valid := is_finite & (turns % 1.0 == 0.0) & (np.abs(turns) < 2**53)):
+    is_finite = np.isfinite(passages[:4]).all(axis=0)
+    revolution_numbers = np.nan_to_num(passages[0])
+    if not np.all(
+        is_valid := is_finite
+        & (revolution_numbers % 1.0 == 0.0)
+        & (np.abs(revolution_numbers) < 2**53)
+    ):
         requirement = "a row of finite numbers but for the arrival, and of a whole revolution"
-        raise InputError("path", f"{path}, line {lines[int(np.argmin(is_valid))]}", requirement)
-    return passages, columns[names.index(RADIUS_COLUMN)] if RADIUS_COLUMN in names else None
+        raise InputError(
+            "path", f"{path}, line {line_numbers[int(np.argmin(is_valid))]}", requirement
+        )
+    return passages, number_columns[
+        headings.index(RADIUS_COLUMN_NAME)
+    ] if RADIUS_COLUMN_NAME in headings else None
 
 
 # --- records --------------------------------------------------------------------------------------
 
-PASSAGE_HEADING = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
+PASSAGE_HEADING_PATTERN = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of a blade's arrivals at a probe; the default is blade 1."""
-SPEED_UNITS = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
-ANGLE_UNITS, TIME_UNITS = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR["deg"][1]}, {"s": 1.0}
+RAD_PER_S_BY_SPEED_UNIT = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
+RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_UNIT["deg"][1]}
+SECONDS_BY_TIME_UNIT = {"s": 1.0}
 """Factors of units to rad/s, rad and s; the first unit is the default of a heading."""
 
 
@@ -470,50 +554,63 @@ def read_record(
     >>> arrivals.to_csv("record.csv")
     >>> blades = fc.read_record("record.csv")
     """
-    names, _, table = _read_table(path)
-    if not any(map(PASSAGE_HEADING.search, names)):
+    headings, _, number_table = _read_headings_and_number_table(path)
+    if not any(map(PASSAGE_HEADING_PATTERN.search, headings)):
         return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
-    columns = dict(zip(names, table, strict=True))
-    blade_headings: dict[int, dict[int, str]] = {}
-    for name in names:
-        if match := PASSAGE_HEADING.search(name):
-            blade_headings.setdefault(int(match[1] or 1), {})[int(match[2])] = name
-    if len(columns) != len(names):
-        raise InputError("path", f"{path}: {', '.join(names)}", "headings, each given once")
-    if table.shape[1] < 2:
-        problem = f"{path}: {format_count(table.shape[1], 'revolution')}"
-        raise InputError("path", problem, "two or more, between which the speed is measured")
-    turns = _read_turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
-    marks = _read_marks(path, columns, turns)
-    tip_radius = choose_radius(path, columns.get(RADIUS_COLUMN), tip_radius)
-    blades = {}
-    for blade, headings in sorted(blade_headings.items()):
-        angles = np.full((len(marks) - 1, len(headings)), np.nan)
-        for probe, (_, name) in enumerate(sorted(headings.items())):
-            if not np.any(np.isfinite(columns[name])):
-                raise InputError("path", f"{path}: {name}", "a column with finite numbers")
-            angles[turns - turns[0], probe] = _read_angles(path, name, columns[name], turns, marks)
-        blade_probes = probes.get(blade) if isinstance(probes, Mapping) else probes
-        probe_angles = None if blade_probes is None else np.asarray(blade_probes, dtype=float)
-        blades[blade] = _build_arrivals(angles, marks, tip_radius, probe_angles, int(turns[0]))
-    return blades
+    column_by_heading = dict(zip(headings, number_table, strict=True))
+    probe_headings_by_blade: dict[int, dict[int, str]] = {}
+    for heading in headings:
+        if heading_match := PASSAGE_HEADING_PATTERN.search(heading):
+            probe_headings_by_blade.setdefault(int(heading_match[1] or 1), {})[
+                int(heading_match[2])
+            ] = heading
+    if len(column_by_heading) != len(headings):
+        raise InputError("path", f"{path}: {', '.join(headings)}", "headings, each given once")
+    if number_table.shape[1] < 2:
+        problem_text = f"{path}: {format_count(number_table.shape[1], 'revolution')}"
+        raise InputError("path", problem_text, "two or more, between which the speed is measured")
+    revolution_numbers = _check_revolution_numbers(
+        path, column_by_heading.get("revolution", np.arange(float(number_table.shape[1])))
+    )
+    marks = _read_mark_times(path, column_by_heading, revolution_numbers)
+    tip_radius = choose_tip_radius(path, column_by_heading.get(RADIUS_COLUMN_NAME), tip_radius)
+    arrivals_by_blade = {}
+    for blade_number, heading_by_probe in sorted(probe_headings_by_blade.items()):
+        arrival_angles = np.full((len(marks) - 1, len(heading_by_probe)), np.nan)
+        for probe_index, (_, heading) in enumerate(sorted(heading_by_probe.items())):
+            if not np.any(np.isfinite(column_by_heading[heading])):
+                raise InputError("path", f"{path}: {heading}", "a column with finite numbers")
+            arrival_angles[revolution_numbers - revolution_numbers[0], probe_index] = (
+                _read_arrival_angles(
+                    path, heading, column_by_heading[heading], revolution_numbers, marks
+                )
+            )
+        given_angles = probes.get(blade_number) if isinstance(probes, Mapping) else probes
+        probe_angles = None if given_angles is None else np.asarray(given_angles, dtype=float)
+        arrivals_by_blade[blade_number] = _build_arrivals(
+            arrival_angles, marks, tip_radius, probe_angles, int(revolution_numbers[0])
+        )
+    return arrivals_by_blade
 
 
 def has_probe_angles(path: str | Path) -> bool:
     """Return True if a file has the angles of its probes."""
-    return ARRIVAL_COLUMNS[1] in _read_table(path)[0]
+    return ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
 
 
-def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[int, np.ndarray]:
+def find_probe_angles_by_blade(
+    probes: Sequence[float] | np.ndarray, n_blades: int
+) -> dict[int, np.ndarray]:
     """Return probe angles (n_probes,) [rad] from each blade's tip at the mark.
 
-    Keys are the numbers of the blades, from 1 to count; blade j + 1 is 2 pi / count ahead of
+    Keys are the numbers of the blades, from 1 to n_blades; blade j + 1 is 2 pi / n_blades ahead of
     blade j.
     """
-    angles = np.asarray(probes, dtype=float)
+    first_blade_angles = np.asarray(probes, dtype=float)
     return {
-        blade: (angles - RAD_PER_TURN * (blade - 1) / count) % RAD_PER_TURN
-        for blade in range(1, count + 1)
+        blade_number: (first_blade_angles - RAD_PER_TURN * (blade_number - 1) / n_blades)
+        % RAD_PER_TURN
+        for blade_number in range(1, n_blades + 1)
     }
 
 
@@ -546,106 +643,146 @@ def write_record(
     """
     if not blades:
         raise InputError("blades", blades, "arrivals of one blade or more")
-    first_blade = next(iter(blades.values()))
-    columns: dict[str, Any] = {
-        "revolution": (first_blade.first + np.arange(len(first_blade))).tolist(),
-        "mark [s]": first_blade.marks[:-1].tolist(),
+    first_arrivals = next(iter(blades.values()))
+    column_by_heading: dict[str, Any] = {
+        "revolution": (first_arrivals.first + np.arange(len(first_arrivals))).tolist(),
+        "mark [s]": first_arrivals.marks[:-1].tolist(),
     }
-    angles_of_blades = probes_of_blades(probes, len(blades))
-    for blade, arrivals in blades.items():
-        for number, probe in enumerate(np.argsort(np.argsort(angles_of_blades[blade])), 1):
-            columns[f"blade {blade} probe {number} [s]"] = arrivals.time[:, probe].tolist()
-    columns[RADIUS_COLUMN] = [first_blade.tip_radius] * len(first_blade)
-    Table.from_dict(columns, {}).save(path)
+    probe_angles_by_blade = find_probe_angles_by_blade(probes, len(blades))
+    for blade_number, arrivals in blades.items():
+        for probe_number, sorted_probe_index in enumerate(
+            np.argsort(np.argsort(probe_angles_by_blade[blade_number])), 1
+        ):
+            column_by_heading[f"blade {blade_number} probe {probe_number} [s]"] = arrivals.time[
+                :, sorted_probe_index
+            ].tolist()
+    column_by_heading[RADIUS_COLUMN_NAME] = [first_arrivals.tip_radius] * len(first_arrivals)
+    Table.from_dict(column_by_heading, {}).save(path)
 
 
-def _unit_factor(path: str | Path, name: str, factors: dict[str, float]) -> float:
+def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, float]) -> float:
     """Return the factor to SI for the unit in a heading."""
-    match = re.search(r"\[(.*)\]", name)
-    unit_name = match[1] if match else next(iter(factors))
-    if unit_name not in factors:
-        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(factors)}")
-    return factors[unit_name]
+    unit_match = re.search(r"\[(.*)\]", heading)
+    unit_name = unit_match[1] if unit_match else next(iter(factor_by_unit))
+    if unit_name not in factor_by_unit:
+        raise InputError(
+            "path", f"{path}: {heading}", f"with one of the units {', '.join(factor_by_unit)}"
+        )
+    return factor_by_unit[unit_name]
 
 
-def _read_turns(path: str | Path, column: np.ndarray) -> np.ndarray:
+def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) -> np.ndarray:
     """Check and return the increasing numbers of the revolutions (rows,)."""
-    is_whole = np.all(np.isfinite(column)) and not np.any(column % 1.0) and column[0] >= 0.0
-    if not is_whole or np.any(np.diff(column) <= 0.0) or np.ptp(column) > MOST_PASSAGES:
+    are_whole_numbers = (
+        np.all(np.isfinite(revolution_numbers))
+        and not np.any(revolution_numbers % 1.0)
+        and revolution_numbers[0] >= 0.0
+    )
+    if (
+        not are_whole_numbers
+        or np.any(np.diff(revolution_numbers) <= 0.0)
+        or np.ptp(revolution_numbers) > MAX_ALLOWED_PASSAGES
+    ):
         raise InputError("path", f"{path}: revolution", "increasing whole numbers >= 0")
-    return column.astype(int)
+    return revolution_numbers.astype(int)
 
 
-def _read_marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) -> np.ndarray:
+def _read_mark_times(
+    path: str | Path, column_by_heading: dict[str, np.ndarray], revolution_numbers: np.ndarray
+) -> np.ndarray:
     """Return times of the marks: (revolutions + 1,) [s].
 
     The file has marks or speeds.
     Marks of missing rows are interpolated; the last one ends the last revolution.
     """
-    all_turns = np.arange(turns[0], turns[-1] + 1)
-    for name, column in columns.items():
-        if re.match("mark", name, re.IGNORECASE):
-            column = column * _unit_factor(path, name, TIME_UNITS)
-            mark_durations = np.diff(column) / np.diff(turns)
-            if not np.all((mark_durations > 0.0) & np.isfinite(mark_durations)):
-                raise InputError("path", f"{path}: {name}", "increasing times")
-            marks = np.interp(all_turns, turns, column)
-            check_turns(f"{path}: {name}", np.diff(marks), int(turns[0]))
+    all_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[-1] + 1)
+    for heading, row_values in column_by_heading.items():
+        if re.match("mark", heading, re.IGNORECASE):
+            row_values = row_values * _find_unit_factor(path, heading, SECONDS_BY_TIME_UNIT)
+            mean_durations = np.diff(row_values) / np.diff(revolution_numbers)
+            if not np.all((mean_durations > 0.0) & np.isfinite(mean_durations)):
+                raise InputError("path", f"{path}: {heading}", "increasing times")
+            marks = np.interp(all_revolution_numbers, revolution_numbers, row_values)
+            check_revolution_durations(
+                f"{path}: {heading}", np.diff(marks), int(revolution_numbers[0])
+            )
             marks = smooth_series(marks)
             # The end of the last revolution, as the speed changes.
-            last_durations = np.diff(marks)[-2:]
-            return np.append(marks, marks[-1] + 2.0 * last_durations[-1] - last_durations[0])
-        if "speed" in name.lower() and not PASSAGE_HEADING.search(name):
-            speed = column * _unit_factor(path, name, SPEED_UNITS)
-            if not np.all(speed > 0.0):
-                raise InputError("path", f"{path}: {name}", "numbers > 0")
-            speed = np.interp(all_turns, turns, speed)
-            check_turns(f"{path}: {name}", RAD_PER_TURN / speed, int(turns[0]))
-            durations = RAD_PER_TURN / smooth_series(speed)
+            last_two_durations = np.diff(marks)[-2:]
+            return np.append(
+                marks, marks[-1] + 2.0 * last_two_durations[-1] - last_two_durations[0]
+            )
+        if "speed" in heading.lower() and not PASSAGE_HEADING_PATTERN.search(heading):
+            speeds = row_values * _find_unit_factor(path, heading, RAD_PER_S_BY_SPEED_UNIT)
+            if not np.all(speeds > 0.0):
+                raise InputError("path", f"{path}: {heading}", "numbers > 0")
+            speeds = np.interp(all_revolution_numbers, revolution_numbers, speeds)
+            check_revolution_durations(
+                f"{path}: {heading}", RAD_PER_TURN / speeds, int(revolution_numbers[0])
+            )
+            durations = RAD_PER_TURN / smooth_series(speeds)
             return np.concatenate([[0.0], np.cumsum(durations)])
     requirement = "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]'"
-    raise InputError("path", str(path), f"{requirement}; it has {', '.join(columns)}")
+    raise InputError("path", str(path), f"{requirement}; it has {', '.join(column_by_heading)}")
 
 
-def _read_angles(
-    path: str | Path, name: str, column: np.ndarray, turns: np.ndarray, marks: np.ndarray
+def _read_arrival_angles(
+    path: str | Path,
+    heading: str,
+    column: np.ndarray,
+    revolution_numbers: np.ndarray,
+    marks: np.ndarray,
 ) -> np.ndarray:
     """Return angles from the mark to the arrivals (rows,) [rad]."""
-    if "[s]" not in name:
-        angles = column * _unit_factor(path, name, ANGLE_UNITS)
+    if "[s]" not in heading:
+        angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
         if np.nanmedian(np.abs(angles)) > 2.0 * RAD_PER_TURN:
             requirement = "angles from the mark to the arrival, in a revolution; in degrees?"
-            raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", requirement)
+            raise InputError("path", f"{path}: {heading} = {np.nanmedian(column):g}", requirement)
         return angles
-    mark_numbers = np.arange(turns[0], turns[0] + len(marks))
-    return RAD_PER_TURN * (between(marks, mark_numbers, column) - turns)
+    mark_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[0] + len(marks))
+    return RAD_PER_TURN * (
+        interpolate_by_splines(marks, mark_revolution_numbers, column) - revolution_numbers
+    )
 
 
 def _build_arrivals(
     angles: np.ndarray,
     marks: np.ndarray,
     tip_radius: float,
-    probes: np.ndarray | None,
-    first_turn: int,
+    given_probe_angles: np.ndarray | None,
+    first_revolution: int,
 ) -> ArrivalTimes:
     """Return a blade's arrivals from angles after the mark (revolutions, probes) [rad]."""
     for column in angles.T:  # a blade at the mark is seen before it and after it
         column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)
-    medians = np.nanmedian(angles, axis=0)
-    probe_angles = medians % RAD_PER_TURN if probes is None else probes
+    median_angles = np.nanmedian(angles, axis=0)
+    probe_angles = (
+        median_angles % RAD_PER_TURN if given_probe_angles is None else given_probe_angles
+    )
     if len(probe_angles) != angles.shape[1]:
         raise InputError(
             "probes", probe_angles, f"{angles.shape[1]} angles, as the record has probes"
         )
     probe_order = np.argsort(probe_angles)
-    rows = np.arange(len(angles))
-    for probe, lag in enumerate(np.round((medians - probe_angles) / RAD_PER_TURN).astype(int)):
+    row_indices = np.arange(len(angles))
+    for probe_index, revolution_lag in enumerate(
+        np.round((median_angles - probe_angles) / RAD_PER_TURN).astype(int)
+    ):
         # From before its mark, or from after the next one: of another revolution than its row's.
-        kept_rows = rows[(rows >= lag) & (rows - lag < len(rows))]
-        moved_angles = angles[kept_rows - lag, probe] - RAD_PER_TURN * lag
-        angles[:, probe] = np.nan
-        angles[kept_rows, probe] = moved_angles
+        kept_row_indices = row_indices[
+            (row_indices >= revolution_lag) & (row_indices - revolution_lag < len(row_indices))
+        ]
+        moved_angles = (
+            angles[kept_row_indices - revolution_lag, probe_index] - RAD_PER_TURN * revolution_lag
+        )
+        angles[:, probe_index] = np.nan
+        angles[kept_row_indices, probe_index] = moved_angles
     angles = angles[:, probe_order]
-    turns = first_turn + np.arange(len(marks))
-    time = between(RAD_PER_TURN * turns, marks, RAD_PER_TURN * turns[:-1, None] + angles)
-    return ArrivalTimes(time, marks, probe_angles[probe_order], tip_radius, first_turn)
+    mark_revolution_numbers = first_revolution + np.arange(len(marks))
+    time = interpolate_by_splines(
+        RAD_PER_TURN * mark_revolution_numbers,
+        marks,
+        RAD_PER_TURN * mark_revolution_numbers[:-1, None] + angles,
+    )
+    return ArrivalTimes(time, marks, probe_angles[probe_order], tip_radius, first_revolution)

@@ -31,15 +31,27 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, select_candidate
-from fenics_crack.arrivals.robust import LEVELS, ROBUST_SETTLED, refined, reweighted, student
+from fenics_crack.arrivals.harmonics import (
+    ORDERS,
+    Candidates,
+    TipFit,
+    condition_number,
+    select_candidate,
+)
+from fenics_crack.arrivals.robust import (
+    CONFIDENCE_LEVELS,
+    WEIGHTING_TOLERANCE,
+    find_least_squares_residuals,
+    fit_noise_by_reweighting,
+    student_variance_ratio,
+)
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.fourier import fourier_basis
 
-MAX_FREQUENCIES = 10**8
+MAX_SCANNED_FREQUENCIES = 10**8
 """Maximum number of frequencies in a scan, as for 1e6 revolutions and orders up to 24."""
-MAX_PEAKS, LOWEST = 40, 0.5
+MAX_REFINED_PEAKS, MIN_RELATIVE_PEAK = 40, 0.5
 """Maximum number of refined peaks in a scan; minimum power relative to the highest peak."""
 
 
@@ -87,28 +99,32 @@ def fit_frequency(
     check_number("high", high, low, excludes_bound=True)
     check_count("harmonics", harmonics, 1)
     arrivals.check_places(angle_deviation)
-    is_seen = np.isfinite(arrivals.time)
-    count = int(is_seen.sum())
-    n_constants = int(is_seen.any(axis=0).sum()) if angle_deviation else 1
-    if count <= (unknowns := 2 * harmonics + 1 + n_constants):
-        raise InputError("arrivals", f"{count} arrivals", f"more than {unknowns}")
-    shape = arrivals.time.shape
-    constants = np.arange(shape[1]) * bool(angle_deviation) * np.ones(shape, dtype=int)
-    values, ends = arrivals.displacement, (low, high)
+    has_arrival = np.isfinite(arrivals.time)
+    n_arrivals = int(has_arrival.sum())
+    n_constants = int(has_arrival.any(axis=0).sum()) if angle_deviation else 1
+    if n_arrivals <= (n_unknowns := 2 * harmonics + 1 + n_constants):
+        raise InputError("arrivals", f"{n_arrivals} arrivals", f"more than {n_unknowns}")
+    arrivals_shape = arrivals.time.shape
+    constant_numbers = (
+        np.arange(arrivals_shape[1]) * bool(angle_deviation) * np.ones(arrivals_shape, dtype=int)
+    )
+    displacements, omega_bounds = arrivals.displacement, (low, high)
     fit, chance = _FrequencySearch(
-        arrivals, values, constants, harmonics, angle_deviation, ends
-    ).find_best()
-    if len(arrivals.probes) == 1 and chance > LEVELS.chance:
-        problem = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
+        arrivals, displacements, constant_numbers, harmonics, angle_deviation, omega_bounds
+    ).find_best_fit_and_chance()
+    if len(arrivals.probes) == 1 and chance > CONFIDENCE_LEVELS.vibration_significance_level:
+        probe_text = (
+            f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
+        )
         requirement = "two or more: to one a vibration of a whole order is no vibration"
-        raise InputError("probes", problem, requirement)
+        raise InputError("probes", probe_text, requirement)
     return fit
 
 
-def find_lines(
+def find_lines_and_residuals(
     arrivals: ArrivalTimes,
-    values: np.ndarray,
-    constants: np.ndarray,
+    displacements: np.ndarray,
+    constant_numbers: np.ndarray,
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
@@ -120,9 +136,9 @@ def find_lines(
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
-    values : (revolutions, probes) [m]
+    displacements : (revolutions, probes) [m]
         Displacements to search for vibrations, one after the other.
-    constants : (revolutions, probes) int
+    constant_numbers : (revolutions, probes) int
         Number of the constant for each displacement.
     max_order : float
         Frequencies range from half the mean speed to one order above ``max_order``, or above the
@@ -137,17 +153,20 @@ def find_lines(
     residuals : (revolutions, probes) [m]
         Displacements without the vibrations.
     """
-    lines: list[TipFit] = []
-    speed = arrivals.mean_speed
-    ends = 0.5 * speed, speed * (max(max_order, ORDERS[-1]) + 1.0)
-    residuals, count = np.array(values), len(np.unique(constants[np.isfinite(values)]))
-    while len(lines) < max_lines and np.isfinite(residuals).sum() > 2 * (count + 3):
-        fit, chance = _FrequencySearch(arrivals, residuals, constants, 1, np.inf, ends).find_best()
-        if chance > LEVELS.chance:
+    line_fits: list[TipFit] = []
+    mean_speed = arrivals.mean_speed
+    omega_bounds = 0.5 * mean_speed, mean_speed * (max(max_order, ORDERS[-1]) + 1.0)
+    residuals = np.array(displacements)
+    n_constants = len(np.unique(constant_numbers[np.isfinite(displacements)]))
+    while len(line_fits) < max_lines and np.isfinite(residuals).sum() > 2 * (n_constants + 3):
+        fit, chance = _FrequencySearch(
+            arrivals, residuals, constant_numbers, 1, np.inf, omega_bounds
+        ).find_best_fit_and_chance()
+        if chance > CONFIDENCE_LEVELS.vibration_significance_level:
             break
-        lines.append(fit)
+        line_fits.append(fit)
         residuals -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
-    return tuple(lines), residuals
+    return tuple(line_fits), residuals
 
 
 class _FrequencySearch:
@@ -157,15 +176,15 @@ class _FrequencySearch:
     ----------
     arrivals : ArrivalTimes
         Record with the times and probes.
-    values : (revolutions, probes) [m]
+    displacements : (revolutions, probes) [m]
         Displacements; nan without an arrival.
-    constants : (revolutions, probes) int
+    constant_numbers : (revolutions, probes) int
         Number of the constant for each displacement.
-    harmonics : int
+    n_harmonics : int
         Number K.
-    deviation : float [rad]
+    constants_deviation : float [rad]
         Standard deviation of the constants, as angles; inf for free constants.
-    ends : (float, float) [rad/s]
+    omega_bounds : (float, float) [rad/s]
         Range of the frequency.
 
     Attributes
@@ -173,51 +192,68 @@ class _FrequencySearch:
     omega : float [rad/s]
         Frequency.
     coefficients, columns : (2K,) [m], (n, 2K+1)
-        Coefficients and derivatives by :meth:`_fit`.
-    noise : Noise
+        Coefficients and derivatives by :meth:`_fit_harmonics`.
+    noise : StudentNoise
         Residuals and weights.
     """
 
     def __init__(
         self,
         arrivals: ArrivalTimes,
-        values: np.ndarray,
-        constants: np.ndarray,
-        harmonics: int,
-        deviation: float,
-        ends: tuple[float, float],
+        displacements: np.ndarray,
+        constant_numbers: np.ndarray,
+        n_harmonics: int,
+        constants_deviation: float,
+        omega_bounds: tuple[float, float],
     ) -> None:
-        mask = np.isfinite(values)
-        self._places, self._ends = np.nonzero(mask), ends
-        self._arrivals, self._values = arrivals, values[mask]
-        self._time = arrivals.time[mask] - arrivals.marks[0]
-        self._expected_time = arrivals.expected[mask] - arrivals.marks[0]
-        self._multiples = np.arange(1.0, harmonics + 1.0)
-        turn, _ = self._places
-        self._span = float(arrivals.marks[turn.max() + 1] - arrivals.marks[turn.min()])
-        self._constants = (constants[mask][:, None] == np.unique(constants[mask])).astype(float)
-        self._unknowns = 2 * harmonics + 1 + self._constants.shape[1]
-        self._rounding, self._tip_deviation = arrivals.rounding, deviation * arrivals.tip_radius
-        self._stiffness = 0.0
-        self._stiffen(float(np.std(self._eliminate(self._values, np.ones(len(turn))))))
-        self._null_noise = reweighted(
-            lambda weights: self._eliminate(self._values, weights),
-            np.ones(len(turn)), self._constants.shape[1], self._rounding,
+        has_arrival = np.isfinite(displacements)
+        self._places, self._omega_bounds = np.nonzero(has_arrival), omega_bounds
+        self._arrivals, self._displacements = arrivals, displacements[has_arrival]
+        self._times = arrivals.time[has_arrival] - arrivals.marks[0]
+        self._expected_times = arrivals.expected[has_arrival] - arrivals.marks[0]
+        self._multiples = np.arange(1.0, n_harmonics + 1.0)
+        revolution_indices, _ = self._places
+        self._duration = float(
+            arrivals.marks[revolution_indices.max() + 1] - arrivals.marks[revolution_indices.min()]
+        )
+        self._constant_columns = (
+            constant_numbers[has_arrival][:, None] == np.unique(constant_numbers[has_arrival])
+        ).astype(float)
+        self._n_unknowns = 2 * n_harmonics + 1 + self._constant_columns.shape[1]
+        self._rounding = arrivals.rounding
+        self._constants_deviation = constants_deviation * arrivals.tip_radius
+        self._constants_stiffness = 0.0
+        self._set_constants_stiffness(
+            float(
+                np.std(
+                    self._subtract_constants(self._displacements, np.ones(len(revolution_indices)))
+                )
+            )
+        )
+        self._null_noise = fit_noise_by_reweighting(
+            lambda weights: self._subtract_constants(self._displacements, weights),
+            np.ones(len(revolution_indices)), self._constant_columns.shape[1], self._rounding,
         )  # fmt: skip
 
-    def _stiffen(self, scatter: float) -> None:
+    def _set_constants_stiffness(self, displacement_scatter: float) -> None:
         """Set the stiffness that couples the probes' constants, for a scatter [m]."""
-        if self._constants.shape[1] > 1:
-            self._stiffness = (scatter / self._tip_deviation) ** 2
+        if self._constant_columns.shape[1] > 1:
+            self._constants_stiffness = (displacement_scatter / self._constants_deviation) ** 2
 
-    def _eliminate(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def _subtract_constants(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Subtract the weighted best constants from values (n,) or (n, m)."""
-        columns, count = weights[:, None] * self._constants, self._constants.shape[1]
-        square = self._constants.T @ columns + self._stiffness * (np.eye(count) - 1.0 / count)
-        return np.asarray(values - self._constants @ np.linalg.solve(square, columns.T @ values))
+        weighted_columns = weights[:, None] * self._constant_columns
+        n_constants = self._constant_columns.shape[1]
+        normal_matrix = self._constant_columns.T @ weighted_columns + self._constants_stiffness * (
+            np.eye(n_constants) - 1.0 / n_constants
+        )
+        return np.asarray(
+            values
+            - self._constant_columns @ np.linalg.solve(normal_matrix, weighted_columns.T @ values)
+        )
 
-    def _fit(
-        self, omega: float, weights: np.ndarray, values: np.ndarray, time: np.ndarray
+    def _fit_harmonics(
+        self, omega: float, weights: np.ndarray, values: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit harmonics and constants to values (n,) [m] at a frequency [rad/s].
 
@@ -230,167 +266,254 @@ class _FrequencySearch:
         columns : (n, 2K+1)
             Derivatives of the fit by the coefficients and by the frequency.
         """
-        waves, root = fourier_basis(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
-        block = self._eliminate(np.column_stack([waves, values]), weights)
-        columns, target = block[:, :-1], block[:, -1]
-        coefficients = np.linalg.lstsq(root * columns, root[:, 0] * target, rcond=1e-10)[0]
-        quadratures = waves[:, 0::2] * coefficients[1::2] - waves[:, 1::2] * coefficients[0::2]
-        slope = self._eliminate(time * (quadratures @ self._multiples), weights)
-        return coefficients, target - columns @ coefficients, np.column_stack([columns, slope])
+        wave_columns = fourier_basis(omega * times, self._multiples)[:, 1:]
+        sqrt_weights = np.sqrt(weights)[:, None]
+        columns_and_values = self._subtract_constants(
+            np.column_stack([wave_columns, values]), weights
+        )
+        reduced_columns = columns_and_values[:, :-1]
+        reduced_displacements = columns_and_values[:, -1]
+        coefficients = np.linalg.lstsq(
+            sqrt_weights * reduced_columns, sqrt_weights[:, 0] * reduced_displacements, rcond=1e-10
+        )[0]
+        quadrature_waves = (
+            wave_columns[:, 0::2] * coefficients[1::2] - wave_columns[:, 1::2] * coefficients[0::2]
+        )
+        omega_slope = self._subtract_constants(
+            times * (quadrature_waves @ self._multiples), weights
+        )
+        return (
+            coefficients,
+            reduced_displacements - reduced_columns @ coefficients,
+            np.column_stack([reduced_columns, omega_slope]),
+        )
 
-    def _refine(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
+    def _refine_omega_and_fit(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
         """Return a frequency [rad/s] refined by least squares, and its fit."""
-        unit, root = np.pi / self._span, np.sqrt(weights)[:, None]
+        omega_unit, sqrt_weights = np.pi / self._duration, np.sqrt(weights)[:, None]
         best_omega, fit = omega, None
 
-        def evaluate(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def evaluate(unit_step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             nonlocal best_omega, fit
-            best_omega = omega + unit * float(step[0])
-            _, residuals, columns = fit = self._fit(best_omega, weights, self._values, self._time)
-            vibration, slope = root * columns[:, :-1], -unit * root * columns[:, -1:]
-            slope -= vibration @ np.linalg.lstsq(vibration, slope, rcond=1e-10)[0]
-            return root[:, 0] * residuals, slope
+            best_omega = omega + omega_unit * float(unit_step[0])
+            _, residuals, columns = fit = self._fit_harmonics(
+                best_omega, weights, self._displacements, self._times
+            )
+            weighted_columns = sqrt_weights * columns[:, :-1]
+            omega_slopes = -omega_unit * sqrt_weights * columns[:, -1:]
+            omega_slopes -= (
+                weighted_columns @ np.linalg.lstsq(weighted_columns, omega_slopes, rcond=1e-10)[0]
+            )
+            return sqrt_weights[:, 0] * residuals, omega_slopes
 
-        min_step, max_step = ([(limit - omega) / unit] for limit in self._ends)
-        refined(evaluate, min_step, max_step, ROBUST_SETTLED**2)  # peaks are compared by their sums
+        min_unit_steps, max_unit_steps = (
+            [(omega_bound - omega) / omega_unit] for omega_bound in self._omega_bounds
+        )
+        find_least_squares_residuals(
+            evaluate, min_unit_steps, max_unit_steps, WEIGHTING_TOLERANCE**2
+        )  # peaks are compared by their sums
         return best_omega, fit
 
-    def find_best(self) -> tuple[TipFit, float]:
+    def find_best_fit_and_chance(self) -> tuple[TipFit, float]:
         """Return the best vibration, and the probability of its size in noise.
 
         Among vibrations that explain the displacements equally well, the smallest is the best.
         """
-        trials: list[tuple[bool, float, float]] = []
+        refined_peaks: list[tuple[bool, float, float]] = []
         weights = self._null_noise.weights
-        for start in self._find_peaks().tolist():
-            omega, (_, residuals, columns) = self._refine(start, weights)
-            trials.append((self._is_hidden(columns), float(weights @ residuals**2), omega))
-        peaks: list[float] = []
-        for _, _, omega in sorted(trials):  # nearer to a higher one they are its side lobes
-            if all(abs(omega - peak) >= 2.0 * RAD_PER_TURN / self._span for peak in peaks):
-                peaks.append(omega)
-        self.omega = peaks[0]
-        self._settle()
-        candidates, self.omega = self._compare(np.sort([self.omega, *peaks[1:]]))
-        self._settle()
+        for initial_omega in self._find_peak_omegas().tolist():
+            omega, (_, residuals, columns) = self._refine_omega_and_fit(initial_omega, weights)
+            refined_peaks.append(
+                (self._constants_absorb_vibration(columns), float(weights @ residuals**2), omega)
+            )
+        separate_omegas: list[float] = []
+        for _, _, omega in sorted(refined_peaks):  # nearer to a higher one they are its side lobes
+            if all(
+                abs(omega - separate_omega) >= 2.0 * RAD_PER_TURN / self._duration
+                for separate_omega in separate_omegas
+            ):
+                separate_omegas.append(omega)
+        self.omega = separate_omegas[0]
+        self._fit_with_reweighting()
+        candidates, self.omega = self._compare_omegas_and_select(
+            np.sort([self.omega, *separate_omegas[1:]])
+        )
+        self._fit_with_reweighting()
         # Errors of a mark are common to all arrivals of a revolution, which are worth less.
-        covariance = self.noise.covariance(self.columns, self._places)[:-1, :-1]
-        wald = float(
+        covariance = self.noise.coefficient_covariance(self.columns, self._places)[:-1, :-1]
+        wald_statistic = float(
             self.coefficients @ np.linalg.lstsq(covariance, self.coefficients, rcond=1e-10)[0]
         )
-        gain = max(min(self._null_noise.cost - self.noise.cost, wald), 0.0)
-        cells = max(float(np.ptp(self._ends)) * self._span / RAD_PER_TURN, 1.0)
-        chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
-        return self._describe(candidates), 1.0 if self._is_hidden(self.columns) else chance
+        significance_statistic = max(
+            min(self._null_noise.cost - self.noise.cost, wald_statistic), 0.0
+        )
+        n_resolved_frequencies = max(
+            float(np.ptp(self._omega_bounds)) * self._duration / RAD_PER_TURN, 1.0
+        )
+        chance = min(
+            n_resolved_frequencies
+            * float(chdtrc(2 * len(self._multiples) + 1, significance_statistic)),
+            1.0,
+        )
+        return self._build_tip_fit(candidates), 1.0 if self._constants_absorb_vibration(
+            self.columns
+        ) else chance
 
-    def _is_hidden(self, columns: np.ndarray) -> bool:
+    def _constants_absorb_vibration(self, columns: np.ndarray) -> bool:
         """Return True if constants absorb half of some vibration's squares or more."""
-        waves = columns[:, :-1]
-        return bool(np.linalg.eigvalsh(waves.T @ waves)[0] < 0.25 * len(columns))
+        reduced_waves = columns[:, :-1]
+        return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))
 
-    def _find_peaks(self) -> np.ndarray:
+    def _find_peak_omegas(self) -> np.ndarray:
         """Return the frequencies (n,) [rad/s] of the highest peaks in a periodogram."""
-        min_omega, max_omega = self._ends
-        step = RAD_PER_TURN / (4.0 * self._span)  # of the resolution a quarter
-        begin, end = int(np.ceil(min_omega / step)), int(np.floor(max_omega / step)) + 1
-        if not 0 < end - begin < MAX_FREQUENCIES:
-            requirement = f"between {step:.3g} and {MAX_FREQUENCIES * step:.3g} rad/s"
+        min_omega, max_omega = self._omega_bounds
+        omega_step = RAD_PER_TURN / (4.0 * self._duration)  # of the resolution a quarter
+        first_step = int(np.ceil(min_omega / omega_step))
+        end_step = int(np.floor(max_omega / omega_step)) + 1
+        if not 0 < end_step - first_step < MAX_SCANNED_FREQUENCIES:
+            requirement = (
+                f"between {omega_step:.3g} and {MAX_SCANNED_FREQUENCIES * omega_step:.3g} rad/s"
+            )
             raise InputError("high - low", max_omega - min_omega, requirement)
-        values, steps, power = self._null_noise.psi, np.arange(begin, end), np.zeros(end - begin)
-        size = 10**6  # at once, for the memory
-        for multiple, offset in itertools.product(self._multiples, range(0, end - begin, size)):
-            band = power[offset : offset + size]
-            phase = multiple * step * self._time
-            band += np.abs(_spectrum(phase, values, begin + offset, len(band))) ** 2
+        noise_psi = self._null_noise.psi
+        step_numbers = np.arange(first_step, end_step)
+        power = np.zeros(end_step - first_step)
+        block_size = 10**6  # at once, for the memory
+        for multiple, block_start in itertools.product(
+            self._multiples, range(0, end_step - first_step, block_size)
+        ):
+            power_block = power[block_start : block_start + block_size]
+            step_phases = multiple * omega_step * self._times
+            power_block += (
+                np.abs(
+                    _compute_spectrum(
+                        step_phases, noise_psi, first_step + block_start, len(power_block)
+                    )
+                )
+                ** 2
+            )
         padded_power = np.concatenate([[-np.inf], power, [-np.inf]])
-        peaks = np.flatnonzero((power >= padded_power[:-2]) & (power >= padded_power[2:]))
-        peaks = peaks[np.argsort(-power[peaks])[:MAX_PEAKS]]
-        if power[peaks[0]] < np.log(len(steps)) * float(values @ values):
-            peaks = peaks[:1]  # as high as in noise: exponentially distributed
-        return np.asarray(step * steps[peaks[power[peaks] > LOWEST * power[peaks[0]]]])
+        peak_indices = np.flatnonzero((power >= padded_power[:-2]) & (power >= padded_power[2:]))
+        peak_indices = peak_indices[np.argsort(-power[peak_indices])[:MAX_REFINED_PEAKS]]
+        if power[peak_indices[0]] < np.log(len(step_numbers)) * float(noise_psi @ noise_psi):
+            peak_indices = peak_indices[:1]  # as high as in noise: exponentially distributed
+        return np.asarray(
+            omega_step
+            * step_numbers[
+                peak_indices[power[peak_indices] > MIN_RELATIVE_PEAK * power[peak_indices[0]]]
+            ]
+        )
 
-    def _settle(self) -> None:
+    def _fit_with_reweighting(self) -> None:
         """Fit frequency, harmonics and constants in turns with weights."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            self.omega, (self.coefficients, residuals, self.columns) = self._refine(
+            self.omega, (self.coefficients, residuals, self.columns) = self._refine_omega_and_fit(
                 self.omega, weights
             )
             return np.asarray(residuals)
 
-        self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._rounding)
-        self._stiffen(self.noise.scale)
+        self.noise = fit_noise_by_reweighting(
+            solve, np.ones(len(self._displacements)), self._n_unknowns, self._rounding
+        )
+        self._set_constants_stiffness(self.noise.scale)
 
-    def _compare(self, omegas: np.ndarray) -> tuple[Candidates, float]:
+    def _compare_omegas_and_select(self, omegas: np.ndarray) -> tuple[Candidates, float]:
         """Compare frequencies (n,) [rad/s] with the weights of the best fit.
 
         Return all as candidates, and the frequency to take [rad/s].
         """
-        weights, limit = self.noise.weights, LEVELS.equal * self.noise.scale**2
-        fits = [self._fit(omega, weights, self._values, self._time) for omega in omegas]
-        sums = np.array([weights @ residuals**2 for _, residuals, _ in fits])
-        sizes = np.array([np.linalg.norm(coefficients) for coefficients, _, _ in fits])
-        conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
-        hidden = np.array([self._is_hidden(columns) for _, _, columns in fits])
-        equivalent, index = select_candidate(sums, sizes, limit, ~hidden)
-        # Arrivals that are not where they were expected distinguish aliases, but not reliably.
-        wave = (
-            fourier_basis(omegas[index] * self._expected_time, self._multiples)[:, 1:]
-            @ fits[index][0]
+        weights = self.noise.weights
+        allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
+        fits = [
+            self._fit_harmonics(omega, weights, self._displacements, self._times)
+            for omega in omegas
+        ]
+        residual_square_sums = np.array([weights @ residuals**2 for _, residuals, _ in fits])
+        vibration_sizes = np.array([np.linalg.norm(coefficients) for coefficients, _, _ in fits])
+        condition_numbers = np.array([condition_number(columns[:, :-1]) for _, _, columns in fits])
+        is_hidden = np.array([self._constants_absorb_vibration(columns) for _, _, columns in fits])
+        is_equivalent, best_index = select_candidate(
+            residual_square_sums, vibration_sizes, allowed_difference, ~is_hidden
         )
-        misfits = [self._fit(omega, weights, wave, self._expected_time)[1] for omega in omegas]
-        equivalent |= np.array([weights @ residuals**2 for residuals in misfits]) < limit
-        rms = np.sqrt(sums / len(self._values))
+        # Arrivals that are not where they were expected distinguish aliases, but not reliably.
+        expected_wave = (
+            fourier_basis(omegas[best_index] * self._expected_times, self._multiples)[:, 1:]
+            @ fits[best_index][0]
+        )
+        wave_residuals = [
+            self._fit_harmonics(omega, weights, expected_wave, self._expected_times)[1]
+            for omega in omegas
+        ]
+        is_equivalent |= (
+            np.array([weights @ residuals**2 for residuals in wave_residuals]) < allowed_difference
+        )
+        rms_residuals = np.sqrt(residual_square_sums / len(self._displacements))
         orders = omegas / self._arrivals.mean_speed
-        return Candidates(orders, rms, conditions, equivalent, hidden), float(omegas[index])
+        return Candidates(
+            orders, rms_residuals, condition_numbers, is_equivalent, is_hidden
+        ), float(omegas[best_index])
 
-    def _describe(self, candidates: Candidates) -> TipFit:
+    def _build_tip_fit(self, candidates: Candidates) -> TipFit:
         """Return the fit, with its order in place of the nearest candidate."""
-        speed, count = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
-        order = self.omega / speed
+        mean_speed, n_coefficients = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
+        order = self.omega / mean_speed
         orders = candidates.orders.copy()
         orders[np.abs(orders - order).argmin()] = order
-        spare = len(self._values) - self._unknowns
-        fit_covariance = student(spare) * self.noise.covariance(self.columns, self._places)
-        covariance = np.zeros((count, count))
+        n_spare = len(self._displacements) - self._n_unknowns
+        fit_covariance = student_variance_ratio(n_spare) * self.noise.coefficient_covariance(
+            self.columns, self._places
+        )
+        covariance = np.zeros((n_coefficients, n_coefficients))
         covariance[1:, 1:] = fit_covariance[:-1, :-1]
-        covariance[0, 0] = student(spare) * self.noise.variance / len(self._values)
-        wave = fourier_basis(self.omega * self._time, self._multiples)[:, 1:] @ self.coefficients
+        covariance[0, 0] = (
+            student_variance_ratio(n_spare) * self.noise.variance / len(self._displacements)
+        )
+        fitted_wave = (
+            fourier_basis(self.omega * self._times, self._multiples)[:, 1:] @ self.coefficients
+        )
         weights = self.noise.weights
-        mean = float(weights @ (self._values - wave) / weights.sum())
+        mean_displacement = float(weights @ (self._displacements - fitted_wave) / weights.sum())
         return TipFit(
             order=order,
-            order_error=float(np.sqrt(fit_covariance[-1, -1])) / speed,
-            speed=speed,
+            order_error=float(np.sqrt(fit_covariance[-1, -1])) / mean_speed,
+            speed=mean_speed,
             multiples=self._multiples,
-            coefficients=np.append(mean, self.coefficients),
+            coefficients=np.append(mean_displacement, self.coefficients),
             covariance=covariance,
             scatter=float(np.sqrt(self.noise.variance)),
             misfit=np.nan,
-            spare=spare,
+            spare=n_spare,
             candidates=replace(candidates, orders=orders),
             asynchronous=(),
         )
 
 
-def _spectrum(phase: np.ndarray, values: np.ndarray, first_mode: int, count: int) -> np.ndarray:
+def _compute_spectrum(
+    phases: np.ndarray, values: np.ndarray, first_frequency_number: int, n_frequencies: int
+) -> np.ndarray:
     """Return sum_n values_n exp(-i m phase_n) at unevenly spaced phases (n,) [rad].
 
-    The m are ``count`` whole numbers from ``first_mode`` on. A Gaussian spreads each value over
-    neighbours on a grid; the spectrum is divided by the Gaussian's transform.
+    The m are ``n_frequencies`` whole numbers from ``first_frequency_number`` on. A Gaussian spreads
+    each value over neighbours on a grid; the spectrum is divided by the Gaussian's transform.
     """
-    reach = 8  # neighbours on each side, for eleven digits
-    modes = 2 * (count // 2 + 1)
-    middle, size = modes // 2, 2 * modes
-    width = np.pi * reach / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
-    terms = values * np.exp(-1j * (first_mode + middle) * phase)
-    place = np.floor(phase * size / RAD_PER_TURN).astype(int)
-    grid = np.zeros(size, dtype=complex)
-    for offset in range(1 - reach, reach + 1):
-        cells = place + offset
-        share = terms * np.exp(-((phase - RAD_PER_TURN * cells / size) ** 2) / (4.0 * width))
-        grid += np.bincount(cells % size, share.real, size)
-        grid += 1j * np.bincount(cells % size, share.imag, size)
-    order = np.arange(modes) - middle
-    spectrum = np.fft.fft(grid)[order] / size
-    return np.asarray(spectrum * np.sqrt(np.pi / width) * np.exp(order**2 * width))[:count]
+    reach_in_cells = 8  # neighbours on each side, for eleven digits
+    n_modes = 2 * (n_frequencies // 2 + 1)
+    middle_mode, n_cells = n_modes // 2, 2 * n_modes
+    # Of Greengard and Lee, twice as fine a grid.
+    gaussian_width = np.pi * reach_in_cells / (n_modes**2 * 3.0)
+    shifted_terms = values * np.exp(-1j * (first_frequency_number + middle_mode) * phases)
+    nearest_cells = np.floor(phases * n_cells / RAD_PER_TURN).astype(int)
+    grid = np.zeros(n_cells, dtype=complex)
+    for cell_offset in range(1 - reach_in_cells, reach_in_cells + 1):
+        cell_indices = nearest_cells + cell_offset
+        spread_terms = shifted_terms * np.exp(
+            -((phases - RAD_PER_TURN * cell_indices / n_cells) ** 2) / (4.0 * gaussian_width)
+        )
+        grid += np.bincount(cell_indices % n_cells, spread_terms.real, n_cells)
+        grid += 1j * np.bincount(cell_indices % n_cells, spread_terms.imag, n_cells)
+    mode_numbers = np.arange(n_modes) - middle_mode
+    spectrum = np.fft.fft(grid)[mode_numbers] / n_cells
+    return np.asarray(
+        spectrum * np.sqrt(np.pi / gaussian_width) * np.exp(mode_numbers**2 * gaussian_width)
+    )[:n_frequencies]

@@ -28,19 +28,25 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes, smooth_series
-from fenics_crack.arrivals.fit_frequency import find_lines
+from fenics_crack.arrivals.fit_frequency import find_lines_and_residuals
 from fenics_crack.arrivals.harmonics import (
     ORDERS,
     Candidates,
     HarmonicFit,
     TipFit,
-    compute_amplitudes,
-    condition,
-    refuse_probes,
+    compute_amplitudes_and_errors,
+    condition_number,
+    make_orders_and_multiples,
+    raise_too_few_probes,
     select_candidate,
-    wanted,
 )
-from fenics_crack.arrivals.robust import DEPENDENT, LEVELS, reweighted, student, trend
+from fenics_crack.arrivals.robust import (
+    CONFIDENCE_LEVELS,
+    DEPENDENT_EIGENVALUE_RATIO,
+    correlation_p_value,
+    fit_noise_by_reweighting,
+    student_variance_ratio,
+)
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
@@ -51,14 +57,14 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.numerics.fourier import fourier_basis
 
-N_FOLDED = 3
+N_FOLDED_HARMONICS = 3
 """Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
-FOLDED_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
+FOLDED_SIZE_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
 """Trial sizes of an omitted harmonic, relative to the last fitted harmonic.
 
 In a run-up, neighbouring groups are compared relative to the whole vibration.
 """
-NEIGHBOURS = 16
+N_NEIGHBOURS_PER_SIDE = 16
 """Number of groups on either side with the same ratios for omitted harmonics."""
 
 
@@ -112,84 +118,119 @@ def fit_order(
     --------
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
-    candidates, multiples = wanted(orders, harmonics, subharmonic)
+    candidate_orders, multiples = make_orders_and_multiples(orders, harmonics, subharmonic)
     arrivals.check_places(angle_deviation)
-    period, max_order = _find_period(candidates, multiples), float(candidates.max())
-    means = Means(arrivals, period, max_order, angle_deviation)
-    fit = _select_order(arrivals, means, candidates, multiples)
+    period_in_revolutions = _find_period_in_revolutions(candidate_orders, multiples)
+    max_order = float(candidate_orders.max())
+    means = ProbeMeans(arrivals, period_in_revolutions, max_order, angle_deviation)
+    fit = _fit_best_order(arrivals, means, candidate_orders, multiples)
     if means.lines and not fit.does_not_fit:  # again at the angles to which lines move the tip
-        line_effects = means.compute_line_effects(arrivals, fit)
-        means = Means(arrivals, period, max_order, angle_deviation, line_effects)
-        fit = _select_order(arrivals, means, candidates, multiples)
+        line_displacement_changes = means.compute_displacement_changes_by_lines(arrivals, fit)
+        means = ProbeMeans(
+            arrivals, period_in_revolutions, max_order, angle_deviation, line_displacement_changes
+        )
+        fit = _fit_best_order(arrivals, means, candidate_orders, multiples)
     return fit
 
 
-def _select_order(
-    arrivals: ArrivalTimes, means: Means, orders: np.ndarray, multiples: np.ndarray
+def _fit_best_order(
+    arrivals: ArrivalTimes, means: ProbeMeans, orders: np.ndarray, multiples: np.ndarray
 ) -> TipFit:
     """Fit all orders, and return the smallest of the best vibrations."""
-    unknowns = 2 * len(multiples) + 1
-    results = {place: means.fit(order, multiples) for place, order in enumerate(orders)}
-    fits = {place: fit for place, fit in results.items() if fit is not None}
-    if not fits:
-        refuse_probes(arrivals, unknowns)
-    hidden, (sums, sizes, costs) = np.full(len(orders), True), np.full((3, len(orders)), np.inf)
-    for place, fit in fits.items():
-        hidden[place], sums[place] = False, fit.sum_of_squares
-        sizes[place] = np.linalg.norm(fit.coefficients[1:])
-    ratio, misfit, freedom = means.test_misfit(float(sums.min()), unknowns)
-    equivalent, choice = select_candidate(sums, sizes, LEVELS.equal * ratio)
-    best_fit = fits[choice]
+    n_unknowns = 2 * len(multiples) + 1
+    fit_or_none_by_index = {
+        index: means.fit_order_or_none(order, multiples) for index, order in enumerate(orders)
+    }
+    fit_by_index = {index: fit for index, fit in fit_or_none_by_index.items() if fit is not None}
+    if not fit_by_index:
+        raise_too_few_probes(arrivals, n_unknowns)
+    is_hidden = np.full(len(orders), True)
+    residual_square_sums, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
+    for index, fit in fit_by_index.items():
+        is_hidden[index], residual_square_sums[index] = False, fit.sum_of_squares
+        vibration_sizes[index] = np.linalg.norm(fit.coefficients[1:])
+    variance_ratio, misfit, freedom = means.run_misfit_f_test(
+        float(residual_square_sums.min()), n_unknowns
+    )
+    is_equivalent, best_index = select_candidate(
+        residual_square_sums,
+        vibration_sizes,
+        CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio,
+    )
+    best_fit = fit_by_index[best_index]
     # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
-    wave = fourier_basis(orders[choice] * means.nominal, multiples) @ best_fit.coefficients
-    distances = np.array([means.wave_sum_of_squares(wave, order, multiples) for order in orders])
-    equivalent |= distances < LEVELS.equal * ratio
-    factor = ratio if np.isfinite(ratio) else np.nan
-    if means.within > 0 and len(means.values) > unknowns + 1:
+    best_wave = (
+        fourier_basis(orders[best_index] * means.nominal_angles, multiples) @ best_fit.coefficients
+    )
+    wave_residual_square_sums = np.array(
+        [means.compute_wave_residual_square_sum(best_wave, order, multiples) for order in orders]
+    )
+    is_equivalent |= (
+        wave_residual_square_sums < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
+    )
+    covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
+    if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        for place, fit in fits.items():
-            costs[place], fits[place] = means.fit_with_omitted(fit)
-        equivalent |= costs - costs.min() < LEVELS.equal
-        best_fit = fits[choice]
-        factor, _, freedom = means.test_misfit(best_fit.sum_of_squares, unknowns)
-        factor = max(factor, 1.0)
-    best_fit = replace(best_fit, covariance=factor * student(freedom) * best_fit.covariance)
-    residuals = np.array([means.rms_residual(order, multiples) for order in orders])
-    conditions = [condition(fourier_basis(order * means.nominal, multiples)) for order in orders]
+        for index, fit in fit_by_index.items():
+            costs[index], fit_by_index[index] = means.find_cost_and_fit_with_omitted(fit)
+        is_equivalent |= costs - costs.min() < CONFIDENCE_LEVELS.allowed_cost_difference
+        best_fit = fit_by_index[best_index]
+        covariance_factor, _, freedom = means.run_misfit_f_test(best_fit.sum_of_squares, n_unknowns)
+        covariance_factor = max(covariance_factor, 1.0)
+    best_fit = replace(
+        best_fit,
+        covariance=covariance_factor * student_variance_ratio(freedom) * best_fit.covariance,
+    )
+    rms_residuals = np.array([means.compute_rms_residual(order, multiples) for order in orders])
+    condition_numbers = [
+        condition_number(fourier_basis(order * means.nominal_angles, multiples)) for order in orders
+    ]
     return TipFit(
-        order=float(orders[choice]),
+        order=float(orders[best_index]),
         order_error=0.0,
         speed=arrivals.mean_speed,
         multiples=multiples,
         coefficients=best_fit.coefficients,
         covariance=best_fit.covariance,
-        scatter=means.scatter * float(np.sqrt(ratio if np.isfinite(ratio) else np.nan)),
+        scatter=means.scatter * float(np.sqrt(finite_ratio)),
         misfit=misfit,
-        folded=means.folding_chance(best_fit),
-        candidates=Candidates(orders, residuals, np.array(conditions), equivalent, hidden),
-        spare=len(means.values) - unknowns,
+        folded=means.compute_folding_chance(best_fit),
+        candidates=Candidates(
+            orders, rms_residuals, np.array(condition_numbers), is_equivalent, is_hidden
+        ),
+        spare=len(means.displacements) - n_unknowns,
         asynchronous=means.lines,
     )
 
 
-def _find_period(orders: np.ndarray, multiples: np.ndarray) -> int:
+def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> int:
     """Return the number of revolutions after which probes see the same motion.
 
     Raise InputError for products of ``orders`` and ``multiples`` with a period above 24
     revolutions.
     """
-    limit = 24
-    products = np.multiply.outer(orders, multiples).ravel()
-    fractions = [Fraction(product).limit_denominator(limit) for product in products.tolist()]
-    period = math.lcm(*(part.denominator for part in fractions))
-    if period > limit or np.any(np.abs([float(part) for part in fractions] - products) > 1e-9):
-        requirement = f"whole numbers, or fractions that repeat within {limit} revolutions"
+    max_allowed_period = 24
+    response_orders = np.multiply.outer(orders, multiples).ravel()
+    order_fractions = [
+        Fraction(response_order).limit_denominator(max_allowed_period)
+        for response_order in response_orders.tolist()
+    ]
+    period_in_revolutions = math.lcm(
+        *(order_fraction.denominator for order_fraction in order_fractions)
+    )
+    if period_in_revolutions > max_allowed_period or np.any(
+        np.abs([float(order_fraction) for order_fraction in order_fractions] - response_orders)
+        > 1e-9
+    ):
+        requirement = (
+            f"whole numbers, or fractions that repeat within {max_allowed_period} revolutions"
+        )
         raise InputError("orders", orders.tolist(), f"{requirement}; fit_frequency finds others")
-    return period
+    return period_in_revolutions
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _OrderFit:
     """Hold the least-squares fit of one order to g values.
 
     Attributes
@@ -204,7 +245,7 @@ class _Fit:
         Covariance of the coefficients.
     sum_of_squares : float
         Sum of squared residuals, in variances.
-    slope : (g,)
+    residual_per_error : (g,)
         Residual over error of a value, 1 + u' / R, with tip radius R and u' = du / d alpha: a late
         blade tip moves meanwhile.
     """
@@ -214,7 +255,7 @@ class _Fit:
     coefficients: np.ndarray
     covariance: np.ndarray
     sum_of_squares: float
-    slope: np.ndarray
+    residual_per_error: np.ndarray
 
 
 class _Sample:
@@ -222,136 +263,168 @@ class _Sample:
 
     Parameters
     ----------
-    nominal : (g,) [rad]
+    nominal_angles : (g,) [rad]
         Rotor angles at the expected blade tip.
-    values : (g,) [m]
+    displacements : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
-        Covariance of the values; with an unknown scale if ``freedom`` is 0.
-    freedom : int
+        Covariance of the values; with an unknown scale if ``freedom_within_groups`` is 0.
+    freedom_within_groups : int
         Degrees of freedom of this covariance, from arrivals within groups.
-    radius : float [m]
+    tip_radius : float [m]
         Radius of the blade tip.
 
     Attributes
     ----------
-    angle : (g,) [rad]
+    angles : (g,) [rad]
         Rotor angles at the displaced blade tip.
-    within : int
-        Degrees of freedom, as ``freedom``.
     """
 
     def __init__(
         self,
-        nominal: np.ndarray,
-        values: np.ndarray,
+        nominal_angles: np.ndarray,
+        displacements: np.ndarray,
         covariance: np.ndarray,
-        freedom: int,
-        radius: float,
+        freedom_within_groups: int,
+        tip_radius: float,
     ) -> None:
-        self.nominal, self.values, self.within, self._radius = nominal, values, freedom, radius
-        self.angle = nominal - values / radius
+        self.nominal_angles = nominal_angles
+        self.displacements = displacements
+        self.freedom_within_groups = freedom_within_groups
+        self._radius = tip_radius
+        self.angles = nominal_angles - displacements / tip_radius
         self.covariance = covariance
         # At two places of a wave the error of a probe's angle is the same.
-        self._cholesky = np.linalg.cholesky(covariance + DEPENDENT * np.diag(np.diag(covariance)))
+        self._cholesky_factor = np.linalg.cholesky(
+            covariance + DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
+        )
 
-    def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
+    def fit_order_or_none(self, order: float, multiples: np.ndarray) -> _OrderFit | None:
         """Fit an order by least squares.
 
         Return None if the probes cannot measure the order, or if the blade tip would move
         backwards.
         """
-        columns = fourier_basis(order * self.angle, multiples)
-        nominal_columns = fourier_basis(order * self.nominal, multiples)
-        if np.isinf(condition(nominal_columns)) or np.isinf(condition(columns)):
+        columns = fourier_basis(order * self.angles, multiples)
+        nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
+        if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(columns)):
             return None
-        slope = np.ones(len(columns))
+        residual_per_error = np.ones(len(columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
-            fit_slope, (matrix, values) = slope, self._whiten(columns, self.values, slope)
-            coefficients = np.linalg.lstsq(matrix, values, rcond=None)[0]
-            quadratures = (
+            fitted_residual_per_error = residual_per_error
+            (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
+                columns, self.displacements, residual_per_error
+            )
+            coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
+            quadrature_waves = (
                 columns[:, 1::2] * coefficients[2::2] - columns[:, 2::2] * coefficients[1::2]
             )
-            slope = 1.0 + order * quadratures @ multiples / self._radius
-            if np.any(slope <= 0.0):
+            residual_per_error = 1.0 + order * quadrature_waves @ multiples / self._radius
+            if np.any(residual_per_error <= 0.0):
                 return None
-        residuals = values - matrix @ coefficients
-        covariance = np.linalg.inv(matrix.T @ matrix)
-        return _Fit(
-            order, multiples, coefficients, covariance, float(residuals @ residuals), fit_slope
+        residuals = whitened_displacements - whitened_columns @ coefficients
+        covariance = np.linalg.inv(whitened_columns.T @ whitened_columns)
+        return _OrderFit(
+            order,
+            multiples,
+            coefficients,
+            covariance,
+            float(residuals @ residuals),
+            fitted_residual_per_error,
         )
 
-    def _whiten(
-        self, columns: np.ndarray, values: np.ndarray, slope: np.ndarray
+    def _whiten_columns_and_values(
+        self, columns: np.ndarray, values: np.ndarray, residual_per_error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Divide columns and values by slopes and standard deviations.
 
         Columns are (g, m), values and slopes (g,).
         Correlated values are decorrelated, by the Cholesky factor of their covariance.
         """
-        block = np.column_stack([columns, values]) / slope[:, None]
-        block = solve_triangular(self._cholesky, block, lower=True)
-        return block[:, :-1], block[:, -1]
+        columns_and_values = np.column_stack([columns, values]) / residual_per_error[:, None]
+        columns_and_values = solve_triangular(self._cholesky_factor, columns_and_values, lower=True)
+        return columns_and_values[:, :-1], columns_and_values[:, -1]
 
-    def fit_with_omitted(self, fit: _Fit) -> tuple[float, _Fit]:
+    def find_cost_and_fit_with_omitted(self, fit: _OrderFit) -> tuple[float, _OrderFit]:
         """Return the restricted -2 log likelihood and the fit with omitted harmonics.
 
-        The next N_FOLDED harmonics are normal random numbers, with the most likely variance for the
-        values. If they are significant, the errors include their folding onto the fitted harmonics.
+        The next :data:`N_FOLDED_HARMONICS` harmonics are normal random numbers, with the most
+        likely variance for the displacements. If they are significant, the errors include their
+        folding onto the fitted harmonics.
         """
-        costs, fits = self.fit_omitted_sizes(fit, self._omitted_sizes(fit))
-        choice = int(np.argmin(costs))
-        return float(costs[choice]), fits[choice]
+        costs, fits = self.list_costs_and_fits_by_omitted_size(
+            fit, self._list_omitted_harmonic_sizes(fit)
+        )
+        best_index = int(np.argmin(costs))
+        return float(costs[best_index]), fits[best_index]
 
-    def fit_omitted_sizes(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
+    def list_costs_and_fits_by_omitted_size(
+        self, fit: _OrderFit, omitted_sizes: np.ndarray
+    ) -> tuple[np.ndarray, list[_OrderFit]]:
         """Return costs (n,) and fits for given sizes of the omitted harmonics.
 
         Sizes are standard deviations (n,) [m]. Costs are restricted -2 log likelihoods.
         """
-        costs, *estimates = self._solve_with_omitted(
-            fit, np.repeat(sizes[:, None], N_FOLDED, axis=1)
+        costs, *estimate_arrays = self._solve_with_omitted_harmonics(
+            fit, np.repeat(omitted_sizes[:, None], N_FOLDED_HARMONICS, axis=1)
         )
         return costs, [
             replace(
-                fit, coefficients=coefficients, covariance=covariance, sum_of_squares=float(squares)
+                fit,
+                coefficients=coefficients,
+                covariance=covariance,
+                sum_of_squares=float(residual_square_sum),
             )
-            for coefficients, covariance, squares in zip(*estimates, strict=True)
+            for coefficients, covariance, residual_square_sum in zip(*estimate_arrays, strict=True)
         ]
 
-    def folding_chance(self, fit: _Fit) -> float:
+    def compute_folding_chance(self, fit: _OrderFit) -> float:
         """Return the probability that an amplitude is off by over three errors.
 
         The probability is a mean over all sizes of omitted harmonics, weighted with the likelihood
         of the values, for the worst amplitude; nan for unknown errors.
         """
-        if self.within < 1:
+        if self.freedom_within_groups < 1:
             return np.nan
-        sizes = np.array(list(product(self._omitted_sizes(fit), repeat=N_FOLDED)))
-        costs, *estimates, _ = self._solve_with_omitted(fit, sizes)
-        weights = np.exp(0.5 * (costs.min() - costs))
-        middle, error = compute_amplitudes(fit.coefficients, fit.covariance)
-        amplitudes, errors = compute_amplitudes(*estimates)
-        limit = LEVELS.deviations * error
-        cdf_high, cdf_low = (ndtr((middle + end - amplitudes) / errors) for end in (limit, -limit))
-        return 1.0 - float((weights @ (cdf_high - cdf_low)).min() / weights.sum())
+        omitted_size_rows = np.array(
+            list(product(self._list_omitted_harmonic_sizes(fit), repeat=N_FOLDED_HARMONICS))
+        )
+        costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(fit, omitted_size_rows)
+        likelihood_weights = np.exp(0.5 * (costs.min() - costs))
+        fitted_amplitudes, fitted_errors = compute_amplitudes_and_errors(
+            fit.coefficients, fit.covariance
+        )
+        amplitudes, errors = compute_amplitudes_and_errors(*estimate_arrays)
+        allowed_deviations = CONFIDENCE_LEVELS.allowed_standard_errors * fitted_errors
+        upper_cdf, lower_cdf = (
+            ndtr((fitted_amplitudes + interval_end - amplitudes) / errors)
+            for interval_end in (allowed_deviations, -allowed_deviations)
+        )
+        return 1.0 - float(
+            (likelihood_weights @ (upper_cdf - lower_cdf)).min() / likelihood_weights.sum()
+        )
 
-    def _omitted_sizes(self, fit: _Fit) -> np.ndarray:
-        """Return trial standard deviations (n,) [m] of an omitted harmonic, by FOLDED_RATIOS."""
-        sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_RATIOS
-        return np.asarray(sizes[sizes < self.max_omitted_size])
+    def _list_omitted_harmonic_sizes(self, fit: _OrderFit) -> np.ndarray:
+        """Return trial standard deviations (n,) [m] of an omitted harmonic.
+
+        They follow from :data:`FOLDED_SIZE_RATIOS`.
+        """
+        omitted_sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_SIZE_RATIOS
+        return np.asarray(omitted_sizes[omitted_sizes < self.max_allowed_omitted_size])
 
     @property
-    def max_omitted_size(self) -> float:
+    def max_allowed_omitted_size(self) -> float:
         """Maximum standard deviation [m] of an omitted harmonic, for well-conditioned squares."""
-        return float(np.diag(self._cholesky).min() / np.sqrt(DEPENDENT))
+        return float(np.diag(self._cholesky_factor).min() / np.sqrt(DEPENDENT_EIGENVALUE_RATIO))
 
-    def _solve_with_omitted(
-        self, fit: _Fit, sizes: np.ndarray
+    def _solve_with_omitted_harmonics(
+        self, fit: _OrderFit, omitted_size_rows: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Repeat a fit with omitted harmonics as further unknowns.
 
-        Their values are 0 within standard deviations ``sizes`` (n, N_FOLDED) [m].
+        Their values are 0 within standard deviations ``omitted_size_rows`` [m], of shape
+        (n, N_FOLDED_HARMONICS).
 
         Returns
         -------
@@ -361,26 +434,45 @@ class _Sample:
             Coefficients of the fitted harmonics.
         covariances : (n, 2K+1, 2K+1) [m^2]
             Covariances of these coefficients.
-        squares : (n,)
+        residual_square_sums : (n,)
             Sums of squares, in variances.
         """
-        unknowns, multiples = len(fit.coefficients), fit.multiples
-        omitted_multiples = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
-        columns = fourier_basis(fit.order * self.angle, np.append(multiples, omitted_multiples))
-        volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
-        columns, values = self._whiten(columns, self.values, fit.slope)
-        scales = np.ones((len(sizes), columns.shape[1]))
-        scales[:, unknowns:] = np.repeat(sizes, 2, axis=1)
-        square = scales[:, :, None] * (columns.T @ columns) * scales[:, None, :]
-        square += np.diag(np.arange(columns.shape[1]) >= unknowns)
-        covariance = np.linalg.inv(square)
-        coefficients = (covariance @ (scales * (columns.T @ values))[..., None])[..., 0]
-        residuals = values - (scales * coefficients) @ columns.T
-        squares = (residuals**2).sum(axis=1) + (coefficients[:, unknowns:] ** 2).sum(axis=1)
-        costs = squares + np.linalg.slogdet(square)[1] - volume
-        return costs, coefficients[:, :unknowns], covariance[:, :unknowns, :unknowns], squares
+        n_unknowns, multiples = len(fit.coefficients), fit.multiples
+        omitted_multiples = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED_HARMONICS + 1.0)
+        wave_columns = fourier_basis(
+            fit.order * self.angles, np.append(multiples, omitted_multiples)
+        )
+        log_gram_determinant = np.linalg.slogdet(
+            wave_columns[:, :n_unknowns].T @ wave_columns[:, :n_unknowns]
+        )[1]
+        wave_columns, whitened_displacements = self._whiten_columns_and_values(
+            wave_columns, self.displacements, fit.residual_per_error
+        )
+        column_scales = np.ones((len(omitted_size_rows), wave_columns.shape[1]))
+        column_scales[:, n_unknowns:] = np.repeat(omitted_size_rows, 2, axis=1)
+        normal_matrices = (
+            column_scales[:, :, None] * (wave_columns.T @ wave_columns) * column_scales[:, None, :]
+        )
+        normal_matrices += np.diag(np.arange(wave_columns.shape[1]) >= n_unknowns)
+        covariances = np.linalg.inv(normal_matrices)
+        coefficients = (
+            covariances @ (column_scales * (wave_columns.T @ whitened_displacements))[..., None]
+        )[..., 0]
+        residuals = whitened_displacements - (column_scales * coefficients) @ wave_columns.T
+        residual_square_sums = (residuals**2).sum(axis=1) + (coefficients[:, n_unknowns:] ** 2).sum(
+            axis=1
+        )
+        costs = residual_square_sums + np.linalg.slogdet(normal_matrices)[1] - log_gram_determinant
+        return (
+            costs,
+            coefficients[:, :n_unknowns],
+            covariances[:, :n_unknowns, :n_unknowns],
+            residual_square_sums,
+        )
 
-    def test_misfit(self, squares: float, unknowns: int) -> tuple[float, float, float]:
+    def run_misfit_f_test(
+        self, residual_square_sum: float, n_unknowns: int
+    ) -> tuple[float, float, float]:
         """Test the misfit of a sum of squares, in variances (F test).
 
         Returns
@@ -392,40 +484,44 @@ class _Sample:
         freedom : float
             Degrees of freedom of the variance; inf for a significant misfit, which is not random.
         """
-        spare = len(self.values) - unknowns
-        total = self.within + spare
-        if self.within < 1:
-            return (squares / spare if spare else np.inf), np.nan, total
-        if spare < 1:
-            return 1.0, np.nan, total
-        chance = float(fdtrc(spare, self.within, squares / spare))
-        if chance < LEVELS.scatter:
-            return squares / spare, chance, np.inf
-        return (self.within + squares) / total, chance, total
+        n_spare = len(self.displacements) - n_unknowns
+        total_freedom = self.freedom_within_groups + n_spare
+        if self.freedom_within_groups < 1:
+            return (residual_square_sum / n_spare if n_spare else np.inf), np.nan, total_freedom
+        if n_spare < 1:
+            return 1.0, np.nan, total_freedom
+        chance = float(fdtrc(n_spare, self.freedom_within_groups, residual_square_sum / n_spare))
+        if chance < CONFIDENCE_LEVELS.misfit_errors_significance_level:
+            return residual_square_sum / n_spare, chance, np.inf
+        return (
+            (self.freedom_within_groups + residual_square_sum) / total_freedom,
+            chance,
+            total_freedom,
+        )
 
 
-class Means(_Sample):
+class ProbeMeans(_Sample):
     """Hold each probe's mean displacements, once per period, with their covariance.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Arrivals at a constant speed.
-    period : int
+    period_in_revolutions : int
         Revolutions after which a probe sees the same motion again.
-    order : float
+    max_order : float
         Largest candidate. Vibrations without an order are sought up to one order above this or
         above the default orders.
     angle_deviation : float [rad]
         Standard deviation of the probes' angles.
-    line_effects : (revolutions, probes) [m]
-        Displacements by :meth:`compute_line_effects`, which are subtracted.
+    line_displacement_changes : (revolutions, probes) [m]
+        Displacements by :meth:`compute_displacement_changes_by_lines`, which are subtracted.
 
     Attributes
     ----------
     scatter : float [m]
         Scatter of a displacement about the mean; 1 if unknown.
-    values, angle : (g,) [m, rad]
+    displacements, angles : (g,) [m, rad]
         Means, and rotor angles at the displaced blade tip.
     covariance : (g, g) [m^2]
         Covariance of the means.
@@ -436,72 +532,92 @@ class Means(_Sample):
     def __init__(
         self,
         arrivals: ArrivalTimes,
-        period: int,
-        order: float,
+        period_in_revolutions: int,
+        max_order: float,
         angle_deviation: float,
-        line_effects: np.ndarray | float = 0.0,
+        line_displacement_changes: np.ndarray | float = 0.0,
     ) -> None:
-        count, probes = arrivals.time.shape
-        row = (arrivals.first + np.arange(count)) % period
-        constants = row[:, None] * probes + np.arange(probes)
-        self.lines, values = find_lines(
-            arrivals, arrivals.displacement - line_effects, constants, order
+        n_revolutions, n_probes = arrivals.time.shape
+        row_in_period = (arrivals.first + np.arange(n_revolutions)) % period_in_revolutions
+        constant_numbers = row_in_period[:, None] * n_probes + np.arange(n_probes)
+        self.lines, displacements = find_lines_and_residuals(
+            arrivals, arrivals.displacement - line_displacement_changes, constant_numbers, max_order
         )
-        mask = np.isfinite(values)
-        places = np.nonzero(mask)
-        groups, group = np.unique(constants[mask], return_inverse=True)
-        self._displacement, self._group = values[mask], group
-        nominal = arrivals.probes[groups % probes] + RAD_PER_TURN * (groups // probes)
-        freedom = len(group) - len(groups)
+        has_arrival = np.isfinite(displacements)
+        places = np.nonzero(has_arrival)
+        group_numbers, group_indices = np.unique(constant_numbers[has_arrival], return_inverse=True)
+        self._arrival_displacements, self._group_indices = displacements[has_arrival], group_indices
+        nominal_angles = arrivals.probes[group_numbers % n_probes] + RAD_PER_TURN * (
+            group_numbers // n_probes
+        )
+        freedom_within_groups = len(group_indices) - len(group_numbers)
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            self.values = np.bincount(group, weights * self._displacement) / np.bincount(
-                group, weights
-            )
-            return self._displacement - self.values[group]
+            self.displacements = np.bincount(
+                group_indices, weights * self._arrival_displacements
+            ) / np.bincount(group_indices, weights)
+            return self._arrival_displacements - self.displacements[group_indices]
 
-        noise = reweighted(solve, np.ones(len(group)), len(groups), arrivals.rounding)
-        columns = np.eye(len(groups))[group]
-        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group))
-        if freedom > 0:
+        noise = fit_noise_by_reweighting(
+            solve, np.ones(len(group_indices)), len(group_numbers), arrivals.rounding
+        )
+        group_columns = np.eye(len(group_numbers))[group_indices]
+        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
+        if freedom_within_groups > 0:
             self.scatter = max(float(np.sqrt(noise.variance)), arrivals.rounding)
-            covariance = noise.covariance(columns, places)
-            covariance += np.eye(len(groups)) * arrivals.rounding**2
-            probe = groups % probes
+            covariance = noise.coefficient_covariance(group_columns, places)
+            covariance += np.eye(len(group_numbers)) * arrivals.rounding**2
+            probe_indices = group_numbers % n_probes
             angle_variance = (arrivals.tip_radius * angle_deviation) ** 2
-            covariance += angle_variance * (probe[:, None] == probe)
-        super().__init__(nominal, self.values, covariance, freedom, arrivals.tip_radius)
+            covariance += angle_variance * (probe_indices[:, None] == probe_indices)
+        super().__init__(
+            nominal_angles,
+            self.displacements,
+            covariance,
+            freedom_within_groups,
+            arrivals.tip_radius,
+        )
 
-    def compute_line_effects(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
+    def compute_displacement_changes_by_lines(
+        self, arrivals: ArrivalTimes, fit: TipFit
+    ) -> np.ndarray:
         """Return how the lines change an order's displacements: (revolutions, probes) [m].
 
         Lines move the blade tip along the order's wave. The wave becomes smaller, and further lines
         appear at the sums and differences of the frequencies.
         """
-        angle = np.full(arrivals.time.shape, np.nan)
-        angle[np.isfinite(arrivals.time)] = self.angle[self._group]
+        group_angles = np.full(arrivals.time.shape, np.nan)
+        group_angles[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
         line_motion = sum(
-            line.displacement(line.phases(arrivals)) - line.coefficients[0] for line in self.lines
+            line_fit.displacement(line_fit.phases(arrivals)) - line_fit.coefficients[0]
+            for line_fit in self.lines
         )
-        displacement = fit.displacement(angle - line_motion / arrivals.tip_radius)
-        return displacement - fit.displacement(angle)
+        moved_displacements = fit.displacement(group_angles - line_motion / arrivals.tip_radius)
+        return moved_displacements - fit.displacement(group_angles)
 
-    def wave_sum_of_squares(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
+    def compute_wave_residual_square_sum(
+        self, wave: np.ndarray, order: float, multiples: np.ndarray
+    ) -> float:
         """Return the residual squares after fitting an order to a wave.
 
         The squares are in variances; the wave is (g,) [m].
         Both are at the nominal angles.
         """
-        columns = fourier_basis(order * self.nominal, multiples)
-        columns, values = self._whiten(columns, wave, np.ones(len(wave)))
-        residuals = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
+        wave_columns = fourier_basis(order * self.nominal_angles, multiples)
+        wave_columns, whitened_wave = self._whiten_columns_and_values(
+            wave_columns, wave, np.ones(len(wave))
+        )
+        residuals = (
+            whitened_wave
+            - wave_columns @ np.linalg.lstsq(wave_columns, whitened_wave, rcond=1e-10)[0]
+        )
         return float(residuals @ residuals)
 
-    def rms_residual(self, order: float, multiples: np.ndarray) -> float:
+    def compute_rms_residual(self, order: float, multiples: np.ndarray) -> float:
         """Return the root mean square residual of an order [m]."""
-        columns = fourier_basis(order * self.angle, multiples)
-        coefficients = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
-        residuals = self._displacement - (columns @ coefficients)[self._group]
+        columns = fourier_basis(order * self.angles, multiples)
+        coefficients = np.linalg.lstsq(columns, self.displacements, rcond=1e-10)[0]
+        residuals = self._arrival_displacements - (columns @ coefficients)[self._group_indices]
         return float(np.sqrt(np.mean(residuals**2)))
 
 
@@ -549,8 +665,8 @@ class TipTrack(HarmonicFit):
         The fit has a misfit, omitted harmonics may be folded, or either test is impossible, for
         instance with as many unknowns as probes.
         """
-        is_unknown = np.isnan([self.misfit, self.folded])
-        return self.does_not_fit or self.may_be_folded or bool(np.any(is_unknown))
+        is_chance_unknown = np.isnan([self.misfit, self.folded])
+        return self.does_not_fit or self.may_be_folded or bool(np.any(is_chance_unknown))
 
     frequency = hertz_property()
 
@@ -561,21 +677,23 @@ class TipTrack(HarmonicFit):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every group of revolutions."""
-        columns = add_frequency_entries(
+        column_by_name = add_frequency_entries(
             {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
         )
-        for index, multiple in enumerate(self.multiples):
-            columns[f"amplitude_{multiple:g}"] = self.amplitudes[:, index].tolist()
-            columns[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[:, index].tolist()
-        return columns
+        for multiple_index, multiple in enumerate(self.multiples):
+            column_by_name[f"amplitude_{multiple:g}"] = self.amplitudes[:, multiple_index].tolist()
+            column_by_name[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[
+                :, multiple_index
+            ].tolist()
+        return column_by_name
 
     def _units(self) -> Mapping[str, str]:
         return UNIT_BY_NAME | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
 
     def _title(self) -> str:
-        speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        points = format_count(len(self.speed), "point")
-        return ", ".join([f"order {self.order:g}", speeds, points, *self._doubts])
+        speeds_text = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
+        points_text = format_count(len(self.speed), "point")
+        return ", ".join([f"order {self.order:g}", speeds_text, points_text, *self._doubt_texts])
 
 
 def track_order(
@@ -623,75 +741,158 @@ def track_order(
     --------
     >>> track = fc.track_order(arrivals, 6)
     """
-    _, multiples = wanted([order], harmonics, subharmonic)
+    _, multiples = make_orders_and_multiples([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
     arrivals.check_places(angle_deviation)
-    groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
-    probes = len(arrivals.probes)
-    if not groups:
+    n_groups, n_unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
+    n_probes = len(arrivals.probes)
+    if not n_groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    phase = order * arrivals.nominal_angle[:revolutions].ravel()
-    if np.isinf(condition(fourier_basis(phase, multiples))):
-        refuse_probes(arrivals, unknowns)
-    shape = (groups, revolutions * probes)
-    angle, nominal, values = (
-        array[: groups * revolutions].reshape(shape)
-        for array in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
+    first_phases = order * arrivals.nominal_angle[:revolutions].ravel()
+    if np.isinf(condition_number(fourier_basis(first_phases, multiples))):
+        raise_too_few_probes(arrivals, n_unknowns)
+    angles, nominal_angles, displacements = (
+        source_array[: n_groups * revolutions].reshape(n_groups, revolutions * n_probes)
+        for source_array in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
     )
-    mask = np.isfinite(values)
-    count, values = mask.sum(axis=1), np.where(mask, values, 0.0)
-    columns, nominal_columns = (
-        np.where(mask[..., None], fourier_basis(order * np.nan_to_num(array), multiples), 0.0)
-        for array in (angle, nominal)
+    has_arrival = np.isfinite(displacements)
+    n_arrivals, displacements = has_arrival.sum(axis=1), np.where(has_arrival, displacements, 0.0)
+    wave_columns, nominal_columns = (
+        np.where(has_arrival[..., None], fourier_basis(order * angle_array, multiples), 0.0)
+        for angle_array in (np.nan_to_num(angles), nominal_angles)
     )
-    has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == unknowns
-    inverse = np.linalg.pinv(columns)
-    position = (nominal - nominal[:, :1] + arrivals.probes[0]) / (RAD_PER_TURN * revolutions) - 0.5
-    values, changes = _subtract_changes(values, inverse, columns, position, np.flatnonzero(has_fit))
-    coefficients = inverse @ values[..., None]
-    residuals = np.where(mask & has_fit[:, None], values - (columns @ coefficients)[..., 0], 0.0)
-    places = np.nonzero(mask.reshape(-1, probes))
-    spare = probes * (subharmonic if revolutions > 1 else 1) - unknowns
-    misfit = trend(residuals.reshape(-1, probes)[places], places) if spare > 0 else np.nan
-    variance, freedom = _variance(residuals, mask, np.where(has_fit, count - unknowns, 0))
+    has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == n_unknowns
+    column_pseudoinverses = np.linalg.pinv(wave_columns)
+    group_angle = RAD_PER_TURN * revolutions
+    positions = (nominal_angles - nominal_angles[:, :1] + arrivals.probes[0]) / group_angle - 0.5
+    displacements, coefficient_changes = _subtract_linear_changes(
+        displacements, column_pseudoinverses, wave_columns, positions, np.flatnonzero(has_fit)
+    )
+    coefficients = column_pseudoinverses @ displacements[..., None]
+    residuals = np.where(
+        has_arrival & has_fit[:, None], displacements - (wave_columns @ coefficients)[..., 0], 0.0
+    )
+    places = np.nonzero(has_arrival.reshape(-1, n_probes))
+    n_spare = n_probes * (subharmonic if revolutions > 1 else 1) - n_unknowns
+    misfit = np.nan
+    if n_spare > 0:
+        misfit = correlation_p_value(residuals.reshape(-1, n_probes)[places], places)
+    variance, freedom = _estimate_variance_and_freedom(
+        residuals, has_arrival, np.where(has_fit, n_arrivals - n_unknowns, 0)
+    )
     variance = max(variance, arrivals.rounding**2)
-    probe = np.tile(np.arange(probes), revolutions)
-    angle_covariance = (arrivals.tip_radius * angle_deviation) ** 2 * (probe[:, None] == probe)
-    covariance = variance * np.eye(len(probe)) + angle_covariance
-    coefficients = np.full((groups, unknowns), np.nan)
-    covariances = np.full((groups, unknowns, unknowns), np.nan)
-    fits = {}
-    for group in np.flatnonzero(has_fit).tolist():
-        row = mask[group]
-        cov = covariance[np.ix_(row, row)]
-        sample = _Sample(nominal[group, row], values[group, row], cov, freedom, arrivals.tip_radius)
-        if (fit := sample.fit(order, multiples)) is not None:
-            fits[group] = sample, fit
-    if spare > 1 and freedom > 0:
-        fits = _fit_neighbours(fits)
-    for group, (sample, fit) in fits.items():
+    sample_fit_by_group = _fit_samples_by_group(
+        arrivals, order, multiples, nominal_angles, displacements, has_arrival,
+        np.flatnonzero(has_fit), variance, freedom, angle_deviation,
+    )  # fmt: skip
+    if n_spare > 1 and freedom > 0:
+        sample_fit_by_group = _refit_groups_with_omitted_harmonics(sample_fit_by_group)
+    coefficients, covariances = _find_coefficients_and_covariances(
+        sample_fit_by_group, n_arrivals, coefficient_changes, freedom
+    )
+    amplitudes, errors = compute_amplitudes_and_errors(coefficients, covariances)
+    fold_risk = np.nan
+    if n_spare > 1 and freedom > 0 and sample_fit_by_group:
+        peak_groups = {int(np.nanargmax(group_amplitudes)) for group_amplitudes in amplitudes.T}
+        fold_risk = max(
+            sample.compute_folding_chance(fit)
+            for sample, fit in map(sample_fit_by_group.__getitem__, peak_groups)
+        )
+    group_marks = arrivals.marks[: n_groups * revolutions + 1 : revolutions]
+    speeds = 2.0 * np.pi * revolutions / np.diff(group_marks)
+    return TipTrack(order, speeds, multiples, coefficients, amplitudes, errors, misfit, fold_risk)
+
+
+def _fit_samples_by_group(
+    arrivals: ArrivalTimes,
+    order: float,
+    multiples: np.ndarray,
+    nominal_angles: np.ndarray,
+    displacements: np.ndarray,
+    has_arrival: np.ndarray,
+    fitted_groups: np.ndarray,
+    variance: float,
+    freedom: int,
+    angle_deviation: float,
+) -> dict[int, tuple[_Sample, _OrderFit]]:
+    """Fit an order to each group, and return samples and fits by group index.
+
+    There are n groups with m arrivals each. A group is left out if the probes cannot measure the
+    order.
+
+    Parameters
+    ----------
+    arrivals, order, multiples, angle_deviation
+        Record, order p, multiples (K,), and standard deviation of the probes' angles [rad].
+    nominal_angles, displacements, has_arrival : (n, m)
+        Rotor angles without vibration [rad], displacements [m], and True for an arrival.
+    fitted_groups : (k,)
+        Indices of groups with enough arrivals.
+    variance, freedom : float [m^2], int
+        Variance of a displacement, and its degrees of freedom.
+    """
+    probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
+    is_same_probe = probe_indices[:, None] == probe_indices
+    covariance = variance * np.eye(len(probe_indices))
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * is_same_probe
+    sample_fit_by_group = {}
+    for group in fitted_groups.tolist():
+        is_used = has_arrival[group]
+        sample = _Sample(
+            nominal_angles[group, is_used],
+            displacements[group, is_used],
+            covariance[np.ix_(is_used, is_used)],
+            freedom,
+            arrivals.tip_radius,
+        )
+        if (fit := sample.fit_order_or_none(order, multiples)) is not None:
+            sample_fit_by_group[group] = sample, fit
+    return sample_fit_by_group
+
+
+def _find_coefficients_and_covariances(
+    sample_fit_by_group: dict[int, tuple[_Sample, _OrderFit]],
+    n_arrivals: np.ndarray,
+    coefficient_changes: np.ndarray,
+    freedom: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients and covariances of n groups; nan without a fit.
+
+    Parameters
+    ----------
+    sample_fit_by_group : dict
+        Samples and fits by group index.
+    n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
+        Arrivals in each group, and changes by :func:`_subtract_linear_changes`.
+    freedom : int
+        Degrees of freedom of the variance of a displacement.
+
+    Returns
+    -------
+    coefficients : (n, 2K+1) [m]
+        a0, a1, b1, ....
+    covariances : (n, 2K+1, 2K+1) [m^2]
+        Covariances of the coefficients; nan also without a spare arrival.
+    """
+    coefficients = np.full(coefficient_changes.shape, np.nan)
+    n_unknowns = coefficient_changes.shape[1]
+    covariances = np.full((len(n_arrivals), n_unknowns, n_unknowns), np.nan)
+    for group, (sample, fit) in sample_fit_by_group.items():
         coefficients[group] = fit.coefficients
-        if count[group] > unknowns:
-            factor, _, total_freedom = sample.test_misfit(fit.sum_of_squares, unknowns)
+        if n_arrivals[group] > n_unknowns:
+            factor, _, total_freedom = sample.run_misfit_f_test(fit.sum_of_squares, n_unknowns)
             factor = max(factor, 1.0) if freedom else factor
-            covariances[group] = factor * student(total_freedom) * fit.covariance
-            covariances[group] += np.outer(changes[group], changes[group])
-    amplitudes, errors = compute_amplitudes(coefficients, covariances)
-    chance = np.nan
-    if spare > 1 and freedom > 0 and fits:
-        peaks = {int(np.nanargmax(sizes)) for sizes in amplitudes.T}
-        chance = max(sample.folding_chance(fit) for sample, fit in map(fits.__getitem__, peaks))
-    times = arrivals.marks[: groups * revolutions + 1 : revolutions]
-    speed = 2.0 * np.pi * revolutions / np.diff(times)
-    return TipTrack(order, speed, multiples, coefficients, amplitudes, errors, misfit, chance)
+            covariances[group] = factor * student_variance_ratio(total_freedom) * fit.covariance
+            covariances[group] += np.outer(coefficient_changes[group], coefficient_changes[group])
+    return coefficients, covariances
 
 
-def _subtract_changes(
-    values: np.ndarray,
-    inverse: np.ndarray,
-    columns: np.ndarray,
-    position: np.ndarray,
-    groups: np.ndarray,
+def _subtract_linear_changes(
+    displacements: np.ndarray,
+    column_pseudoinverses: np.ndarray,
+    wave_columns: np.ndarray,
+    group_positions: np.ndarray,
+    fitted_groups: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Subtract the linear change of the vibration within each group.
 
@@ -699,77 +900,102 @@ def _subtract_changes(
 
     Parameters
     ----------
-    values, position : (n, m)
+    displacements, group_positions : (n, m)
         Displacements [m], and arrivals' distances behind the group's middle, in group lengths.
-    inverse, columns : (n, 2K+1, m), (n, m, 2K+1)
+    column_pseudoinverses, wave_columns : (n, 2K+1, m), (n, m, 2K+1)
         Pseudoinverses of the columns, and columns of the fits.
-    groups : (k,)
+    fitted_groups : (k,)
         Indices of groups with enough arrivals.
 
     Returns
     -------
-    values : (n, m) [m]
+    displacements : (n, m) [m]
         Displacements without the change.
-    changes : (n, 2K+1) [m]
+    coefficient_changes : (n, 2K+1) [m]
         Change of the coefficients between the group's middle and the middle of its arrivals.
     """
-    rates = np.zeros(inverse.shape[:2])
-    if len(groups) > 1:
-        coefficients = (inverse @ values[..., None])[groups, :, 0].T
-        rates[groups] = np.gradient([smooth_series(row) for row in coefficients], groups, axis=1).T
-    changes = position * (columns @ rates[..., None])[..., 0]
-    return values - changes, position.mean(axis=1, keepdims=True) * rates
+    coefficient_rates = np.zeros(column_pseudoinverses.shape[:2])
+    if len(fitted_groups) > 1:
+        coefficient_rows = (column_pseudoinverses @ displacements[..., None])[fitted_groups, :, 0].T
+        coefficient_rates[fitted_groups] = np.gradient(
+            [smooth_series(coefficient_series) for coefficient_series in coefficient_rows],
+            fitted_groups,
+            axis=1,
+        ).T
+    displacement_changes = group_positions * (wave_columns @ coefficient_rates[..., None])[..., 0]
+    return displacements - displacement_changes, group_positions.mean(
+        axis=1, keepdims=True
+    ) * coefficient_rates
 
 
-def _fit_neighbours(groups: dict[int, tuple[_Sample, _Fit]]) -> dict[int, tuple[_Sample, _Fit]]:
+def _refit_groups_with_omitted_harmonics(
+    sample_fit_by_group: dict[int, tuple[_Sample, _OrderFit]],
+) -> dict[int, tuple[_Sample, _OrderFit]]:
     """Fit groups with omitted harmonics, in the likeliest ratio among neighbours.
 
     A group and its neighbours share the ratio to the vibration, since few probes in one group do
     not determine it.
     """
-    costs, fits = [], []
-    for sample, fit in groups.values():
-        sizes = np.minimum(
-            np.linalg.norm(fit.coefficients[1:]) * FOLDED_RATIOS, sample.max_omitted_size
+    group_costs, group_fits = [], []
+    for sample, fit in sample_fit_by_group.values():
+        omitted_sizes = np.minimum(
+            np.linalg.norm(fit.coefficients[1:]) * FOLDED_SIZE_RATIOS,
+            sample.max_allowed_omitted_size,
         )
-        cost, group_fits = sample.fit_omitted_sizes(fit, sizes)
-        costs.append(cost)
-        fits.append(group_fits)
-    squares = np.array([fit.sum_of_squares for _, fit in groups.values()])
-    spare = [len(sample.values) - len(fit.coefficients) for sample, fit in groups.values()]
-    freedom = np.maximum(spare, 1)
-    joint_fits = {}
-    for place, (group, (sample, _)) in enumerate(groups.items()):
-        window = slice(max(place - NEIGHBOURS, 0), place + NEIGHBOURS + 1)
-        limit = _quartile_variance(squares[window], freedom[window]) * chdtri(
-            freedom[window], LEVELS.misfit
+        size_costs, size_fits = sample.list_costs_and_fits_by_omitted_size(fit, omitted_sizes)
+        group_costs.append(size_costs)
+        group_fits.append(size_fits)
+    residual_square_sums = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])
+    spare_counts = [
+        len(sample.displacements) - len(fit.coefficients)
+        for sample, fit in sample_fit_by_group.values()
+    ]
+    freedoms = np.maximum(spare_counts, 1)
+    joint_fit_by_group = {}
+    for position, (group, (sample, _)) in enumerate(sample_fit_by_group.items()):
+        window_slice = slice(
+            max(position - N_NEIGHBOURS_PER_SIDE, 0), position + N_NEIGHBOURS_PER_SIDE + 1
         )
+        max_trusted_squares = _estimate_quartile_variance(
+            residual_square_sums[window_slice], freedoms[window_slice]
+        ) * chdtri(freedoms[window_slice], CONFIDENCE_LEVELS.misfit_significance_level)
         # Groups above the limit have wrong arrivals.
-        trusted_costs = np.array(costs[window])[squares[window] <= limit]
-        joint_fits[group] = sample, fits[place][int(np.argmin(trusted_costs.sum(axis=0)))]
-    return joint_fits
+        trusted_cost_rows = np.array(group_costs[window_slice])[
+            residual_square_sums[window_slice] <= max_trusted_squares
+        ]
+        joint_fit_by_group[group] = (
+            sample,
+            group_fits[position][int(np.argmin(trusted_cost_rows.sum(axis=0)))],
+        )
+    return joint_fit_by_group
 
 
-def _variance(residuals: np.ndarray, mask: np.ndarray, freedom: np.ndarray) -> tuple[float, int]:
+def _estimate_variance_and_freedom(
+    residuals: np.ndarray, has_arrival: np.ndarray, freedoms: np.ndarray
+) -> tuple[float, int]:
     """Return the variance of residuals (n, m), and its degrees of freedom.
 
     The variance follows from differences between neighbouring groups, without wrong arrivals.
     Without such differences the degrees are 0, and the variance is the mean square per degree of
     freedom, or 1 without any.
     """
-    total, pairs = freedom.sum(), mask[1:] & mask[:-1]
-    freedom = np.minimum(freedom[1:], freedom[:-1])
-    valid = freedom > 0
-    if not np.any(valid):
-        return (float((residuals**2).sum()) / total if total else 1.0), 0
-    squares = 0.5 * (np.where(pairs, np.diff(residuals, axis=0), 0.0) ** 2).sum(axis=1)
-    return _quartile_variance(squares[valid], freedom[valid]), int(freedom[valid].sum()) // 2
+    total_freedom, has_arrival_pair = freedoms.sum(), has_arrival[1:] & has_arrival[:-1]
+    freedoms = np.minimum(freedoms[1:], freedoms[:-1])
+    is_usable = freedoms > 0
+    if not np.any(is_usable):
+        return (float((residuals**2).sum()) / total_freedom if total_freedom else 1.0), 0
+    difference_square_sums = 0.5 * (
+        np.where(has_arrival_pair, np.diff(residuals, axis=0), 0.0) ** 2
+    ).sum(axis=1)
+    return _estimate_quartile_variance(difference_square_sums[is_usable], freedoms[is_usable]), int(
+        freedoms[is_usable].sum()
+    ) // 2
 
 
-def _quartile_variance(squares: np.ndarray, freedom: np.ndarray) -> float:
+def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:
     """Return the variance from sums of squares (n,).
 
     Each sum has degrees of freedom (n,).
     The lower quartile is robust: nearly three quarters of the sums may have wrong arrivals.
     """
-    return float(np.quantile(squares / chdtri(freedom, 0.75), 0.25))
+    return float(np.quantile(residual_square_sums / chdtri(freedoms, 0.75), 0.25))

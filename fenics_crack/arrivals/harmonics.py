@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.robust import LEVELS
+from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import (
     Tabular,
@@ -54,15 +54,18 @@ class Candidates(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every order."""
-        names = "order", "residual", "condition", "equivalent", "hidden"
-        return {n: column.tolist() for n, column in zip(names, vars(self).values(), strict=True)}
+        column_names = "order", "residual", "condition", "equivalent", "hidden"
+        return {
+            column_name: column_values.tolist()
+            for column_name, column_values in zip(column_names, vars(self).values(), strict=True)
+        }
 
     def _units(self) -> Mapping[str, str]:
         return {"residual": "m"}
 
     def _title(self) -> str:
-        counts = f"{int(self.equivalent.sum())} equivalent, {int(self.hidden.sum())} hidden"
-        return f"{len(self.orders)} orders, {counts}"
+        counts_text = f"{int(self.equivalent.sum())} equivalent, {int(self.hidden.sum())} hidden"
+        return f"{len(self.orders)} orders, {counts_text}"
 
 
 class HarmonicFit(Tabular):
@@ -77,7 +80,7 @@ class HarmonicFit(Tabular):
 
         Harmonics are missing, or the order is wrong.
         """
-        return self.misfit < LEVELS.misfit
+        return self.misfit < CONFIDENCE_LEVELS.misfit_significance_level
 
     @property
     def may_be_folded(self) -> bool:
@@ -89,7 +92,7 @@ class HarmonicFit(Tabular):
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
     @property
-    def _doubts(self) -> list[str]:
+    def _doubt_texts(self) -> list[str]:
         """Words for the gravest doubt: a list with one text or none."""
         if self.does_not_fit:
             return ["DOES NOT FIT"]
@@ -163,18 +166,18 @@ class TipFit(HarmonicFit):
     @property
     def amplitudes(self) -> np.ndarray:
         """Amplitudes of the harmonics: (K,) [m]."""
-        return compute_amplitudes(self.coefficients, self.covariance)[0]
+        return compute_amplitudes_and_errors(self.coefficients, self.covariance)[0]
 
     @property
     def amplitude_errors(self) -> np.ndarray:
         """Standard errors of the amplitudes: (K,) [m]."""
-        return compute_amplitudes(self.coefficients, self.covariance)[1]
+        return compute_amplitudes_and_errors(self.coefficients, self.covariance)[1]
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
         """Other orders that explain these arrivals equally well."""
-        is_other = self.candidates.equivalent & (self.candidates.orders != self.order)
-        return tuple(self.candidates.orders[is_other].tolist())
+        is_other_equivalent = self.candidates.equivalent & (self.candidates.orders != self.order)
+        return tuple(self.candidates.orders[is_other_equivalent].tolist())
 
     @property
     def hidden(self) -> tuple[float, ...]:
@@ -211,20 +214,31 @@ class TipFit(HarmonicFit):
         InputError
             The fit has no such harmonic.
         """
-        indices = []
+        harmonic_indices = []
         for required_multiple in (1.0, multiple):
-            matches = np.flatnonzero(np.isclose(self.multiples, required_multiple))
-            if not len(matches):
+            matching_indices = np.flatnonzero(np.isclose(self.multiples, required_multiple))
+            if not len(matching_indices):
                 raise InputError("multiple", required_multiple, f"one of {self.multiples.tolist()}")
-            indices.append(int(matches[0]))
-        base_amplitude, amplitude = self.amplitudes[indices]
-        errors = self.amplitude_errors[indices]
-        base, terms = (slice(2 * index + 1, 2 * index + 3) for index in indices)
-        product = self.coefficients[base] @ self.covariance[base, terms] @ self.coefficients[terms]
-        ratio = amplitude / base_amplitude
-        covariance = product / (base_amplitude * amplitude)
-        variance = errors[1] ** 2 - 2.0 * ratio * covariance + (ratio * errors[0]) ** 2
-        return float(ratio), float(np.sqrt(variance) / base_amplitude)
+            harmonic_indices.append(int(matching_indices[0]))
+        base_amplitude, amplitude = self.amplitudes[harmonic_indices]
+        amplitude_errors = self.amplitude_errors[harmonic_indices]
+        base_slice, other_slice = (
+            slice(2 * harmonic_index + 1, 2 * harmonic_index + 3)
+            for harmonic_index in harmonic_indices
+        )
+        weighted_covariance = (
+            self.coefficients[base_slice]
+            @ self.covariance[base_slice, other_slice]
+            @ self.coefficients[other_slice]
+        )
+        amplitude_ratio = amplitude / base_amplitude
+        amplitude_covariance = weighted_covariance / (base_amplitude * amplitude)
+        scaled_variance = (
+            amplitude_errors[1] ** 2
+            - 2.0 * amplitude_ratio * amplitude_covariance
+            + (amplitude_ratio * amplitude_errors[0]) ** 2
+        )
+        return float(amplitude_ratio), float(np.sqrt(scaled_variance) / base_amplitude)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """Return the fitted vibration at angles (n,) from :meth:`phases`: (n,) [m]."""
@@ -250,41 +264,49 @@ class TipFit(HarmonicFit):
         """
         multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
-        mean = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
-        amplitudes, errors = compute_amplitudes(self.coefficients, self.covariance)
-        columns = {
+        mean_and_error = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
+        amplitudes, amplitude_errors = compute_amplitudes_and_errors(
+            self.coefficients, self.covariance
+        )
+        column_by_name = {
             "multiple": multiples.tolist(),
             "order": (multiples * self.order).tolist(),
             "omega": (multiples * self.omega).tolist(),
-            "amplitude": np.concatenate([mean[0], amplitudes]).tolist(),
-            "amplitude_error": np.concatenate([mean[1], errors]).tolist(),
+            "amplitude": np.concatenate([mean_and_error[0], amplitudes]).tolist(),
+            "amplitude_error": np.concatenate([mean_and_error[1], amplitude_errors]).tolist(),
             "phase": np.concatenate([[0.0], np.arctan2(sines, cosines)]).tolist(),
         }
-        return add_frequency_entries(columns)
+        return add_frequency_entries(column_by_name)
 
     def _title(self) -> str:
-        parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
-        harmonics = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
-        parts += [
-            f"{m:g}x {format_quantity(a, 'm')} ± {format_quantity(e, 'm')}" for m, a, e in harmonics
+        title_parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
+        harmonic_rows = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
+        title_parts += [
+            f"{multiple:g}x {format_quantity(amplitude, 'm')} ± {format_quantity(error, 'm')}"
+            for multiple, amplitude, error in harmonic_rows
         ]
-        parts += self._doubts
+        title_parts += self._doubt_texts
         if self.spare < 1:
-            parts.append("as many unknowns as probes")
+            title_parts.append("as many unknowns as probes")
         elif self.seen_once:
-            parts.append("no probe sees it twice")
-        parts += [f"beside {line.omega:.6g} rad/s" for line in self.asynchronous]
-        for words, orders in (("as well", self.ambiguous), ("not measured", self.hidden)):
-            parts += [f"{words}: {in_words(orders)}"] * bool(orders)
-        return ", ".join(parts)
+            title_parts.append("no probe sees it twice")
+        title_parts += [f"beside {line_fit.omega:.6g} rad/s" for line_fit in self.asynchronous]
+        for orders_label, listed_orders in (
+            ("as well", self.ambiguous),
+            ("not measured", self.hidden),
+        ):
+            title_parts += [f"{orders_label}: {format_first_orders(listed_orders)}"] * bool(
+                listed_orders
+            )
+        return ", ".join(title_parts)
 
 
-def in_words(orders: Sequence[float]) -> str:
+def format_first_orders(orders: Sequence[float]) -> str:
     """Return the first six orders in words."""
     return ", ".join([*(f"{order:.6g}" for order in orders[:6]), *["..."] * (len(orders) > 6)])
 
 
-def compute_amplitudes(
+def compute_amplitudes_and_errors(
     coefficients: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return amplitudes (..., K) and standard errors of coefficients (..., 2K+1).
@@ -294,68 +316,91 @@ def compute_amplitudes(
     standard deviation of e, the deviation replaces A: probes may measure only one part of a
     harmonic. If A is 0, the cosine direction is the radial one.
     """
-    pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
-    amplitudes = np.hypot(*pairs)
-    directions = np.stack([np.ones_like(amplitudes), np.zeros_like(amplitudes)])
-    cosine, sine = np.divide(pairs, amplitudes, out=directions, where=amplitudes > 0.0)
-    rows = np.arange(1, coefficients.shape[-1], 2)
-    var_a, var_b = covariance[..., rows, rows], covariance[..., rows + 1, rows + 1]
-    cov_ab = covariance[..., rows, rows + 1]
-    radial = cosine**2 * var_a + 2.0 * cosine * sine * cov_ab + sine**2 * var_b
-    tangential = np.maximum(sine**2 * var_a - 2.0 * cosine * sine * cov_ab + cosine**2 * var_b, 0.0)
+    cosine_sine_pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
+    amplitudes = np.hypot(*cosine_sine_pairs)
+    unit_directions = np.stack([np.ones_like(amplitudes), np.zeros_like(amplitudes)])
+    direction_cosines, direction_sines = np.divide(
+        cosine_sine_pairs, amplitudes, out=unit_directions, where=amplitudes > 0.0
+    )
+    cosine_indices = np.arange(1, coefficients.shape[-1], 2)
+    cosine_variances = covariance[..., cosine_indices, cosine_indices]
+    sine_variances = covariance[..., cosine_indices + 1, cosine_indices + 1]
+    cosine_sine_covariances = covariance[..., cosine_indices, cosine_indices + 1]
+    radial_variances = (
+        direction_cosines**2 * cosine_variances
+        + 2.0 * direction_cosines * direction_sines * cosine_sine_covariances
+        + direction_sines**2 * sine_variances
+    )
+    tangential_variances = np.maximum(
+        direction_sines**2 * cosine_variances
+        - 2.0 * direction_cosines * direction_sines * cosine_sine_covariances
+        + direction_cosines**2 * sine_variances,
+        0.0,
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
-        curvature = np.nan_to_num(tangential / np.maximum(amplitudes, np.sqrt(tangential)))
-    return amplitudes, np.sqrt(np.maximum(radial, 0.0) + 0.75 * curvature**2)
+        mean_lengthenings = np.nan_to_num(
+            tangential_variances / np.maximum(amplitudes, np.sqrt(tangential_variances))
+        )
+    return amplitudes, np.sqrt(np.maximum(radial_variances, 0.0) + 0.75 * mean_lengthenings**2)
 
 
 # --- fits -----------------------------------------------------------------------------------------
 
 
-def wanted(
+def make_orders_and_multiples(
     orders: Iterable[float], harmonics: int, subharmonic: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Check and return candidate orders (n,) and harmonic multiples (K,)."""
     check_count("harmonics", harmonics, 1)
     check_count("subharmonic", subharmonic, 1)
-    candidates = list(orders)
-    if not candidates:
-        raise InputError("orders", candidates, "one or more numbers > 0")
-    for order in candidates:
+    candidate_orders = list(orders)
+    if not candidate_orders:
+        raise InputError("orders", candidate_orders, "one or more numbers > 0")
+    for order in candidate_orders:
         check_number("orders", order, 0.0, excludes_bound=True)
-    return np.unique(np.array(candidates, dtype=float)), np.arange(1, harmonics + 1) / subharmonic
+    return np.unique(np.array(candidate_orders, dtype=float)), np.arange(
+        1, harmonics + 1
+    ) / subharmonic
 
 
 def select_candidate(
-    sums: np.ndarray, sizes: np.ndarray, limit: float, is_measurable: np.ndarray | bool = True
+    residual_square_sums: np.ndarray,
+    vibration_sizes: np.ndarray,
+    allowed_difference: float,
+    is_measurable: np.ndarray | bool = True,
 ) -> tuple[np.ndarray, int]:
     """Return the equivalent candidates (n,) bool, and the index to select.
 
-    Equivalent: ``sums`` (n,) of squared residuals exceed the least one by less than ``limit``.
-    Among these candidates, or the measurable ones if there are any, vibrations with ``sizes`` (n,)
-    up to 20 % above the smallest compete, and the least sum is selected.
+    Equivalent: ``residual_square_sums`` (n,) exceed the least sum by less than
+    ``allowed_difference``. Among these candidates, or the measurable ones if there are any,
+    ``vibration_sizes`` (n,) up to 20 % above the smallest compete, and the least sum is selected.
     """
-    equivalent = sums - sums.min() < limit
-    is_eligible = equivalent & is_measurable if np.any(equivalent & is_measurable) else equivalent
-    is_small = is_eligible & (sizes <= 1.2 * sizes[is_eligible].min())
-    return equivalent, int(np.argmin(np.where(is_small, sums, np.inf)))
+    is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
+    is_eligible = (
+        is_equivalent & is_measurable if np.any(is_equivalent & is_measurable) else is_equivalent
+    )
+    is_small = is_eligible & (vibration_sizes <= 1.2 * vibration_sizes[is_eligible].min())
+    return is_equivalent, int(np.argmin(np.where(is_small, residual_square_sums, np.inf)))
 
 
-def condition(columns: np.ndarray) -> float:
+def condition_number(columns: np.ndarray) -> float:
     """Return the condition number of columns (n, m) scaled to length 1.
 
     inf for dependent columns.
     """
-    lengths = np.linalg.norm(columns, axis=0)
-    if len(columns) < len(lengths) or lengths.min() < 1e-8 * lengths.max():
+    column_lengths = np.linalg.norm(columns, axis=0)
+    if len(columns) < len(column_lengths) or column_lengths.min() < 1e-8 * column_lengths.max():
         return np.inf
-    number = float(np.linalg.cond(columns / lengths))
-    return number if number < 1e8 else np.inf
+    scaled_condition_number = float(np.linalg.cond(columns / column_lengths))
+    return scaled_condition_number if scaled_condition_number < 1e8 else np.inf
 
 
-def refuse_probes(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
+def raise_too_few_probes(arrivals: ArrivalTimes, n_unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
-    angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
-    problem = f"{format_count(len(arrivals.probes), 'probe')} at {angles} degrees"
-    requirement = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
+    angles_text = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
+    probes_text = f"{format_count(len(arrivals.probes), 'probe')} at {angles_text} degrees"
+    requirement = (
+        f"able to determine {n_unknowns} unknowns of a fit: more probes, unequally spaced, "
+    )
     requirement += "fewer harmonics, or arrivals that scatter less"
-    raise InputError("probes", problem, requirement)
+    raise InputError("probes", probes_text, requirement)

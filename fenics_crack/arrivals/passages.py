@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
-from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
-from fenics_crack.arrivals.harmonics import ORDERS, TipFit, wanted
-from fenics_crack.arrivals.robust import FREEDOMS, LEVELS
+from fenics_crack.arrivals.arrival_times import MIN_REQUIRED_REVOLUTIONS, ArrivalTimes
+from fenics_crack.arrivals.fit_frequency import MIN_RELATIVE_PEAK, find_lines_and_residuals
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit, make_orders_and_multiples
+from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS, TRIAL_STUDENT_FREEDOMS
 from fenics_crack.arrivals.transient import (
-    DAMPING_BOUNDS,
-    WIDTH,
+    DAMPING_RATIO_BOUNDS,
+    RELATIVE_SPEED_HALF_WIDTH,
     Fit,
-    Follows,
     Mode,
     Record,
     Run,
-    pole,
+    StiffeningFunction,
+    compute_poles,
 )
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin_stage as begin_stage
@@ -45,9 +45,9 @@ from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 MAX_REFINED_ORDERS = 4
 """Maximum number of orders with refined fits; half as many for each of two neighbours."""
-SPEED_SPACING, INITIAL_DAMPING = 0.003, 0.004
+RELATIVE_SPEED_SPACING, INITIAL_DAMPING_RATIO = 0.003, 0.004
 """Relative spacing of scanned speeds; damping ratio in the scan and at the start of fits."""
-MAX_ROUNDS = 5
+MAX_SEARCH_ROUNDS = 5
 """Maximum rounds: refits among neighbours, pairs of orders, weights in a search."""
 MAX_STIFFENING = 0.9
 """Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
@@ -150,8 +150,10 @@ class PassageFit(Tabular):
 
         All other orders if :attr:`untested`.
         """
-        equal = ((self.margins < LEVELS.equal) | self.untested) & (self.orders != self.order)
-        return tuple(self.orders[equal].tolist())
+        is_other_equal = (
+            (self.margins < CONFIDENCE_LEVELS.allowed_cost_difference) | self.untested
+        ) & (self.orders != self.order)
+        return tuple(self.orders[is_other_equal].tolist())
 
     @property
     def apart(self) -> float:
@@ -169,12 +171,18 @@ class PassageFit(Tabular):
     @property
     def disagreement(self) -> str:
         """Describe the differences behind :attr:`disagree` in words; "" if there are none."""
-        parts = []
-        if _differ(self.omegas, self.omega_errors):
-            parts.append(f"by {self.apart:.2%} in frequency")
-        if _differ(self.dampings, self.damping_errors):
-            parts.append(f"in damping, {self.dampings.min():.2g} to {self.dampings.max():.2g}")
-        return f"passages differ more than errors do: {', '.join(parts)}" if parts else ""
+        difference_texts = []
+        if _differ_significantly(self.omegas, self.omega_errors):
+            difference_texts.append(f"by {self.apart:.2%} in frequency")
+        if _differ_significantly(self.dampings, self.damping_errors):
+            difference_texts.append(
+                f"in damping, {self.dampings.min():.2g} to {self.dampings.max():.2g}"
+            )
+        return (
+            f"passages differ more than errors do: {', '.join(difference_texts)}"
+            if difference_texts
+            else ""
+        )
 
     @property
     def in_doubt(self) -> bool:
@@ -184,7 +192,7 @@ class PassageFit(Tabular):
         Causes are another vibration near this speed, drift, or a nonlinear blade. Frequency,
         damping and order may then be wrong by more than their errors.
         """
-        return not self.whiteness >= LEVELS.misfit
+        return not self.whiteness >= CONFIDENCE_LEVELS.misfit_significance_level
 
     @property
     def deviation(self) -> float:
@@ -194,15 +202,18 @@ class PassageFit(Tabular):
         breathing crack; and for a fit in doubt half the resonance's width, zeta w_n, with damping
         ratio zeta.
         """
-        half_range = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
-        half_width = self.damping * self.omega if self.in_doubt else 0.0
-        return max(self.omega_error, half_range, half_width)
+        half_frequency_range = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
+        half_resonance_width = self.damping * self.omega if self.in_doubt else 0.0
+        return max(self.omega_error, half_frequency_range, half_resonance_width)
 
     @property
     def in_words(self) -> str:
         """Frequency with its :attr:`deviation`, engine order and speed, in words."""
-        hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
-        return f"{hertz}, engine order {self.order:g} at {self.speed / RAD_PER_S_PER_RPM:.6g} rpm"
+        frequency_text = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
+        return (
+            f"{frequency_text}, engine order {self.order:g} at "
+            f"{self.speed / RAD_PER_S_PER_RPM:.6g} rpm"
+        )
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return speeds, measured and fitted displacements for each passage.
@@ -216,42 +227,72 @@ class PassageFit(Tabular):
             the fitted displacements (R, P) [m], for R revolutions and P probes.
         """
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
-        root = complex(pole(self.omega, self.damping / (1.0 - self.stiffening)))
-        record, comparisons = Record(arrivals, _stiffening_function(self.stiffening)), []
-        for (begin, end), force in zip(self.ends, self.forces, strict=True):
-            run = Run(record, arrivals.displacement, int(begin), int(end))
-            motion = (force * run.wave(Mode(self.order, root))).real
-            residuals = run.without_drifts(run.values - motion, run.has_arrival.astype(float))
-            comparisons.append(
-                (run.speed, np.where(run.has_arrival, residuals + motion, np.nan), motion)
+        mode_pole = complex(compute_poles(self.omega, self.damping / (1.0 - self.stiffening)))
+        record = Record(arrivals, _make_stiffening_function(self.stiffening))
+        passage_comparisons = []
+        for (begin_revolution, end_revolution), force in zip(self.ends, self.forces, strict=True):
+            run = Run(record, arrivals.displacement, int(begin_revolution), int(end_revolution))
+            fitted_motion = (force * run.compute_wave(Mode(self.order, mode_pole))).real
+            weighted_residuals = run.subtract_weighted_drifts(
+                run.displacements - fitted_motion, run.has_arrival.astype(float)
             )
-        return comparisons
+            passage_comparisons.append(
+                (
+                    run.revolution_speeds,
+                    np.where(run.has_arrival, weighted_residuals + fitted_motion, np.nan),
+                    fitted_motion,
+                )
+            )
+        return passage_comparisons
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers by name."""
-        names = ("order", "margin", "frequency", "frequency_error", "damping", "damping_error")
-        numbers = {name: getattr(self, name) for name in (*names, "stiffening", "amplitude")}
-        numbers = {"speed": self.speed, "rpm": self.speed / RAD_PER_S_PER_RPM} | numbers
-        statistics = {"passages": len(self.ends), "apart": self.apart, "whiteness": self.whiteness}
-        return numbers | statistics
+        number_names = (
+            "order",
+            "margin",
+            "frequency",
+            "frequency_error",
+            "damping",
+            "damping_error",
+        )
+        number_by_name = {
+            number_name: getattr(self, number_name)
+            for number_name in (*number_names, "stiffening", "amplitude")
+        }
+        number_by_name = {
+            "speed": self.speed,
+            "rpm": self.speed / RAD_PER_S_PER_RPM,
+        } | number_by_name
+        statistic_by_name = {
+            "passages": len(self.ends),
+            "apart": self.apart,
+            "whiteness": self.whiteness,
+        }
+        return number_by_name | statistic_by_name
 
     def _title(self) -> str:
-        hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
-        damping = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
-        parts = [f"order {self.order:g}, {self.speed / RAD_PER_S_PER_RPM:.6g} rpm", hertz, damping]
-        parts.append(format_quantity(self.amplitude, "m"))
+        frequency_text = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
+        damping_text = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
+        title_parts = [
+            f"order {self.order:g}, {self.speed / RAD_PER_S_PER_RPM:.6g} rpm",
+            frequency_text,
+            damping_text,
+        ]
+        title_parts.append(format_quantity(self.amplitude, "m"))
         if self.untested:
-            parts.append(f"order untested by {format_count(self.probes, 'probe')}")
+            title_parts.append(f"order untested by {format_count(self.probes, 'probe')}")
         elif self.ambiguous:
-            parts.append(f"as well: {', '.join(f'{order:g}' for order in self.ambiguous)}")
-        parts += ["residuals are correlated"] * self.in_doubt
-        return ", ".join(parts)
+            title_parts.append(f"as well: {', '.join(f'{order:g}' for order in self.ambiguous)}")
+        title_parts += ["residuals are correlated"] * self.in_doubt
+        return ", ".join(title_parts)
 
 
-def _differ(values: np.ndarray, errors: np.ndarray) -> bool:
+def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     """Return True unless all values (n,) agree within three standard errors."""
     differences = np.abs(values[:, None] - values)
-    return not np.all(differences <= LEVELS.deviations * np.hypot(errors[:, None], errors))
+    return not np.all(
+        differences <= CONFIDENCE_LEVELS.allowed_standard_errors * np.hypot(errors[:, None], errors)
+    )
 
 
 # --- search ---------------------------------------------------------------------------------------
@@ -262,7 +303,7 @@ def fit_passage(
     speed: float,
     orders: Iterable[float] = ORDERS,
     *,
-    stiffening: float | Follows = 0.0,
+    stiffening: float | StiffeningFunction = 0.0,
 ) -> PassageFit:
     """Fit a mode to all passages through a resonance near a speed.
 
@@ -294,18 +335,27 @@ def fit_passage(
     >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
     """
     check_number("speed", speed, 0.0, excludes_bound=True)
-    candidates, _ = wanted(orders, 1, 1)
-    record = Record(arrivals, _stiffening_function(stiffening))
-    runs = record.runs(arrivals.displacement, speed)
+    candidate_orders, _ = make_orders_and_multiples(orders, 1, 1)
+    record = Record(arrivals, _make_stiffening_function(stiffening))
+    runs = record.find_runs(arrivals.displacement, speed)
     if not runs:
-        ends = arrivals.speed.min(), arrivals.speed.max()
-        allowed_speeds = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
-        raise InputError("speed", speed, f"{allowed_speeds}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
-    resonance = _Resonance(runs, speed, candidates)
-    if len(blind_probes := resonance.best_fit.blind_probes):
-        reliable_arrivals = arrivals.without(blind_probes)
-        fit = fit_passage(reliable_arrivals, speed, candidates, stiffening=stiffening)
-        return replace(fit, blind=(*arrivals.probes[blind_probes].tolist(), *fit.blind))
+        speed_ends = arrivals.speed.min(), arrivals.speed.max()
+        allowed_speed_text = (
+            f"one that is passed in {MIN_REQUIRED_REVOLUTIONS} revolutions or more, from "
+        )
+        raise InputError(
+            "speed", speed, f"{allowed_speed_text}{speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s"
+        )
+    resonance = _Resonance(runs, speed, candidate_orders)
+    if len(blind_probe_indices := resonance.best_fit.blind_probe_indices):
+        reliable_arrivals = arrivals.without(blind_probe_indices)
+        reliable_fit = fit_passage(
+            reliable_arrivals, speed, candidate_orders, stiffening=stiffening
+        )
+        return replace(
+            reliable_fit,
+            blind=(*arrivals.probes[blind_probe_indices].tolist(), *reliable_fit.blind),
+        )
     return resonance.to_passage_fit(record, arrivals.displacement)
 
 
@@ -315,7 +365,7 @@ def find_passages(
     *,
     most: int = 8,
     asynchronous: int = 1,
-    stiffening: float | Follows = 0.0,
+    stiffening: float | StiffeningFunction = 0.0,
 ) -> tuple[PassageFit, ...]:
     """Find the resonances in a record, about the largest first.
 
@@ -354,41 +404,46 @@ def find_passages(
     >>> for fit in fc.find_passages(record[1], range(6, 10), most=2):
     ...     print(fit)
     """
-    candidates, _ = wanted(orders, 1, 1)
+    candidate_orders, _ = make_orders_and_multiples(orders, 1, 1)
     check_count("most", most, 1)
     check_count("asynchronous", asynchronous, 0)
-    record, values = Record(arrivals, _stiffening_function(stiffening)), arrivals.displacement
-    search = _Search(record, values, candidates)
-    lines: tuple[TipFit, ...] = ()
+    record = Record(arrivals, _make_stiffening_function(stiffening))
+    displacements = arrivals.displacement
+    search = _ResonanceSearch(record, displacements, candidate_orders)
+    line_fits: tuple[TipFit, ...] = ()
     # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
     # them lines are found, then the others, and lines beside all of them.
-    search.find_resonances(1 if asynchronous else most)
-    if search.resonances and len(blind_probes := search.resonances[0].best_fit.blind_probes):
+    search.add_resonances_up_to(1 if asynchronous else most)
+    if search.resonances and len(
+        blind_probe_indices := search.resonances[0].best_fit.blind_probe_indices
+    ):
         fits = find_passages(
-            arrivals.without(blind_probes), candidates, most=most, asynchronous=asynchronous,
-            stiffening=stiffening,
+            arrivals.without(blind_probe_indices), candidate_orders, most=most,
+            asynchronous=asynchronous, stiffening=stiffening,
         )  # fmt: skip
-        angles = arrivals.probes[blind_probes].tolist()
-        return tuple(replace(fit, blind=(*angles, *fit.blind)) for fit in fits)
+        blind_probe_angles = arrivals.probes[blind_probe_indices].tolist()
+        return tuple(replace(fit, blind=(*blind_probe_angles, *fit.blind)) for fit in fits)
     if asynchronous:
-        lines, line_motion = _find_line_motion(arrivals, search.residuals, candidates, asynchronous)
-        if lines:
-            search = _Search(record, values - line_motion, candidates)
-        search.find_resonances(most)
+        line_fits, line_motion = _find_lines_and_motion(
+            arrivals, search.residuals, candidate_orders, asynchronous
+        )
+        if line_fits:
+            search = _ResonanceSearch(record, displacements - line_motion, candidate_orders)
+        search.add_resonances_up_to(most)
         if len(search.resonances) > 1:
-            lines, line_motion = _find_line_motion(
-                arrivals, search.residuals + line_motion, candidates, asynchronous
+            line_fits, line_motion = _find_lines_and_motion(
+                arrivals, search.residuals + line_motion, candidate_orders, asynchronous
             )
-            if lines:
-                search.refit_all(values - line_motion)
+            if line_fits:
+                search.refit_resonances(displacements - line_motion)
     return tuple(
-        resonance.to_passage_fit(record, search.residuals, search.resonances, lines)
+        resonance.to_passage_fit(record, search.residuals, search.resonances, line_fits)
         for resonance in search.resonances
     )
 
 
-def _find_line_motion(
-    arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, max_lines: int
+def _find_lines_and_motion(
+    arrivals: ArrivalTimes, displacements: np.ndarray, orders: np.ndarray, max_lines: int
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find vibrations of constant frequency in displacements.
 
@@ -397,45 +452,49 @@ def _find_line_motion(
     lines : tuple of TipFit
         Vibrations, at most ``max_lines``.
     motion : (revolutions, probes) [m]
-        Their displacements; nan where ``values`` are nan.
+        Their displacements; nan where ``displacements`` are nan.
     """
     begin_stage("vibrations of constant frequency")
-    constant_columns = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
-    lines, residuals = find_lines(arrivals, values, constant_columns, orders.max(), max_lines)
-    return lines, values - residuals
+    constant_numbers = np.arange(displacements.shape[1]) * np.ones(displacements.shape, dtype=int)
+    line_fits, residuals = find_lines_and_residuals(
+        arrivals, displacements, constant_numbers, orders.max(), max_lines
+    )
+    return line_fits, displacements - residuals
 
 
-def _stiffening_function(stiffening: float | Follows) -> Follows:
+def _make_stiffening_function(stiffening: float | StiffeningFunction) -> StiffeningFunction:
     """Return s as a function of speed and natural frequency [rad/s].
 
     A function is clipped to -0.9 to 0.9; a number outside raises InputError.
     """
     if callable(stiffening):
 
-        def evaluate(speed: float, omega: float) -> float:
-            slope = float(np.clip(stiffening(speed, omega), -MAX_STIFFENING, MAX_STIFFENING))
-            check_number(f"stiffening({speed:.6g}, {omega:.6g})", slope)
-            return slope
+        def clipped_function(speed: float, omega: float) -> float:
+            stiffening_value = float(
+                np.clip(stiffening(speed, omega), -MAX_STIFFENING, MAX_STIFFENING)
+            )
+            check_number(f"stiffening({speed:.6g}, {omega:.6g})", stiffening_value)
+            return stiffening_value
 
-        return evaluate
+        return clipped_function
     check_number("stiffening", stiffening)
-    if abs(slope := float(stiffening)) > MAX_STIFFENING:
+    if abs(stiffening_value := float(stiffening)) > MAX_STIFFENING:
         raise InputError(
             "stiffening", stiffening, f"a number from -{MAX_STIFFENING} to {MAX_STIFFENING}"
         )
-    return lambda speed, omega: slope
+    return lambda speed, omega: stiffening_value
 
 
-class _Search:
+class _ResonanceSearch:
     """Search displacements for resonances.
 
     Parameters
     ----------
     record : Record
         Arrivals, and the stiffening of modes.
-    values : (revolutions, probes) [m]
+    displacements : (revolutions, probes) [m]
         Displacements in the record.
-    orders : (n,)
+    candidate_orders : (n,)
         Candidates.
 
     Attributes
@@ -446,67 +505,96 @@ class _Search:
         Displacements without the motion in the resonances.
     """
 
-    def __init__(self, record: Record, values: np.ndarray, orders: np.ndarray) -> None:
-        self.record, self.residuals, self.orders = record, np.array(values), orders
+    def __init__(
+        self, record: Record, displacements: np.ndarray, candidate_orders: np.ndarray
+    ) -> None:
+        self.record, self.residuals, self.orders = record, np.array(displacements), candidate_orders
         self.resonances: list[_Resonance] = []
-        lowest_speed, highest_speed = record.speed.min(), record.speed.max()
-        count = int(np.log(highest_speed / lowest_speed) / SPEED_SPACING)
-        self._centres = lowest_speed * np.exp(SPEED_SPACING * (0.5 + np.arange(count)))
-        self._gains = np.full((count, 2), np.nan)  # of :func:`_clearness`; nan: not known yet
+        lowest_speed, highest_speed = record.revolution_speeds.min(), record.revolution_speeds.max()
+        n_centres = int(np.log(highest_speed / lowest_speed) / RELATIVE_SPEED_SPACING)
+        self._centre_speeds = lowest_speed * np.exp(
+            RELATIVE_SPEED_SPACING * (0.5 + np.arange(n_centres))
+        )
+        # Of :func:`_compute_gain_and_squares_reduction`; nan: not known yet.
+        self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
     def add_motion(self, resonance: _Resonance, factor: float) -> None:
         """Add a resonance's motion, times a factor, to the residuals."""
-        self.residuals += factor * resonance.best_fit.motion(self.record, len(self.residuals))
+        self.residuals += factor * resonance.best_fit.compute_motion(
+            self.record, len(self.residuals)
+        )
 
-    def find_resonances(self, max_resonances: int) -> None:
+    def add_resonances_up_to(self, max_resonances: int) -> None:
         """Find further resonances, up to a total number."""
-        centres, gains = self._centres, self._gains
+        centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
             begin_stage("scan of the speeds")
-            for centre_index in np.flatnonzero(np.isnan(gains[:, 0])):
-                gains[centre_index] = _clearness(self.record, self.residuals, centres[centre_index])
-            if not np.any(gains[:, 0] > LEVELS.gain):
+            for centre_index in np.flatnonzero(np.isnan(gains_and_reductions[:, 0])):
+                gains_and_reductions[centre_index] = _compute_gain_and_squares_reduction(
+                    self.record, self.residuals, centre_speeds[centre_index]
+                )
+            if not np.any(gains_and_reductions[:, 0] > CONFIDENCE_LEVELS.min_likelihood_gain):
                 break
             begin_stage(f"resonance {len(self.resonances) + 1}")
-            centre = centres[int(np.where(gains[:, 0] > LEVELS.gain, gains[:, 1], 0.0).argmax())]
-            gains[np.abs(centres / centre - 1.0) < 1.5 * SPEED_SPACING] = 0.0
-            if _clearness(self.record, self.residuals, centre, MAX_ROUNDS)[0] < LEVELS.gain:
+            clearest_speed = centre_speeds[
+                int(
+                    np.where(
+                        gains_and_reductions[:, 0] > CONFIDENCE_LEVELS.min_likelihood_gain,
+                        gains_and_reductions[:, 1],
+                        0.0,
+                    ).argmax()
+                )
+            ]
+            gains_and_reductions[
+                np.abs(centre_speeds / clearest_speed - 1.0) < 1.5 * RELATIVE_SPEED_SPACING
+            ] = 0.0
+            if (
+                _compute_gain_and_squares_reduction(
+                    self.record, self.residuals, clearest_speed, MAX_SEARCH_ROUNDS
+                )[0]
+                < CONFIDENCE_LEVELS.min_likelihood_gain
+            ):
                 continue
-            newcomer = _Resonance(self.record.runs(self.residuals, centre), centre, self.orders)
-            if not newcomer.is_clear:
+            new_resonance = _Resonance(
+                self.record.find_runs(self.residuals, clearest_speed), clearest_speed, self.orders
+            )
+            if not new_resonance.is_clear:
                 continue
-            self.resonances.append(newcomer)
-            self.add_motion(newcomer, -1.0)
-            self._compare_with_neighbour(newcomer)
-            self._settle()
-            gains[(np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)] = np.nan
+            self.resonances.append(new_resonance)
+            self.add_motion(new_resonance, -1.0)
+            self._compare_orders_with_neighbour(new_resonance)
+            self._refit_neighbours_until_settled()
+            gains_and_reductions[
+                (np.abs(centre_speeds / clearest_speed - 1.0) < 2.0 * RELATIVE_SPEED_HALF_WIDTH)
+                & (gains_and_reductions[:, 1] > 0.0)
+            ] = np.nan
         for resonance in [*self.resonances]:  # of all orders, beside the others
             if (
                 resonance not in self.resonances
-                or resonance.compared_neighbours == resonance.neighbours(self.resonances)
+                or resonance.compared_neighbours == resonance.list_neighbours(self.resonances)
             ):
                 continue
-            if not self._compare_with_neighbour(resonance):
+            if not self._compare_orders_with_neighbour(resonance):
                 self.add_motion(resonance, 1.0)
-                if runs := self.record.runs(self.residuals, resonance.speed):
-                    resonance.compare(runs, resonance.speed, self.orders)
+                if runs := self.record.find_runs(self.residuals, resonance.speed):
+                    resonance.compare_orders(runs, resonance.speed, self.orders)
                 self.add_motion(resonance, -1.0)
-            resonance.compared_neighbours = resonance.neighbours(self.resonances)
-        self._settle()
+            resonance.compared_neighbours = resonance.list_neighbours(self.resonances)
+        self._refit_neighbours_until_settled()
 
-    def refit_all(self, values: np.ndarray) -> None:
+    def refit_resonances(self, displacements: np.ndarray) -> None:
         """Fit the resonances to other displacements (revolutions, probes) [m]."""
-        self.residuals = np.array(values)
+        self.residuals = np.array(displacements)
         for resonance in self.resonances:
             self.add_motion(resonance, -1.0)
         for resonance in [*self.resonances]:
             self._refit_or_drop(resonance)
-        self._settle()
+        self._refit_neighbours_until_settled()
 
     def _refit_or_drop(self, resonance: _Resonance) -> None:
         """Refit a resonance to displacements without the others, or drop it."""
         self.add_motion(resonance, 1.0)
-        is_clear = resonance.refit(self.record, self.residuals)
+        is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
         if is_clear and not any(
             resonance.may_be_residual_of(other_resonance) for other_resonance in self.resonances
         ):
@@ -514,64 +602,80 @@ class _Search:
         else:
             self.resonances.remove(resonance)
 
-    def _compare_with_neighbour(self, resonance: _Resonance) -> bool:
+    def _compare_orders_with_neighbour(self, resonance: _Resonance) -> bool:
         """Compare the orders of a resonance and its largest neighbour jointly.
 
         Resonances covered by either may be residuals of wrong orders, and are dropped. Return False
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
         covers this one.
         """
-        resonances, amplitude = self.resonances, resonance.best_fit.amplitude
+        resonances, amplitude = self.resonances, resonance.best_fit.largest_amplitude
         larger_resonances = [
-            neighbour for neighbour in resonances if neighbour.best_fit.amplitude > amplitude
+            neighbour
+            for neighbour in resonances
+            if neighbour.best_fit.largest_amplitude > amplitude
         ]
         if len(self.orders) < 2 or any(
-            neighbour.covers(resonance) for neighbour in larger_resonances
+            neighbour.has_within_width(resonance) for neighbour in larger_resonances
         ):
             return False
         neighbours = [
             neighbour
             for neighbour in resonances
-            if resonance.is_near(neighbour, WIDTH) and not resonance.covers(neighbour)
+            if resonance.is_near(neighbour, RELATIVE_SPEED_HALF_WIDTH)
+            and not resonance.has_within_width(neighbour)
         ]
         if not neighbours:
             return False
-        pair = resonance, max(neighbours, key=lambda neighbour: neighbour.best_fit.amplitude)
-        for rival in [*resonances]:
-            if rival in pair or any(member.covers(rival) for member in pair):
-                self.add_motion(rival, 1.0)
-            if rival not in pair and any(member.covers(rival) for member in pair):
-                resonances.remove(rival)
-        resonance.compare_with(pair[1], self.record, self.residuals, self.orders)
-        for member in pair:
-            self.add_motion(member, -1.0)
-            member.compared_neighbours = member.neighbours(resonances)
+        resonance_pair = (
+            resonance,
+            max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_amplitude),
+        )
+        for covered_resonance in [*resonances]:
+            if covered_resonance in resonance_pair or any(
+                pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
+            ):
+                self.add_motion(covered_resonance, 1.0)
+            if covered_resonance not in resonance_pair and any(
+                pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
+            ):
+                resonances.remove(covered_resonance)
+        resonance.compare_order_pairs_with(
+            resonance_pair[1], self.record, self.residuals, self.orders
+        )
+        for pair_member in resonance_pair:
+            self.add_motion(pair_member, -1.0)
+            pair_member.compared_neighbours = pair_member.list_neighbours(resonances)
         return True
 
-    def _settle(self) -> None:
+    def _refit_neighbours_until_settled(self) -> None:
         """Refit neighbours in turn until their frequencies settle.
 
         A resonance is dropped if it is then not clear, or may be a residual of a larger one.
         """
-        crowd = [
-            resonance for resonance in self.resonances if resonance.neighbours(self.resonances)
+        crowded_resonances = [
+            resonance for resonance in self.resonances if resonance.list_neighbours(self.resonances)
         ]
-        for _ in range(MAX_ROUNDS):
+        for _ in range(MAX_SEARCH_ROUNDS):
             has_moved = False
-            for resonance in sorted(crowd, key=lambda resonance: -resonance.best_fit.amplitude):
-                previous_root = resonance.best_fit.mode.root
+            for resonance in sorted(
+                crowded_resonances, key=lambda resonance: -resonance.best_fit.largest_amplitude
+            ):
+                previous_pole = resonance.best_fit.mode.pole
                 self._refit_or_drop(resonance)
-                root_change = abs(resonance.best_fit.mode.root - previous_root)
-                has_moved |= resonance not in self.resonances or root_change > 0.1 * float(
-                    resonance.best_fit.errors[0]
+                pole_change = abs(resonance.best_fit.mode.pole - previous_pole)
+                has_moved |= resonance not in self.resonances or pole_change > 0.1 * float(
+                    resonance.best_fit.omega_and_damping_errors[0]
                 )
             if not has_moved:
                 break
-            crowd = [resonance for resonance in crowd if resonance in self.resonances]
+            crowded_resonances = [
+                resonance for resonance in crowded_resonances if resonance in self.resonances
+            ]
 
 
-def _clearness(
-    record: Record, values: np.ndarray, speed: float, rounds: int = 1
+def _compute_gain_and_squares_reduction(
+    record: Record, displacements: np.ndarray, speed: float, n_rounds: int = 1
 ) -> tuple[float, float]:
     """Return how clearly a steady vibration near a speed reduces squares.
 
@@ -583,33 +687,46 @@ def _clearness(
     gain : float
         Reduction in variances of the noise, less the noise explained by further phases. The noise
         follows from differences between successive arrivals at a probe.
-    energy : float [m^2]
+    squares_reduction : float [m^2]
         Reduction of the sum of squares.
     """
-    total = energy = 0.0
-    for run in record.runs(values, speed):
-        columns = [
-            column[mask] for column, mask in zip(run.values.T, run.has_arrival.T, strict=True)
+    total_gain = total_reduction = 0.0
+    for run in record.find_runs(displacements, speed):
+        probe_series = [
+            series[has_arrival]
+            for series, has_arrival in zip(run.displacements.T, run.has_arrival.T, strict=True)
         ]
-        changes = np.concatenate([column[1:] - column[:-1] for column in columns])
+        successive_differences = np.concatenate(
+            [series[1:] - series[:-1] for series in probe_series]
+        )
         # Median of the difference of two normal errors.
-        scale = max(float(np.median(np.abs(changes))) / (np.sqrt(2.0) * ndtri(0.75)), run.rounding)
-        wave = 1.0 / (INITIAL_DAMPING + 1j * (run.speed / speed - 1.0))
-        wave, weights = wave[:, None] * np.ones_like(run.values), run.has_arrival.astype(float)
-        for _ in range(rounds):
-            matrices, vectors, parts, motion = run.phase_equations(wave, weights)
-            coefficients = np.linalg.solve(
+        noise_scale = max(
+            float(np.median(np.abs(successive_differences))) / (np.sqrt(2.0) * ndtri(0.75)),
+            run.rounding,
+        )
+        steady_wave = 1.0 / (INITIAL_DAMPING_RATIO + 1j * (run.revolution_speeds / speed - 1.0))
+        steady_wave = steady_wave[:, None] * np.ones_like(run.displacements)
+        weights = run.has_arrival.astype(float)
+        for _ in range(n_rounds):
+            matrices, vectors, wave_parts, weighted_displacements = run.build_equations_by_probe(
+                steady_wave, weights
+            )
+            probe_amplitudes = np.linalg.solve(
                 matrices + SMALLEST_NORMAL * np.eye(2), vectors[..., None]
             )[..., 0]
-            if rounds == 1:
+            if n_rounds == 1:
                 continue
-            squares = (motion - np.einsum("pa,arp->rp", coefficients, parts))[run.has_arrival] ** 2
-            squares /= weights[run.has_arrival] * scale**2
-            weights[run.has_arrival] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + squares)
-        gain = float((vectors * coefficients).sum())
-        total += gain / scale**2 - 2.0 * (run.probes - 1)
-        energy += gain
-    return total, energy
+            squared_ratios = (
+                weighted_displacements - np.einsum("pa,arp->rp", probe_amplitudes, wave_parts)
+            )[run.has_arrival] ** 2
+            squared_ratios /= weights[run.has_arrival] * noise_scale**2
+            weights[run.has_arrival] = (TRIAL_STUDENT_FREEDOMS[0] + 1.0) / (
+                TRIAL_STUDENT_FREEDOMS[0] + squared_ratios
+            )
+        squares_reduction = float((vectors * probe_amplitudes).sum())
+        total_gain += squares_reduction / noise_scale**2 - 2.0 * (run.n_probes - 1)
+        total_reduction += squares_reduction
+    return total_gain, total_reduction
 
 
 class _Resonance:
@@ -638,30 +755,32 @@ class _Resonance:
 
     def __init__(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         self.compared_neighbours: list[_Resonance] = []
-        self.compare(runs, speed, orders)
+        self.compare_orders(runs, speed, orders)
 
-    def compare(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
+    def compare_orders(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         """Compare orders in passages near a speed [rad/s]."""
         self._runs = runs
-        weights = [run.has_arrival.astype(float) for run in runs]
-        fits: dict[Mode, Fit] = {}
+        weights_of_runs = [run.has_arrival.astype(float) for run in runs]
+        fit_by_mode: dict[Mode, Fit] = {}
         # First without weights, where single wrong arrivals may hide the order; then with those of
         # the best fit, until it is the one that they make the best.
-        for is_last in (False, False, True):
-            options = _find_best_modes(
-                zip(runs, weights, strict=True), orders, speed, INITIAL_DAMPING
+        for is_last_round in (False, False, True):
+            gain_mode_pairs = _list_best_gains_and_modes(
+                zip(runs, weights_of_runs, strict=True), orders, speed, INITIAL_DAMPING_RATIO
             )
-            options.sort(key=lambda option: -option[0])
-            is_last = is_last or (len(fits) > 0 and options[0][1].order == self.best_fit.mode.order)
-            for gain, mode in options[: MAX_REFINED_ORDERS if is_last else 1]:
-                if gain > LOWEST * options[0][0] and mode not in fits:
-                    fits[mode] = Fit(runs, [mode], weights)
-            self.best_fit = min(fits.values(), key=lambda fit: fit.noise.cost)
-            if is_last:
+            gain_mode_pairs.sort(key=lambda gain_mode_pair: -gain_mode_pair[0])
+            is_last_round = is_last_round or (
+                len(fit_by_mode) > 0 and gain_mode_pairs[0][1].order == self.best_fit.mode.order
+            )
+            for gain, mode in gain_mode_pairs[: MAX_REFINED_ORDERS if is_last_round else 1]:
+                if gain > MIN_RELATIVE_PEAK * gain_mode_pairs[0][0] and mode not in fit_by_mode:
+                    fit_by_mode[mode] = Fit(runs, [mode], weights_of_runs)
+            self.best_fit = min(fit_by_mode.values(), key=lambda fit: fit.noise.cost)
+            if is_last_round:
                 break
-            weights = self.best_fit.weights
-        gains = {mode.order: gain for gain, mode in options}
-        self.margins = _margins(gains, fits.values(), self.best_fit)
+            weights_of_runs = self.best_fit.weights
+        gain_by_order = {mode.order: gain for gain, mode in gain_mode_pairs}
+        self.margins = _compute_margin_by_order(gain_by_order, fit_by_mode.values(), self.best_fit)
 
     @property
     def is_clear(self) -> bool:
@@ -670,47 +789,62 @@ class _Resonance:
         A line has no damping within three errors; drift has a damping ratio above half the bound.
         """
         fit = self.best_fit
-        is_passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
-        if not (is_passed and fit.gain > LEVELS.gain):
+        is_passed = any(
+            run.revolution_speeds.min() < self.speed < run.revolution_speeds.max()
+            for run in self._runs
+        )
+        if not (is_passed and fit.likelihood_gain > CONFIDENCE_LEVELS.min_likelihood_gain):
             return False
-        return LEVELS.deviations * float(fit.errors[1]) < fit.mode.damping < 0.5 * DAMPING_BOUNDS[1]
+        return (
+            CONFIDENCE_LEVELS.allowed_standard_errors * float(fit.omega_and_damping_errors[1])
+            < fit.mode.damping
+            < 0.5 * DAMPING_RATIO_BOUNDS[1]
+        )
 
     @property
     def speed(self) -> float:
         """Speed at which the order meets the frequency [rad/s]."""
         return self.best_fit.mode.speed
 
-    def is_near(self, resonance: _Resonance, width: float = 2.0 * WIDTH) -> bool:
+    def is_near(
+        self, resonance: _Resonance, width: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH
+    ) -> bool:
         """Return True if another resonance is within a relative distance in speed."""
         return resonance is not self and abs(resonance.speed / self.speed - 1.0) < width
 
-    def neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
+    def list_neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
         """Return the other resonances with overlapping fitted speeds."""
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
-    def covers(self, resonance: _Resonance) -> bool:
+    def has_within_width(self, resonance: _Resonance) -> bool:
         """Return True if another resonance is nearer than this one's width."""
         return self.is_near(resonance, 2.0 * self.best_fit.mode.damping)
 
     def may_be_residual_of(self, resonance: _Resonance) -> bool:
         """Return True if a larger resonance with the same order covers this one."""
         larger_fit, own_fit = resonance.best_fit, self.best_fit
-        is_near = resonance.covers(self) and larger_fit.mode.order == own_fit.mode.order
-        return is_near and larger_fit.amplitude > own_fit.amplitude
+        is_covered_at_order = (
+            resonance.has_within_width(self) and larger_fit.mode.order == own_fit.mode.order
+        )
+        return is_covered_at_order and larger_fit.largest_amplitude > own_fit.largest_amplitude
 
-    def refit(self, record: Record, values: np.ndarray, mode: Mode | None = None) -> bool:
+    def refit_and_test_clarity(
+        self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
+    ) -> bool:
         """Refit the mode, or a given one, to displacements (revolutions, probes) [m].
 
         Return True if the resonance is clear, and False if no run passes the speed.
         """
-        runs = record.runs(values, self.speed)
+        runs = record.find_runs(displacements, self.speed)
         if not runs:
             return False
-        self.best_fit = Fit(runs, [mode or self.best_fit.mode], self._weights(runs))
+        self.best_fit = Fit(
+            runs, [initial_mode or self.best_fit.mode], self._make_initial_weights(runs)
+        )
         self._runs = runs
         return self.is_clear
 
-    def _weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
+    def _make_initial_weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
         """Return initial weights (R, P) for runs.
 
         They are the best fit's weights for the same arrivals, otherwise 1.
@@ -722,168 +856,234 @@ class _Resonance:
             return self.best_fit.weights
         return [run.has_arrival.astype(float) for run in runs]
 
-    def compare_with(
-        self, neighbour: _Resonance, record: Record, values: np.ndarray, orders: np.ndarray
+    def compare_order_pairs_with(
+        self, neighbour: _Resonance, record: Record, displacements: np.ndarray, orders: np.ndarray
     ) -> None:
         """Compare each pair of orders for two neighbours, and keep the best.
 
-        Displacements ``values`` (revolutions, probes) [m] hold the motion of both.
+        The displacements (revolutions, probes) [m] hold the motion of both.
         """
-        members = self, neighbour
-        runs = record.runs(values, self.speed)
-        weights = [run.has_arrival.astype(float) for run in runs]
-        best_fit = Fit(runs, [member.best_fit.mode for member in members], weights)
+        resonance_pair = self, neighbour
+        runs = record.find_runs(displacements, self.speed)
+        weights_of_runs = [run.has_arrival.astype(float) for run in runs]
+        best_fit = Fit(
+            runs, [pair_member.best_fit.mode for pair_member in resonance_pair], weights_of_runs
+        )
         mode_lists: list[list[Mode]] = []
-        for member, partner in (members, members[::-1]):
-            member_values = values - partner.best_fit.motion(record, len(values))
-            parts = zip(record.runs(member_values, self.speed), best_fit.weights, strict=True)
-            mode = member.best_fit.mode
-            options = _find_best_modes(parts, orders, member.speed, mode.damping)
-            mode_lists.append(
-                [mode if grid_mode.order == mode.order else grid_mode for _, grid_mode in options]
+        for pair_member, pair_partner in (resonance_pair, resonance_pair[::-1]):
+            member_displacements = displacements - pair_partner.best_fit.compute_motion(
+                record, len(displacements)
             )
-        fits = {best_fit.modes: best_fit}
-        for _ in range(MAX_ROUNDS):
-            weights, previous_fit = best_fit.weights, best_fit
-            gains = _reductions_by_pairs(runs, mode_lists, weights)
-            for index_pair in _choose_pairs(gains):
+            run_weight_pairs = zip(
+                record.find_runs(member_displacements, self.speed), best_fit.weights, strict=True
+            )
+            mode = pair_member.best_fit.mode
+            gain_mode_pairs = _list_best_gains_and_modes(
+                run_weight_pairs, orders, pair_member.speed, mode.damping
+            )
+            mode_lists.append(
+                [
+                    mode if grid_mode.order == mode.order else grid_mode
+                    for _, grid_mode in gain_mode_pairs
+                ]
+            )
+        fit_by_modes = {best_fit.modes: best_fit}
+        for _ in range(MAX_SEARCH_ROUNDS):
+            weights_of_runs, previous_fit = best_fit.weights, best_fit
+            pair_gains = _compute_squares_reductions_by_pairs(runs, mode_lists, weights_of_runs)
+            for index_pair in _choose_index_pairs(pair_gains):
                 modes = mode_lists[0][index_pair[0]], mode_lists[1][index_pair[1]]
-                if modes not in fits:
-                    fits[modes] = Fit(runs, modes, weights)
-            best_fit = min(fits.values(), key=lambda fit: fit.noise.cost)
+                if modes not in fit_by_modes:
+                    fit_by_modes[modes] = Fit(runs, modes, weights_of_runs)
+            best_fit = min(fit_by_modes.values(), key=lambda fit: fit.noise.cost)
             if best_fit is previous_fit:
                 break
-        for member_index, member in enumerate(members):
-            max_gains = dict(
-                zip(orders.tolist(), gains.max(axis=1 - member_index).tolist(), strict=True)
+        for member_index, pair_member in enumerate(resonance_pair):
+            max_gain_by_order = dict(
+                zip(orders.tolist(), pair_gains.max(axis=1 - member_index).tolist(), strict=True)
             )
-            member.margins = _margins(max_gains, fits.values(), best_fit, member_index)
-            member_values = values - best_fit.motion(record, len(values), 1 - member_index)
-            member.refit(record, member_values, best_fit.modes[member_index])
+            pair_member.margins = _compute_margin_by_order(
+                max_gain_by_order, fit_by_modes.values(), best_fit, member_index
+            )
+            member_displacements = displacements - best_fit.compute_motion(
+                record, len(displacements), 1 - member_index
+            )
+            pair_member.refit_and_test_clarity(
+                record, member_displacements, best_fit.modes[member_index]
+            )
 
     def to_passage_fit(
         self,
         record: Record,
         residuals: np.ndarray,
         resonances: Sequence[_Resonance] = (),
-        lines: tuple[TipFit, ...] = (),
+        line_fits: tuple[TipFit, ...] = (),
     ) -> PassageFit:
         """Return the best fit in numbers, with fits of single runs.
 
         ``residuals`` (revolutions, probes) [m] lack the motion of all ``resonances``. Neighbours
         are fitted together, so that errors include their uncertainty.
         """
-        neighbours = [resonance for resonance in resonances if self.is_near(resonance, WIDTH)]
+        neighbours = [
+            resonance
+            for resonance in resonances
+            if self.is_near(resonance, RELATIVE_SPEED_HALF_WIDTH)
+        ]
         best_fit, runs = self.best_fit, self._runs
         modes = [resonance.best_fit.mode for resonance in (self, *neighbours)]
         if neighbours:
-            motions = [
-                resonance.best_fit.motion(record, len(residuals))
+            resonance_motions = [
+                resonance.best_fit.compute_motion(record, len(residuals))
                 for resonance in (self, *neighbours)
             ]
-            runs = record.runs(residuals + sum(motions), self.speed)
-            best_fit = Fit(runs, modes, self._weights(runs))
+            runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
+            best_fit = Fit(runs, modes, self._make_initial_weights(runs))
         mode, stiffening = best_fit.mode, record.stiffening(self.speed, best_fit.mode.omega)
-        pairs = list(zip(runs, best_fit.weights, strict=True))
-        single_fits = (
-            [Fit([run], best_fit.modes, [run_weights]) for run, run_weights in pairs]
+        run_weight_pairs = list(zip(runs, best_fit.weights, strict=True))
+        single_run_fits = (
+            [Fit([run], best_fit.modes, [run_weights]) for run, run_weights in run_weight_pairs]
             if len(runs) > 1
             else [best_fit]
         )
         # Orders that resonate within the width of each other are claims on the same vibration.
-        rivals = [
+        rival_resonances = [
             resonance
             for resonance in resonances
-            if self.covers(resonance) or resonance.covers(self)
+            if self.has_within_width(resonance) or resonance.has_within_width(self)
         ]
-        margins = self.margins | {resonance.best_fit.mode.order: 0.0 for resonance in rivals}
-        errors, orders = best_fit.errors, np.array(sorted(margins))
+        margin_by_order = self.margins | {
+            resonance.best_fit.mode.order: 0.0 for resonance in rival_resonances
+        }
+        errors, orders = best_fit.omega_and_damping_errors, np.array(sorted(margin_by_order))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
             omega_error=float(errors[0]),
             damping=(1.0 - stiffening) * mode.damping,
             damping_error=(1.0 - stiffening) * float(errors[1]),
-            amplitude=best_fit.amplitude,
+            amplitude=best_fit.largest_amplitude,
             forces=best_fit.forces[0],
             ends=np.array([(run.begin, run.end) for run in runs]),
-            omegas=np.array([fit.mode.omega for fit in single_fits]),
-            omega_errors=np.array([fit.errors[0] for fit in single_fits]),
-            dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in single_fits]),
-            damping_errors=(1.0 - stiffening) * np.array([fit.errors[1] for fit in single_fits]),
+            omegas=np.array([fit.mode.omega for fit in single_run_fits]),
+            omega_errors=np.array([fit.omega_and_damping_errors[0] for fit in single_run_fits]),
+            dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in single_run_fits]),
+            damping_errors=(1.0 - stiffening)
+            * np.array([fit.omega_and_damping_errors[1] for fit in single_run_fits]),
             orders=orders,
-            margins=np.array([margins[order] for order in orders]),
-            probes=max(run.probes for run in runs),
+            margins=np.array([margin_by_order[order] for order in orders]),
+            probes=max(run.n_probes for run in runs),
             scatter=float(np.sqrt(best_fit.noise.variance)),
             whiteness=best_fit.whiteness,
-            asynchronous=lines,
+            asynchronous=line_fits,
             blind=(),
             stiffening=stiffening,
         )
 
 
-def _find_best_modes(
-    runs: Iterable[tuple[Run, np.ndarray]], orders: np.ndarray, speed: float, damping: float
+def _list_best_gains_and_modes(
+    run_weight_pairs: Iterable[tuple[Run, np.ndarray]],
+    orders: np.ndarray,
+    speed: float,
+    damping_ratio: float,
 ) -> list[tuple[float, Mode]]:
     """Find the best mode for each order.
 
     The list pairs reductions of the sum of squares [m^2] with modes.
     Frequencies are from a grid about a speed, spaced by half the damping ratio.
     """
-    omegas = orders[:, None] * speed * (1.0 + damping * np.linspace(-2.5, 2.5, 11))
-    roots = pole(omegas, damping)
-    gains = sum(run.gains(orders, roots, weights) for run, weights in runs)
-    best_columns, rows = np.argmax(gains, axis=1), np.arange(len(orders))
-    modes = map(Mode, orders.tolist(), roots[rows, best_columns].tolist())
-    return list(zip(np.asarray(gains)[rows, best_columns].tolist(), modes, strict=True))
+    omega_rows = orders[:, None] * speed * (1.0 + damping_ratio * np.linspace(-2.5, 2.5, 11))
+    pole_rows = compute_poles(omega_rows, damping_ratio)
+    gains = sum(
+        run.compute_squares_reductions(orders, pole_rows, weights)
+        for run, weights in run_weight_pairs
+    )
+    best_pole_indices, order_indices = np.argmax(gains, axis=1), np.arange(len(orders))
+    best_modes = map(Mode, orders.tolist(), pole_rows[order_indices, best_pole_indices].tolist())
+    return list(
+        zip(np.asarray(gains)[order_indices, best_pole_indices].tolist(), best_modes, strict=True)
+    )
 
 
-def _reductions_by_pairs(
-    runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights: Sequence[np.ndarray]
+def _compute_squares_reductions_by_pairs(
+    runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights_of_runs: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return reductions of the sum of squares by mode pairs: (n, m) [m^2].
 
     The first list has n modes, the second m.
     """
-    count, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
-    row, column = np.indices((count, len(all_modes) - count))
-    pairs = np.stack([2 * row, 2 * row + 1, 2 * (count + column), 2 * (count + column) + 1], -1)
-    total = np.zeros(row.shape)
-    for run, weight in zip(runs, weights, strict=True):
-        waves = np.array([*map(run.wave, all_modes), run.values])
-        *parts, values = run.without_drifts(waves, weight)
-        parts = np.stack([np.real(parts), -np.imag(parts)], axis=1)[..., run.has_arrival]
-        columns = parts.reshape(2 * len(all_modes), -1)
-        matrix, projections = columns @ columns.T, columns @ values[run.has_arrival].real
-        inverse = np.linalg.pinv(matrix[pairs[..., :, None], pairs[..., None, :]], hermitian=True)
-        total += np.einsum("nmi,nmij,nmj->nm", projections[pairs], inverse, projections[pairs])
-    return total
+    n_first_modes, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
+    first_indices, second_indices = np.indices((n_first_modes, len(all_modes) - n_first_modes))
+    pair_column_indices = np.stack(
+        [
+            2 * first_indices,
+            2 * first_indices + 1,
+            2 * (n_first_modes + second_indices),
+            2 * (n_first_modes + second_indices) + 1,
+        ],
+        -1,
+    )
+    reduction_sums = np.zeros(first_indices.shape)
+    for run, run_weights in zip(runs, weights_of_runs, strict=True):
+        waves_and_displacements = np.array([*map(run.compute_wave, all_modes), run.displacements])
+        *wave_parts, weighted_displacements = run.subtract_weighted_drifts(
+            waves_and_displacements, run_weights
+        )
+        wave_parts = np.stack([np.real(wave_parts), -np.imag(wave_parts)], axis=1)[
+            ..., run.has_arrival
+        ]
+        wave_columns = wave_parts.reshape(2 * len(all_modes), -1)
+        gram_matrix = wave_columns @ wave_columns.T
+        projections = wave_columns @ weighted_displacements[run.has_arrival].real
+        pair_inverses = np.linalg.pinv(
+            gram_matrix[pair_column_indices[..., :, None], pair_column_indices[..., None, :]],
+            hermitian=True,
+        )
+        reduction_sums += np.einsum(
+            "nmi,nmij,nmj->nm",
+            projections[pair_column_indices],
+            pair_inverses,
+            projections[pair_column_indices],
+        )
+    return reduction_sums
 
 
-def _choose_pairs(gains: np.ndarray) -> set[tuple[int, int]]:
+def _choose_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
     """Choose the index pairs to refine.
 
     Each of the best few modes has its best partner.
     ``gains`` (n, m) [m^2] are reductions of the sum of squares.
     """
-    best_rows, best_columns = (
-        np.argsort(-gains.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2] for axis in (0, 1)
+    best_first_indices, best_second_indices = (
+        np.argsort(-squares_reductions.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2]
+        for axis in (0, 1)
     )
-    pairs = [(row, gains[row].argmax()) for row in best_rows]
-    pairs += [(gains[:, column].argmax(), column) for column in best_columns]
-    return {(int(n), int(m)) for n, m in pairs if gains[n, m] > LOWEST * gains.max()}
+    index_pairs = [
+        (first_index, squares_reductions[first_index].argmax())
+        for first_index in best_first_indices
+    ]
+    index_pairs += [
+        (squares_reductions[:, second_index].argmax(), second_index)
+        for second_index in best_second_indices
+    ]
+    return {
+        (int(n), int(m))
+        for n, m in index_pairs
+        if squares_reductions[n, m] > MIN_RELATIVE_PEAK * squares_reductions.max()
+    }
 
 
-def _margins(
-    gains: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
+def _compute_margin_by_order(
+    gain_by_order: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
 ) -> dict[float, float]:
     """Return each order's -2 log likelihood less that of the best fit.
 
     An order without a fit has an estimate, from its reduction ``gains`` [m^2] of the sum of
     squares.
     """
-    max_gain = max(gains.values())
-    margins = {order: (max_gain - gain) / best_fit.noise.scale**2 for order, gain in gains.items()}
+    max_gain = max(gain_by_order.values())
+    margin_by_order = {
+        order: (max_gain - gain) / best_fit.noise.scale**2 for order, gain in gain_by_order.items()
+    }
     for fit in sorted(fits, key=lambda fit: -fit.noise.cost):
-        margins[fit.modes[mode_index].order] = fit.noise.cost - best_fit.noise.cost
-    return margins
+        margin_by_order[fit.modes[mode_index].order] = fit.noise.cost - best_fit.noise.cost
+    return margin_by_order

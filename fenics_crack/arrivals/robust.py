@@ -24,59 +24,59 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import gammaln, ndtr
 
-FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
+TRIAL_STUDENT_FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Trial degrees of freedom."""
-ROBUST_ROUNDS, ROBUST_SETTLED = 30, 1e-2
+MAX_WEIGHTING_ROUNDS, WEIGHTING_TOLERANCE = 30, 1e-2
 """Maximum rounds of weights, and maximum change in the last round.
 
 Both weights and scaled residuals change less in the end: by some hundredths of a standard error.
 """
-DEPENDENT = 1e-12
+DEPENDENT_EIGENVALUE_RATIO = 1e-12
 """Columns are dependent below this fraction of the largest eigenvalue."""
 
 
 @dataclass(frozen=True)
-class Confidence:
+class ConfidenceLevels:
     """Hold levels of significance.
 
     Attributes
     ----------
-    chance : float
+    vibration_significance_level : float
         Maximum probability, in noise, of a significant vibration.
-    gain : float
+    min_likelihood_gain : float
         Minimum reduction of -2 log likelihood by a significant resonance: some 1e5 are tried, each
         with six unknowns.
-    misfit : float
+    misfit_significance_level : float
         Probability of residuals below which a model does not explain them.
-    scatter : float
+    misfit_errors_significance_level : float
         Probability of a misfit below which errors follow from the misfit, otherwise from the
         scatter.
-    deviations : float
+    allowed_standard_errors : float
         Standard deviations within which candidates fit equally well, and correlation is
         insignificant.
     """
 
-    chance: float = 1e-5
-    gain: float = 60.0
-    misfit: float = 1e-3
-    scatter: float = 1e-2
-    deviations: float = 3.0
+    vibration_significance_level: float = 1e-5
+    min_likelihood_gain: float = 60.0
+    misfit_significance_level: float = 1e-3
+    misfit_errors_significance_level: float = 1e-2
+    allowed_standard_errors: float = 3.0
 
     @property
-    def equal(self) -> float:
+    def allowed_cost_difference(self) -> float:
         """Difference in sums of squares, in variances, between equally good candidates."""
-        return self.deviations**2
+        return self.allowed_standard_errors**2
 
 
-LEVELS = Confidence()
+CONFIDENCE_LEVELS = ConfidenceLevels()
 
-Total = tuple[float, float]
+SumAndCount = tuple[float, float]
 """Sum of products, and their number."""
-Places = tuple[np.ndarray, np.ndarray]
+RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 """Revolutions and probes of arrivals: two (n,)."""
 
 
-class Noise:
+class StudentNoise:
     """Fit Student's t to residuals by maximum likelihood.
 
     Scale steps are 1 + 3 / nu times the steps of the weighted squares, since the information in
@@ -86,12 +86,12 @@ class Noise:
     ----------
     residuals : (n,)
         Residuals r.
-    unknowns : int
+    n_unknowns : int
         Number of unknowns in the fit.
     min_scale : float
         Minimum scale, by rounding.
-    scales : (k,)
-        Initial scales, one for each trial value in :data:`FREEDOMS`.
+    trial_scales : (k,)
+        Initial scales, one for each value in :data:`TRIAL_STUDENT_FREEDOMS`.
 
     Attributes
     ----------
@@ -106,35 +106,58 @@ class Noise:
     def __init__(
         self,
         residuals: np.ndarray,
-        unknowns: int,
+        n_unknowns: int,
         min_scale: float,
-        scales: np.ndarray | None = None,
+        trial_scales: np.ndarray | None = None,
     ) -> None:
-        self.residuals, self.unknowns = residuals, unknowns
-        squares, n_spare = residuals**2, max(len(residuals) - unknowns, 1)
+        self.residuals, self.n_unknowns = residuals, n_unknowns
+        squared_residuals, n_spare = residuals**2, max(len(residuals) - n_unknowns, 1)
         # As many arrivals as unknowns may be met exactly: few to spare have no tails.
-        freedoms = FREEDOMS if n_spare > unknowns else FREEDOMS[-1:]
-        if scales is None:
-            scale = 1.5 * float(np.median(np.abs(residuals))) * np.sqrt(len(residuals) / n_spare)
-            scales = np.full(len(freedoms), scale)
-        scales, nu = np.maximum(scales, min_scale), freedoms[:, None]
-        for _ in range(ROBUST_ROUNDS):
-            ratios = squares / scales[:, None] ** 2
-            variance_ratio = (nu + 1.0) / (nu + ratios) @ squares / (n_spare * scales**2)
-            previous_scales = scales
-            scales = np.maximum(scales * variance_ratio ** (0.5 + 1.5 / freedoms), min_scale)
-            if np.all(np.abs(scales - previous_scales) < ROBUST_SETTLED * scales):
-                break
-        self.scales, ratios = scales, squares / scales[:, None] ** 2
-        log_norms = 2.0 * (gammaln(0.5 * freedoms) - gammaln(0.5 * freedoms + 0.5) + np.log(scales))
-        log_norms += np.log(freedoms * np.pi)
-        costs = len(residuals) * log_norms + (freedoms + 1.0) * np.log1p(ratios / nu).sum(axis=1)
-        # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
-        best_index = int(np.argmin(costs + 2.0 * (freedoms < FREEDOMS[-1])))
-        self.scale, self.freedom, self.cost = (
-            float(quantity[best_index]) for quantity in (scales, freedoms, costs)
+        trial_freedoms = (
+            TRIAL_STUDENT_FREEDOMS if n_spare > n_unknowns else TRIAL_STUDENT_FREEDOMS[-1:]
         )
-        self.weights = (self.freedom + 1.0) / (self.freedom + ratios[best_index])
+        if trial_scales is None:
+            initial_scale = (
+                1.5 * float(np.median(np.abs(residuals))) * np.sqrt(len(residuals) / n_spare)
+            )
+            trial_scales = np.full(len(trial_freedoms), initial_scale)
+        trial_scales, freedom_column = np.maximum(trial_scales, min_scale), trial_freedoms[:, None]
+        for _ in range(MAX_WEIGHTING_ROUNDS):
+            squared_ratios = squared_residuals / trial_scales[:, None] ** 2
+            variance_ratios = (
+                (freedom_column + 1.0)
+                / (freedom_column + squared_ratios)
+                @ squared_residuals
+                / (n_spare * trial_scales**2)
+            )
+            previous_trial_scales = trial_scales
+            trial_scales = np.maximum(
+                trial_scales * variance_ratios ** (0.5 + 1.5 / trial_freedoms), min_scale
+            )
+            if np.all(
+                np.abs(trial_scales - previous_trial_scales) < WEIGHTING_TOLERANCE * trial_scales
+            ):
+                break
+        self.trial_scales = trial_scales
+        squared_ratios = squared_residuals / trial_scales[:, None] ** 2
+        trial_log_norms = 2.0 * (
+            gammaln(0.5 * trial_freedoms)
+            - gammaln(0.5 * trial_freedoms + 0.5)
+            + np.log(trial_scales)
+        )
+        trial_log_norms += np.log(trial_freedoms * np.pi)
+        trial_costs = len(residuals) * trial_log_norms + (trial_freedoms + 1.0) * np.log1p(
+            squared_ratios / freedom_column
+        ).sum(axis=1)
+        # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
+        best_freedom_index = int(
+            np.argmin(trial_costs + 2.0 * (trial_freedoms < TRIAL_STUDENT_FREEDOMS[-1]))
+        )
+        self.scale, self.freedom, self.cost = (
+            float(trial_values[best_freedom_index])
+            for trial_values in (trial_scales, trial_freedoms, trial_costs)
+        )
+        self.weights = (self.freedom + 1.0) / (self.freedom + squared_ratios[best_freedom_index])
 
     @property
     def psi(self) -> np.ndarray:
@@ -142,93 +165,142 @@ class Noise:
         return self.weights * self.residuals
 
     @property
-    def slope(self) -> float:
+    def mean_psi_slope(self) -> float:
         """Mean derivative of psi by the residual."""
-        squares = (self.residuals / self.scale) ** 2
-        change = (self.freedom + 1.0) * (self.freedom - squares) / (self.freedom + squares) ** 2
-        return float(np.mean(change))
+        squared_ratios = (self.residuals / self.scale) ** 2
+        psi_derivatives = (
+            (self.freedom + 1.0)
+            * (self.freedom - squared_ratios)
+            / (self.freedom + squared_ratios) ** 2
+        )
+        return float(np.mean(psi_derivatives))
 
     @property
     def variance(self) -> float:
         """Variance of normal errors with the same effect on estimates."""
-        n_spare = len(self.residuals) - self.unknowns
-        return float(self.psi @ self.psi) / (n_spare * self.slope**2)
+        n_spare = len(self.residuals) - self.n_unknowns
+        return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
 
-    def whiteness(self, places: Places, shares: np.ndarray) -> float:
+    def whiteness(self, places: RevolutionsAndProbes, mark_shares: np.ndarray) -> float:
         """Return the probability that noise alone leaves residuals as correlated.
 
         Noise comes from arrivals and marks. The correlation is between values of psi at one probe,
-        from a revolution to the next with arrivals (:func:`_sum_neighbours`).
+        from a revolution to the next with arrivals (:func:`_sum_products_with_next_revolution`).
 
         An error e_n of mark n moves arrivals: at probe i in revolution n by sum_k S_ki e_(n+k),
-        with the ``shares`` S (marks, probes). Products of psi at two probes in a revolution give
+        with ``mark_shares`` S (marks, probes). Products of psi at two probes in a revolution give
         the variance of e. Multiplied by sum_k S_ki S_(k+m)i, this variance is the covariance
         between arrivals at probe i, m revolutions apart. Shared errors also scatter the products
         themselves.
         """
-        (same_probe, cross_probe), lag, ((total, count), lagged_cross) = _sum_neighbours(
-            self.psi, places
-        )
-        variance = same_probe[0] / same_probe[1]
-        if not count or not variance:
+        (
+            (same_probe_sum_count, cross_probe_sum_count),
+            lag,
+            ((lagged_sum, n_lagged_products), lagged_cross_sum_count),
+        ) = _sum_products_with_next_revolution(self.psi, places)
+        psi_variance = same_probe_sum_count[0] / same_probe_sum_count[1]
+        if not n_lagged_products or not psi_variance:
             return np.nan
-        covariance = max(cross_probe[0] / cross_probe[1], 0.0) if cross_probe[1] else 0.0
-        products = shares.T @ shares
-        next_products = (shares[lag:] * shares[:-lag]).sum(axis=0)
-        cross_products = products[~np.eye(len(products), dtype=bool)]
-        mark_part = covariance / cross_products.mean() * next_products.mean() if covariance else 0.0
-        deviation = variance * np.sqrt(count + (covariance / variance) ** 2 * lagged_cross[1])
-        chance = float(ndtr((total - count * mark_part) / deviation))
-        return 2.0 * min(chance, 1.0 - chance)
+        mark_covariance = (
+            max(cross_probe_sum_count[0] / cross_probe_sum_count[1], 0.0)
+            if cross_probe_sum_count[1]
+            else 0.0
+        )
+        share_products = mark_shares.T @ mark_shares
+        lagged_share_products = (mark_shares[lag:] * mark_shares[:-lag]).sum(axis=0)
+        cross_probe_share_products = share_products[~np.eye(len(share_products), dtype=bool)]
+        lagged_mark_covariance = (
+            mark_covariance / cross_probe_share_products.mean() * lagged_share_products.mean()
+            if mark_covariance
+            else 0.0
+        )
+        lagged_sum_deviation = psi_variance * np.sqrt(
+            n_lagged_products + (mark_covariance / psi_variance) ** 2 * lagged_cross_sum_count[1]
+        )
+        lower_tail_probability = float(
+            ndtr((lagged_sum - n_lagged_products * lagged_mark_covariance) / lagged_sum_deviation)
+        )
+        return 2.0 * min(lower_tail_probability, 1.0 - lower_tail_probability)
 
-    def covariance(self, columns: np.ndarray, places: Places) -> np.ndarray:
+    def coefficient_covariance(
+        self, columns: np.ndarray, places: RevolutionsAndProbes
+    ) -> np.ndarray:
         """Return the covariance (m, m) of coefficients from columns (n, m).
 
         Rows in ``columns`` belong to the arrivals; ``places`` are their revolutions and probes.
         """
-        sizes = np.linalg.norm(columns, axis=0)
-        columns = columns / sizes
-        probe_columns = _arrange_by_revolution(columns, places)
-        revolution_columns, gram = probe_columns.sum(axis=1), columns.T @ columns
-        variance = float(self.psi @ self.psi) / (len(self.psi) - self.unknowns)
-        psi_covariance = variance * gram
-        covariances = self._find_covariances(variance, places)
-        for lag, (probe_covariance, pair_covariance) in enumerate(covariances):
-            tail, head = slice(lag, None), slice(len(revolution_columns) - lag)
-            probe_products, products = (
-                rows[tail].reshape(-1, len(gram)).T @ rows[head].reshape(-1, len(gram))
-                for rows in (probe_columns, revolution_columns)
+        column_norms = np.linalg.norm(columns, axis=0)
+        columns = columns / column_norms
+        column_table = _arrange_by_revolution_and_probe(columns, places)
+        revolution_column_sums, gram_matrix = column_table.sum(axis=1), columns.T @ columns
+        psi_variance = float(self.psi @ self.psi) / (len(self.psi) - self.n_unknowns)
+        score_covariance = psi_variance * gram_matrix
+        covariance_pairs = self._list_psi_covariances_by_lag(psi_variance, places)
+        for lag, (same_probe_covariance, probe_pair_covariance) in enumerate(covariance_pairs):
+            tail_slice, head_slice = slice(lag, None), slice(len(revolution_column_sums) - lag)
+            same_probe_products, revolution_products = (
+                table[tail_slice].reshape(-1, len(gram_matrix)).T
+                @ table[head_slice].reshape(-1, len(gram_matrix))
+                for table in (column_table, revolution_column_sums)
             )
-            term = probe_covariance * probe_products + pair_covariance * (products - probe_products)
-            psi_covariance += (1.0 - lag / len(covariances)) * (term if lag == 0 else term + term.T)
+            lag_term = same_probe_covariance * same_probe_products + probe_pair_covariance * (
+                revolution_products - same_probe_products
+            )
+            score_covariance += (1.0 - lag / len(covariance_pairs)) * (
+                lag_term if lag == 0 else lag_term + lag_term.T
+            )
         # Correlation leaves a tenth or more of the variance by white errors.
-        values, vectors = np.linalg.eigh(gram)
-        basis = vectors * np.where(values > DEPENDENT * values[-1], values, np.inf) ** -0.5
-        variances, axes = np.linalg.eigh(basis.T @ psi_covariance @ basis)
-        basis = (basis @ axes) / sizes[:, None]
-        return np.asarray((basis * np.maximum(variances, 0.1 * variance)) @ basis.T / self.slope**2)
+        eigenvalues, eigenvectors = np.linalg.eigh(gram_matrix)
+        coefficient_basis = (
+            eigenvectors
+            * np.where(
+                eigenvalues > DEPENDENT_EIGENVALUE_RATIO * eigenvalues[-1], eigenvalues, np.inf
+            )
+            ** -0.5
+        )
+        axis_variances, principal_axes = np.linalg.eigh(
+            coefficient_basis.T @ score_covariance @ coefficient_basis
+        )
+        coefficient_basis = (coefficient_basis @ principal_axes) / column_norms[:, None]
+        return np.asarray(
+            (coefficient_basis * np.maximum(axis_variances, 0.1 * psi_variance))
+            @ coefficient_basis.T
+            / self.mean_psi_slope**2
+        )
 
-    def _find_covariances(self, variance: float, places: Places) -> list[tuple[float, float]]:
+    def _list_psi_covariances_by_lag(
+        self, psi_variance: float, places: RevolutionsAndProbes
+    ) -> list[tuple[float, float]]:
         """Return significant covariances of psi at lags of 0, 1, ... revolutions.
 
         Each lag has two covariances: at one probe, 0 at lag 0, and between two probes. The list
         ends before the first lag > 0 without a significant covariance.
         """
-        covariances: list[tuple[float, float]] = []
-        for lag, products in enumerate(_sum_products(self.psi, itertools.count(), places)):
-            lag_covariances = []
-            for total, count in products:
-                limit = LEVELS.deviations * variance * np.sqrt(count if lag else 2.0 * count)
-                lag_covariances.append(total / count if count and abs(total) > limit else 0.0)
+        covariance_pairs: list[tuple[float, float]] = []
+        for lag, sum_count_pairs in enumerate(
+            _yield_product_sums_by_lag(self.psi, itertools.count(), places)
+        ):
+            covariance_pair = []
+            for product_sum, n_products in sum_count_pairs:
+                max_insignificant_sum = (
+                    CONFIDENCE_LEVELS.allowed_standard_errors
+                    * psi_variance
+                    * np.sqrt(n_products if lag else 2.0 * n_products)
+                )
+                covariance_pair.append(
+                    product_sum / n_products
+                    if n_products and abs(product_sum) > max_insignificant_sum
+                    else 0.0
+                )
             if lag == 0:
-                lag_covariances[0] = 0.0
-            elif not any(lag_covariances):
+                covariance_pair[0] = 0.0
+            elif not any(covariance_pair):
                 break
-            covariances.append((lag_covariances[0], lag_covariances[1]))
-        return covariances
+            covariance_pairs.append((covariance_pair[0], covariance_pair[1]))
+        return covariance_pairs
 
 
-def student(freedom: float) -> float:
+def student_variance_ratio(freedom: float) -> float:
     """Return the variance of Student's t over its squared scale.
 
     Squared errors from few residuals are larger by this factor; nan up to two degrees of freedom.
@@ -236,18 +308,24 @@ def student(freedom: float) -> float:
     return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
 
 
-def trend(values: np.ndarray, places: Places) -> float:
+def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> float:
     """Return the probability that white values are at least as correlated.
 
     The correlation is between successive revolutions.
     ``values`` (n,) belong to the revolutions and probes in ``places``; nan for one revolution.
     """
-    _, _, [(total, count), _] = _sum_neighbours(values, places)
-    variance = float(values @ values) / len(values)
-    return float(ndtr(-total / (variance * np.sqrt(count)))) if count and variance else np.nan
+    _, _, [(lagged_sum, n_lagged_products), _] = _sum_products_with_next_revolution(values, places)
+    value_variance = float(values @ values) / len(values)
+    return (
+        float(ndtr(-lagged_sum / (value_variance * np.sqrt(n_lagged_products))))
+        if n_lagged_products and value_variance
+        else np.nan
+    )
 
 
-def _sum_neighbours(values: np.ndarray, places: Places) -> tuple[list[Total], int, list[Total]]:
+def _sum_products_with_next_revolution(
+    values: np.ndarray, places: RevolutionsAndProbes
+) -> tuple[list[SumAndCount], int, list[SumAndCount]]:
     """Sum products of values (n,) within revolutions, and with the next ones.
 
     Returns
@@ -257,93 +335,126 @@ def _sum_neighbours(values: np.ndarray, places: Places) -> tuple[list[Total], in
     lag : int
         Distance to the next revolution: 1, or up to 5 if most revolutions between are missing.
     """
-    unlagged_sums, *lagged_sums = _sum_products(values, range(6), places)
-    lag = 1 + int(np.argmax([sums[1] / lag for lag, (sums, _) in enumerate(lagged_sums, 1)]))
-    return unlagged_sums, lag, lagged_sums[lag - 1]
+    unlagged_sum_count_pairs, *lagged_sum_count_pairs = _yield_product_sums_by_lag(
+        values, range(6), places
+    )
+    lag = 1 + int(
+        np.argmax(
+            [
+                sum_and_count[1] / lag
+                for lag, (sum_and_count, _) in enumerate(lagged_sum_count_pairs, 1)
+            ]
+        )
+    )
+    return unlagged_sum_count_pairs, lag, lagged_sum_count_pairs[lag - 1]
 
 
-def _sum_products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Total]]:
+def _yield_product_sums_by_lag(
+    values: np.ndarray, lags: Iterable[int], places: RevolutionsAndProbes
+) -> Iterator[list[SumAndCount]]:
     """Yield sums of products in values (n,), by lag, at one probe and two."""
-    arrays = [_arrange_by_revolution(part, places) for part in (values, np.ones(len(values)))]
-    revolution_sums = [array.sum(axis=1) for array in arrays]
+    value_and_count_tables = [
+        _arrange_by_revolution_and_probe(values_or_ones, places)
+        for values_or_ones in (values, np.ones(len(values)))
+    ]
+    table_revolution_sums = [table.sum(axis=1) for table in value_and_count_tables]
     for lag in lags:
-        n_rows, sums = max(len(arrays[0]) - lag, 0), []
-        for array, row_sums in zip(arrays, revolution_sums, strict=True):
-            probe_sum = float((array[lag:] * array[:n_rows]).sum())
-            sums.append((probe_sum, float(row_sums[lag:] @ row_sums[:n_rows]) - probe_sum))
-        yield list(zip(*sums, strict=True))
+        n_rows, probe_sum_pairs = max(len(value_and_count_tables[0]) - lag, 0), []
+        for table, revolution_sums in zip(
+            value_and_count_tables, table_revolution_sums, strict=True
+        ):
+            same_probe_sum = float((table[lag:] * table[:n_rows]).sum())
+            probe_sum_pairs.append(
+                (
+                    same_probe_sum,
+                    float(revolution_sums[lag:] @ revolution_sums[:n_rows]) - same_probe_sum,
+                )
+            )
+        yield list(zip(*probe_sum_pairs, strict=True))
 
 
-def _arrange_by_revolution(values: np.ndarray, places: Places) -> np.ndarray:
+def _arrange_by_revolution_and_probe(
+    values: np.ndarray, places: RevolutionsAndProbes
+) -> np.ndarray:
     """Arrange values (n, ...) by revolution and probe, otherwise 0."""
-    revolution, probe = places[0] - places[0].min(), places[1]
-    table = np.zeros((int(revolution.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
-    table[revolution, probe] = values
+    revolution_indices, probe_indices = places[0] - places[0].min(), places[1]
+    table = np.zeros(
+        (int(revolution_indices.max()) + 1, int(probe_indices.max()) + 1, *values.shape[1:])
+    )
+    table[revolution_indices, probe_indices] = values
     return table
 
 
-def reweighted(
-    solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, min_scale: float
-) -> Noise:
+def fit_noise_by_reweighting(
+    residual_function: Callable[[np.ndarray], np.ndarray],
+    weights: np.ndarray,
+    n_unknowns: int,
+    min_scale: float,
+) -> StudentNoise:
     """Find weights of arrivals, in turns with the residuals of a fit.
 
     Parameters
     ----------
-    solve : callable
+    residual_function : callable
         Return residuals (n,) from a fit with weights (n,).
     weights : (n,)
         Initial weights.
-    unknowns : int
+    n_unknowns : int
         Number of coefficients in the fit.
     min_scale : float
         Minimum scale, by rounding.
 
     Returns
     -------
-    Noise
+    StudentNoise
         Residuals in the last round, with their weights.
     """
-    previous_residuals, scales = np.inf, None
-    for _ in range(ROBUST_ROUNDS):
-        noise = Noise(solve(weights), unknowns, min_scale, scales)
-        scales = noise.scales
-        changes = (
+    previous_residuals, trial_scales = np.inf, None
+    for _ in range(MAX_WEIGHTING_ROUNDS):
+        noise = StudentNoise(residual_function(weights), n_unknowns, min_scale, trial_scales)
+        trial_scales = noise.trial_scales
+        largest_changes = (
             np.abs(noise.weights - weights).max(),
             np.abs(noise.residuals - previous_residuals).max(),
         )
         weights, previous_residuals = noise.weights, noise.residuals
-        if changes[0] < ROBUST_SETTLED and changes[1] < ROBUST_SETTLED * noise.scale:
+        if (
+            largest_changes[0] < WEIGHTING_TOLERANCE
+            and largest_changes[1] < WEIGHTING_TOLERANCE * noise.scale
+        ):
             break
     return noise
 
 
-def refined(
-    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+def find_least_squares_residuals(
+    residuals_and_slopes_function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     lower_bounds: Sequence[float] | np.ndarray,
     upper_bounds: Sequence[float] | np.ndarray,
-    min_reduction: float = ROBUST_SETTLED,
+    min_squares_reduction: float = WEIGHTING_TOLERANCE,
 ) -> np.ndarray:
     """Return the least-squares residuals (n,), from unknowns (m,) = 0 on.
 
     Parameters
     ----------
-    function : callable
+    residuals_and_slopes_function : callable
         Return residuals (n,) and their derivatives (n, m) at unknowns with natural size 1. The last
         call is at the solution.
     lower_bounds, upper_bounds : (m,)
         Bounds of the unknowns, widened to include 0.
-    min_reduction : float
+    min_squares_reduction : float
         Relative reduction of the sum of squares, below which the search ends.
     """
-    evaluate = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
+    cached_function = lru_cache(maxsize=1)(
+        lambda unknowns_bytes: residuals_and_slopes_function(np.frombuffer(unknowns_bytes))
+    )
     solution = least_squares(
-        lambda x: evaluate(x.tobytes())[0],
+        lambda x: cached_function(x.tobytes())[0],
         np.zeros(len(lower_bounds)),
-        lambda x: evaluate(x.tobytes())[1],
+        lambda x: cached_function(x.tobytes())[1],
         bounds=(np.minimum(lower_bounds, 0.0), np.maximum(upper_bounds, 0.0)),
         method="dogbox",
-        ftol=min_reduction,
-        xtol=ROBUST_SETTLED,
+        ftol=min_squares_reduction,
+        xtol=WEIGHTING_TOLERANCE,
         gtol=None,
     )
-    return evaluate(solution.x.tobytes())[0]
+    return cached_function(solution.x.tobytes())[0]

@@ -5,7 +5,7 @@ with angle alpha(t) and speed W = alpha', the mode moves the blade tip by
 
     u = Re a(t) exp(i p alpha),     a' = (lambda - i p W) a + zeta w_n F,
 
-with the root lambda = w_n (i sqrt(1 - zeta^2) - zeta), the envelope a, and the amplitude F in a
+with the pole lambda = w_n (i sqrt(1 - zeta^2) - zeta), the envelope a, and the amplitude F in a
 resonance without end. A decay takes 1 / (zeta w_n). If the speed changes by the resonance's width
 in less time, the largest amplitude comes later, is lower, and rings. A fit of steady vibrations
 then shifts the frequency, up in a run-up and down in a run-down. The marks give the speed W_j from
@@ -34,17 +34,21 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes, between
-from fenics_crack.arrivals.robust import refined, reweighted
+from fenics_crack.arrivals.arrival_times import (
+    MIN_REQUIRED_REVOLUTIONS,
+    ArrivalTimes,
+    interpolate_by_splines,
+)
+from fenics_crack.arrivals.robust import find_least_squares_residuals, fit_noise_by_reweighting
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
-WIDTH = 0.035
+RELATIVE_SPEED_HALF_WIDTH = 0.035
 """Half width of the fitted speeds about a resonance, relative to its speed."""
-DAMPING_BOUNDS = 1e-5, WIDTH / 2.0
+DAMPING_RATIO_BOUNDS = 1e-5, RELATIVE_SPEED_HALF_WIDTH / 2.0
 """Bounds of the damping ratios; a wider resonance is not distinguished from drift."""
 
-Follows = Callable[[float, float], float]
+StiffeningFunction = Callable[[float, float], float]
 """Function s of speed and natural frequency [rad/s], as ``Campbell.stiffening``."""
 
 
@@ -57,79 +61,104 @@ class Run:
     ----------
     record : Record
         Arrivals, and the stiffening of modes.
-    values : (revolutions, probes) [m]
+    displacements : (revolutions, probes) [m]
         Displacements in the whole record, without the vibrations found before.
-    begin, end : int
+    begin_revolution, end_revolution : int
         First revolution, and the one after the last.
     """
 
-    def __init__(self, record: Record, values: np.ndarray, begin: int, end: int) -> None:
-        arrivals, rows = record.arrivals, slice(begin, end)
-        self.begin, self.end, self._stiffening = begin, end, record.stiffening
-        self.has_arrival = np.isfinite(values[rows])
-        self.values = np.where(self.has_arrival, values[rows], 0.0)
-        self.nominal_angle, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
-        self.angle = np.where(self.has_arrival, arrivals.angle[rows], self.nominal_angle)
-        self.speed, self.rounding = record.speed[rows], arrivals.rounding
-        self.scaled_speed = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
+    def __init__(
+        self, record: Record, displacements: np.ndarray, begin_revolution: int, end_revolution: int
+    ) -> None:
+        arrivals, revolution_slice = record.arrivals, slice(begin_revolution, end_revolution)
+        self.begin, self.end, self._stiffening = begin_revolution, end_revolution, record.stiffening
+        self.has_arrival = np.isfinite(displacements[revolution_slice])
+        self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
+        self.nominal_angle = arrivals.nominal_angle[revolution_slice]
+        self.expected_times = arrivals.expected[revolution_slice]
+        self.angle = np.where(
+            self.has_arrival, arrivals.angle[revolution_slice], self.nominal_angle
+        )
+        self.revolution_speeds = record.revolution_speeds[revolution_slice]
+        self.rounding = arrivals.rounding
+        self.scaled_speed = (self.revolution_speeds - self.revolution_speeds.mean()) / (
+            self.revolution_speeds.max() - self.revolution_speeds.min()
+        )
 
     @property
-    def probes(self) -> int:
+    def n_probes(self) -> int:
         """Number of probes with arrivals."""
         return int(self.has_arrival.any(axis=0).sum())
 
-    def waves(self, order: float, roots: np.ndarray) -> np.ndarray:
+    def compute_waves(self, order: float, poles: np.ndarray) -> np.ndarray:
         """Return waves a(t) exp(i p alpha) at the arrivals for F = 1: (m, R, P).
 
-        The roots lambda (m,) [1/s] are equally far apart.
+        The poles lambda (m,) [1/s] are equally far apart.
         """
-        time, phase, phase_rate, rotation = self._phases(order)
-        factor, roots = self._stiffening_factor(order, roots), roots[:, None]
-        envelope = np.empty((len(roots), len(time)), dtype=complex)
-        envelope[:, :1] = 1.0 / (1j * phase_rate[0] - roots)
-        response = 1.0 / (1j * phase_rate - roots)
-        for part in self._parts(factor * roots.real.min()):
-            duration = factor * (time[part] - time[part.start])
-            growth = np.exp(1j * factor * (phase[part] - phase[part.start]) - roots[0] * duration)
-            growth_ratio = np.exp((roots[0] - roots[-1]) / max(len(roots) - 1, 1) * duration)
-            growths = np.cumprod([growth, *[growth_ratio] * (len(roots) - 1)], axis=0)
-            sums = (growths[:, 1:] - growths[:, :-1]) * response[:, part.start : part.stop - 1]
-            np.cumsum(sums, axis=1, out=sums)
-            sums += envelope[:, [part.start]]
-            envelope[:, part.start + 1 : part.stop] = sums / growths[:, 1:]
-        envelope *= -roots.real * rotation
-        return envelope.reshape(-1, *self.nominal_angle.shape)
+        times, phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
+        one_minus_stiffening = self._compute_one_minus_stiffening(order, poles)
+        poles = poles[:, None]
+        envelopes = np.empty((len(poles), len(times)), dtype=complex)
+        envelopes[:, :1] = 1.0 / (1j * phase_rates[0] - poles)
+        responses = 1.0 / (1j * phase_rates - poles)
+        for part_slice in self._list_slices_without_overflow(
+            one_minus_stiffening * poles.real.min()
+        ):
+            durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
+            first_growths = np.exp(
+                1j * one_minus_stiffening * (phases[part_slice] - phases[part_slice.start])
+                - poles[0] * durations
+            )
+            growth_ratios = np.exp((poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations)
+            growths_by_pole = np.cumprod(
+                [first_growths, *[growth_ratios] * (len(poles) - 1)], axis=0
+            )
+            response_sums = (growths_by_pole[:, 1:] - growths_by_pole[:, :-1]) * responses[
+                :, part_slice.start : part_slice.stop - 1
+            ]
+            np.cumsum(response_sums, axis=1, out=response_sums)
+            response_sums += envelopes[:, [part_slice.start]]
+            envelopes[:, part_slice.start + 1 : part_slice.stop] = (
+                response_sums / growths_by_pole[:, 1:]
+            )
+        envelopes *= -poles.real * rotations
+        return envelopes.reshape(-1, *self.nominal_angle.shape)
 
-    def wave(self, mode: Mode) -> np.ndarray:
+    def compute_wave(self, mode: Mode) -> np.ndarray:
         """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P)."""
-        return np.asarray(self.waves(mode.order, np.array([mode.root]))[0])
+        return np.asarray(self.compute_waves(mode.order, np.array([mode.pole]))[0])
 
-    def wave_and_slope(self, mode: Mode) -> np.ndarray:
+    def compute_wave_and_slope(self, mode: Mode) -> np.ndarray:
         """Return a mode's wave a(t) exp(i p alpha) for F = 1, and its slope: (2, R, P).
 
         The slope is the derivative by ln lambda, with the factor zeta w_n held constant.
         """
-        order, root = mode.order, mode.root
-        time, phase, phase_rate, rotation = self._phases(order)
-        factor = self._stiffening_factor(order, np.array([root]))
-        envelopes = np.empty((2, len(time)), dtype=complex)
-        response = 1.0 / (1j * phase_rate - root)
-        envelopes[0, 0], envelopes[1, 0] = response[0], response[0] ** 2
-        for part in self._parts(factor * root.real):
-            duration = factor * (time[part] - time[part.start])
-            growth = np.exp(1j * factor * (phase[part] - phase[part.start]) - root * duration)
-            growths = np.stack([growth, -duration * growth])
-            responses = response[part.start : part.stop - 1]
-            changes = (growths[:, 1:] - growths[:, :-1]) * responses
-            changes[1] += changes[0] * responses
-            part_envelopes = (envelopes[:, [part.start]] + np.cumsum(changes, axis=1)) / growth[1:]
-            part_envelopes[1] += duration[1:] * part_envelopes[0]
-            envelopes[:, part.start + 1 : part.stop] = part_envelopes
-        envelopes *= -root.real * rotation
-        envelopes[1] *= root
+        order, mode_pole = mode.order, mode.pole
+        times, phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
+        one_minus_stiffening = self._compute_one_minus_stiffening(order, np.array([mode_pole]))
+        envelopes = np.empty((2, len(times)), dtype=complex)
+        responses = 1.0 / (1j * phase_rates - mode_pole)
+        envelopes[0, 0], envelopes[1, 0] = responses[0], responses[0] ** 2
+        for part_slice in self._list_slices_without_overflow(one_minus_stiffening * mode_pole.real):
+            durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
+            growths = np.exp(
+                1j * one_minus_stiffening * (phases[part_slice] - phases[part_slice.start])
+                - mode_pole * durations
+            )
+            growth_and_slope = np.stack([growths, -durations * growths])
+            part_responses = responses[part_slice.start : part_slice.stop - 1]
+            envelope_changes = (growth_and_slope[:, 1:] - growth_and_slope[:, :-1]) * part_responses
+            envelope_changes[1] += envelope_changes[0] * part_responses
+            part_envelopes = (
+                envelopes[:, [part_slice.start]] + np.cumsum(envelope_changes, axis=1)
+            ) / growths[1:]
+            part_envelopes[1] += durations[1:] * part_envelopes[0]
+            envelopes[:, part_slice.start + 1 : part_slice.stop] = part_envelopes
+        envelopes *= -mode_pole.real * rotations
+        envelopes[1] *= mode_pole
         return envelopes.reshape(2, *self.nominal_angle.shape)
 
-    def _phases(self, order: float) -> tuple[np.ndarray, ...]:
+    def _compute_times_phases_rotations(self, order: float) -> tuple[np.ndarray, ...]:
         """Return times and phases of n = R P arrivals under an order.
 
         Returns
@@ -139,85 +168,117 @@ class Run:
         rotation : (n,)
             exp(i p alpha) with vibration.
         """
-        phase = order * self.nominal_angle.ravel()
-        rotation = np.exp(1j * order * self.angle.ravel())
-        return self._time, phase, np.diff(phase) / np.diff(self._time), rotation
+        phases = order * self.nominal_angle.ravel()
+        rotations = np.exp(1j * order * self.angle.ravel())
+        return (
+            self._elapsed_times,
+            phases,
+            np.diff(phases) / np.diff(self._elapsed_times),
+            rotations,
+        )
 
     @cached_property
-    def _time(self) -> np.ndarray:
-        return np.asarray((self.time - self.time[0, 0]).ravel())
+    def _elapsed_times(self) -> np.ndarray:
+        return np.asarray((self.expected_times - self.expected_times[0, 0]).ravel())
 
-    def _stiffening_factor(self, order: float, roots: np.ndarray) -> float:
-        """Return 1 - s at the speed where an order excites the roots lambda."""
-        omega = float(np.abs(roots).mean())
+    def _compute_one_minus_stiffening(self, order: float, poles: np.ndarray) -> float:
+        """Return 1 - s at the speed where an order excites the poles lambda."""
+        omega = float(np.abs(poles).mean())
         return 1.0 - self._stiffening(omega / order, omega)
 
-    def _parts(self, rate: float) -> list[slice]:
+    def _list_slices_without_overflow(self, decay_rate: float) -> list[slice]:
         """Split arrivals into parts without overflow in exp.
 
         The exponential undoes the decay.
         The decay rate [1/s] is negative; each part begins with the last arrival of the previous
         part.
         """
-        count = int(-rate * self._time[-1] // 300.0) + 1
-        edges = [(len(self._time) - 1) * part // count for part in range(count + 1)]
-        return [slice(begin, end + 1) for begin, end in itertools.pairwise(edges)]
+        n_parts = int(-decay_rate * self._elapsed_times[-1] // 300.0) + 1
+        edge_indices = [
+            (len(self._elapsed_times) - 1) * part_index // n_parts
+            for part_index in range(n_parts + 1)
+        ]
+        return [
+            slice(begin_index, end_index + 1)
+            for begin_index, end_index in itertools.pairwise(edge_indices)
+        ]
 
-    def _drifts(self, root_weights: np.ndarray) -> np.ndarray:
+    def _compute_orthonormal_drifts(self, sqrt_weights: np.ndarray) -> np.ndarray:
         """Return the drifts of each probe, weighted and orthonormal: (2, R, P).
 
-        Drifts are a constant and a slope over the speed, times roots of weights (R, P).
+        Drifts are a constant and a slope over the speed, times square roots of weights (R, P).
         """
-        drifts = np.stack([root_weights, root_weights * self.scaled_speed[:, None]])
-        constant, slope = drifts
-        constant /= np.sqrt(np.maximum((constant * constant).sum(axis=0), SMALLEST_NORMAL))
-        slope -= constant * (constant * slope).sum(axis=0)
-        slope /= np.sqrt(np.maximum((slope * slope).sum(axis=0), SMALLEST_NORMAL))
+        drifts = np.stack([sqrt_weights, sqrt_weights * self.scaled_speed[:, None]])
+        constant_drift, slope_drift = drifts
+        constant_drift /= np.sqrt(
+            np.maximum((constant_drift * constant_drift).sum(axis=0), SMALLEST_NORMAL)
+        )
+        slope_drift -= constant_drift * (constant_drift * slope_drift).sum(axis=0)
+        slope_drift /= np.sqrt(np.maximum((slope_drift * slope_drift).sum(axis=0), SMALLEST_NORMAL))
         return drifts
 
-    def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return waves (m, R, P) times roots of weights (R, P), without :meth:`_drifts`."""
-        root_weights = np.sqrt(weights)
-        residuals = root_weights * waves
-        for drift in self._drifts(root_weights):
-            residuals -= drift * (drift * residuals).sum(axis=-2, keepdims=True)
-        return np.asarray(residuals)
+    def subtract_weighted_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return waves (m, R, P) times square roots of weights (R, P), without drifts.
 
-    def phase_equations(self, wave: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, ...]:
+        The drifts are :meth:`_compute_orthonormal_drifts`.
+        """
+        sqrt_weights = np.sqrt(weights)
+        weighted_residuals = sqrt_weights * waves
+        for drift in self._compute_orthonormal_drifts(sqrt_weights):
+            weighted_residuals -= drift * (drift * weighted_residuals).sum(axis=-2, keepdims=True)
+        return np.asarray(weighted_residuals)
+
+    def build_equations_by_probe(
+        self, wave: np.ndarray, weights: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         """Return normal equations of a wave with any phase at each probe.
 
         Returns
         -------
         matrices, vectors : (P, 2, 2), (P, 2)
             Equations for the amplitude's parts, with weights (R, P) for the arrivals.
-        parts, values : (2, R, P), (R, P)
+        wave_parts, weighted_displacements : (2, R, P), (R, P)
             Parts of the wave, and displacements, weighted and without drifts.
         """
-        waves_and_values = np.stack([wave.real, -wave.imag, self.values])
-        *parts, values = self.without_drifts(waves_and_values, weights)
-        matrices = np.einsum("arp,brp->pab", parts, parts)
-        return matrices, np.einsum("arp,rp->pa", parts, values), np.array(parts), values
+        waves_and_values = np.stack([wave.real, -wave.imag, self.displacements])
+        *wave_parts, weighted_displacements = self.subtract_weighted_drifts(
+            waves_and_values, weights
+        )
+        matrices = np.einsum("arp,brp->pab", wave_parts, wave_parts)
+        return (
+            matrices,
+            np.einsum("arp,rp->pa", wave_parts, weighted_displacements),
+            np.array(wave_parts),
+            weighted_displacements,
+        )
 
-    def gains(self, orders: np.ndarray, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def compute_squares_reductions(
+        self, orders: np.ndarray, pole_rows: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
         """Return reductions of the weighted sum of squares: (n, m) [m^2].
 
-        Vibrations have orders (n,), equidistant roots lambda (n, m), any F; weights are (R, P).
+        Vibrations have orders (n,), equidistant poles lambda (n, m), any F; weights are (R, P).
         """
-        root_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
-        weighted_drifts = root_weights * self._drifts(root_weights)
-        residuals = (root_weights * self.without_drifts(self.values, weights)).ravel()
-        for order, order_roots in zip(orders.tolist(), roots, strict=True):
-            waves = self.waves(order, order_roots)
+        sqrt_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
+        weighted_drifts = sqrt_weights * self._compute_orthonormal_drifts(sqrt_weights)
+        weighted_residuals = (
+            sqrt_weights * self.subtract_weighted_drifts(self.displacements, weights)
+        ).ravel()
+        for order, order_poles in zip(orders.tolist(), pole_rows, strict=True):
+            waves = self.compute_waves(order, order_poles)
             drift_products = np.einsum("krp,mrp->mkp", weighted_drifts, waves)
-            waves = waves.reshape(len(order_roots), -1)
-            products = waves @ residuals
-            bilinear_squares = waves**2 @ weight_vector - (drift_products**2).sum(axis=(1, 2))
-            squares = (waves.real**2 + waves.imag**2) @ weight_vector
-            squares -= (drift_products.real**2 + drift_products.imag**2).sum(axis=(1, 2))
+            waves = waves.reshape(len(order_poles), -1)
+            wave_products = waves @ weighted_residuals
+            wave_bilinear_sums = waves**2 @ weight_vector - (drift_products**2).sum(axis=(1, 2))
+            wave_square_sums = (waves.real**2 + waves.imag**2) @ weight_vector
+            wave_square_sums -= (drift_products.real**2 + drift_products.imag**2).sum(axis=(1, 2))
             numerators = (
-                squares * np.abs(products) ** 2 - (bilinear_squares.conj() * products**2).real
+                wave_square_sums * np.abs(wave_products) ** 2
+                - (wave_bilinear_sums.conj() * wave_products**2).real
             )
-            reductions.append(2.0 * numerators / (squares**2 - np.abs(bilinear_squares) ** 2))
+            reductions.append(
+                2.0 * numerators / (wave_square_sums**2 - np.abs(wave_bilinear_sums) ** 2)
+            )
         return np.array(reductions)
 
 
@@ -226,52 +287,57 @@ class Record:
     """Hold arrivals, and the stiffening of natural frequencies with the speed."""
 
     arrivals: ArrivalTimes
-    stiffening: Follows
+    stiffening: StiffeningFunction
 
     @cached_property
-    def speed(self) -> np.ndarray:
+    def revolution_speeds(self) -> np.ndarray:
         """Mean speed of each revolution: (revolutions,) [rad/s]."""
         return self.arrivals.speed
 
-    def runs(self, values: np.ndarray, speed: float) -> list[Run]:
+    def find_runs(self, displacements: np.ndarray, speed: float) -> list[Run]:
         """Return the runs through a speed [rad/s].
 
         Each has 10 revolutions or more.
-        ``values`` (revolutions, probes) [m] are displacements.
+        The displacements are (revolutions, probes) [m].
         """
-        offsets = self.speed / speed - 1.0
-        rows = np.flatnonzero(np.abs(offsets) < WIDTH)
+        relative_offsets = self.revolution_speeds / speed - 1.0
+        near_rows = np.flatnonzero(np.abs(relative_offsets) < RELATIVE_SPEED_HALF_WIDTH)
         runs = []
-        for part in np.split(rows, np.flatnonzero(np.diff(rows) > FEWEST_REVOLUTIONS) + 1):
-            if len(part) >= FEWEST_REVOLUTIONS and offsets[part].min() < 0.0 < offsets[part].max():
-                run = Run(self, values, int(part[0]), int(part[-1]) + 1)
+        for run_rows in np.split(
+            near_rows, np.flatnonzero(np.diff(near_rows) > MIN_REQUIRED_REVOLUTIONS) + 1
+        ):
+            if (
+                len(run_rows) >= MIN_REQUIRED_REVOLUTIONS
+                and relative_offsets[run_rows].min() < 0.0 < relative_offsets[run_rows].max()
+            ):
+                run = Run(self, displacements, int(run_rows[0]), int(run_rows[-1]) + 1)
                 # A probe that has dropped out leaves the others.
-                run.has_arrival &= run.has_arrival.sum(axis=0) >= FEWEST_REVOLUTIONS
+                run.has_arrival &= run.has_arrival.sum(axis=0) >= MIN_REQUIRED_REVOLUTIONS
                 runs += [run] * bool(np.any(run.has_arrival))
         return runs
 
 
-def pole(omega: np.ndarray, damping: float) -> np.ndarray:
+def compute_poles(omegas: np.ndarray, damping_ratio: float) -> np.ndarray:
     """Return lambda [1/s] of natural frequencies [rad/s] and a damping ratio."""
-    return omega * (1j * np.sqrt(1.0 - damping**2) - damping)
+    return omegas * (1j * np.sqrt(1.0 - damping_ratio**2) - damping_ratio)
 
 
 @dataclass(frozen=True)
 class Mode:
-    """Hold an engine order p, and a mode's root lambda [1/s]."""
+    """Hold an engine order p, and a mode's pole lambda [1/s]."""
 
     order: float
-    root: complex
+    pole: complex
 
     @property
     def omega(self) -> float:
         """Natural frequency [rad/s]."""
-        return abs(self.root)
+        return abs(self.pole)
 
     @property
     def damping(self) -> float:
         """Ratio of critical damping."""
-        return -self.root.real / abs(self.root)
+        return -self.pole.real / abs(self.pole)
 
     @property
     def speed(self) -> float:
@@ -281,12 +347,12 @@ class Mode:
     def with_step(self, step: np.ndarray) -> Mode:
         """Return the mode after a step (2,) in ln w_n, over zeta, and ln zeta."""
         omega = self.omega * math.exp(self.damping * step[0])
-        return Mode(self.order, complex(pole(omega, self.damping * math.exp(step[1]))))
+        return Mode(self.order, complex(compute_poles(omega, self.damping * math.exp(step[1]))))
 
-    def steps(self, omega: float, damping: float) -> list[float]:
+    def find_step_to(self, omega: float, damping_ratio: float) -> list[float]:
         """Return the step for :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
         frequency_step = math.log(omega / self.omega) / self.damping
-        return [frequency_step, math.log(damping / self.damping)]
+        return [frequency_step, math.log(damping_ratio / self.damping)]
 
 
 class Fit:
@@ -309,7 +375,7 @@ class Fit:
         Fitted modes.
     forces : (modes, runs) complex [m]
         Amplitudes F.
-    noise : Noise
+    noise : StudentNoise
         Residuals and their weights.
     """
 
@@ -317,70 +383,113 @@ class Fit:
         self, runs: Sequence[Run], modes: Sequence[Mode], weights: Sequence[np.ndarray]
     ) -> None:
         self._runs, self.modes = runs, tuple(modes)
-        self._omegas = [mode.omega for mode in modes]
-        self._waves = lru_cache(maxsize=1)(self._waves_of)
+        self._initial_omegas = [mode.omega for mode in modes]
+        self._cached_waves_function = lru_cache(maxsize=1)(self._list_waves_and_slopes)
         initial_weights = np.concatenate(
-            [part[run.has_arrival] for run, part in zip(runs, weights, strict=True)]
+            [run_weights[run.has_arrival] for run, run_weights in zip(runs, weights, strict=True)]
         )
-        unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
-        self.noise = reweighted(self._solve, initial_weights, unknowns, runs[0].rounding)
+        n_unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.n_probes for run in runs)
+        self.noise = fit_noise_by_reweighting(
+            self._refit_modes_and_return_residuals, initial_weights, n_unknowns, runs[0].rounding
+        )
 
-    def _solve(self, weights: np.ndarray) -> np.ndarray:
+    def _refit_modes_and_return_residuals(self, weights: np.ndarray) -> np.ndarray:
         """Fit with weights (n,) of the arrivals, and return the residuals (n,) [m]."""
         initial_modes, run_weights = self.modes, self._split_by_run(weights)
-        bounds = [
-            [mode.steps(omega * (1.0 + end * WIDTH), DAMPING_BOUNDS[end > 0]) for end in (-1, 1)]
-            for mode, omega in zip(initial_modes, self._omegas, strict=True)
+        step_bounds = [
+            [
+                mode.find_step_to(
+                    omega * (1.0 + bound_sign * RELATIVE_SPEED_HALF_WIDTH),
+                    DAMPING_RATIO_BOUNDS[bound_sign > 0],
+                )
+                for bound_sign in (-1, 1)
+            ]
+            for mode, omega in zip(initial_modes, self._initial_omegas, strict=True)
         ]
 
-        def residuals(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            pairs = zip(initial_modes, steps.reshape(-1, 2), strict=True)
-            self.modes = tuple(mode.with_step(step) if any(step) else mode for mode, step in pairs)
+        def residuals_and_slopes(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            mode_step_pairs = zip(initial_modes, steps.reshape(-1, 2), strict=True)
+            self.modes = tuple(
+                mode.with_step(step) if any(step) else mode for mode, step in mode_step_pairs
+            )
             units = np.array([unit for mode in initial_modes for unit in (mode.damping, 1.0)])
-            residual_vector, self._slopes = self._fit_forces(run_weights)
+            residual_vector, self._slopes = self._fit_forces_and_return_residuals(run_weights)
             return residual_vector, self._slopes * units
 
-        lower_bounds, upper_bounds = np.concatenate(bounds, axis=1)
-        return refined(residuals, lower_bounds, upper_bounds) / np.sqrt(weights)
+        lower_bounds, upper_bounds = np.concatenate(step_bounds, axis=1)
+        return find_least_squares_residuals(
+            residuals_and_slopes, lower_bounds, upper_bounds
+        ) / np.sqrt(weights)
 
-    def _waves_of(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
-        """Return waves and slopes of modes in each run, by :meth:`Run.wave_and_slope`."""
-        return [np.concatenate([*map(run.wave_and_slope, modes)]) for run in self._runs]
+    def _list_waves_and_slopes(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
+        """Return waves and slopes of modes in each run, by :meth:`Run.compute_wave_and_slope`."""
+        return [np.concatenate([*map(run.compute_wave_and_slope, modes)]) for run in self._runs]
 
-    def _fit_forces(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def _fit_forces_and_return_residuals(
+        self, weights: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Fit the forces with weights (R, P) of the arrivals in each run.
 
         Returns
         -------
         residuals, slopes : (n,), (n, m)
-            Residuals [m], and derivatives by ln w_n and ln zeta for each mode; times roots of
-            weights.
+            Residuals [m], and derivatives by ln w_n and ln zeta for each mode; times square roots
+            of weights.
         """
-        forces, parts = [], []
-        log_root_slopes = np.array([(1.0, mode.root.real / mode.root) for mode in self.modes])
-        for run, waves, weight in zip(self._runs, self._waves(self.modes), weights, strict=True):
-            values_and_waves = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
-            values, *waves = values_and_waves[:, run.has_arrival]
-            wave_parts = np.stack([part for wave in waves for part in (wave.real, -wave.imag)])
-            wave_parts = wave_parts.reshape(-1, 2, 2, len(values))  # mode, wave and slope, parts
-            columns = wave_parts[:, 0].reshape(-1, len(values))
-            residuals = np.vstack([values.real, wave_parts[:, 1].reshape(-1, len(values))])
-            amplitudes = np.linalg.lstsq(columns @ columns.T, columns @ residuals.T, rcond=None)[0]
-            residuals -= amplitudes.T @ columns
-            forces.append(amplitudes[0::2, 0] + 1j * amplitudes[1::2, 0])
-            force_slopes = forces[-1][:, None] * log_root_slopes  # by ln w_n, and by ln zeta
-            slopes = force_slopes[..., None] * (residuals[1::2] - 1j * residuals[2::2])[:, None]
-            parts.append(np.vstack([residuals[:1], -slopes.real.reshape(-1, len(values))]).T)
-        self.forces, residual_columns = np.array(forces).T, np.concatenate(parts)
+        run_forces, residual_blocks = [], []
+        log_pole_slopes = np.array([(1.0, mode.pole.real / mode.pole) for mode in self.modes])
+        for run, weighted_waves, run_weights in zip(
+            self._runs, self._cached_waves_function(self.modes), weights, strict=True
+        ):
+            displacements_and_waves = run.subtract_weighted_drifts(
+                np.concatenate([run.displacements[None], weighted_waves]), run_weights
+            )
+            weighted_displacements, *weighted_waves = displacements_and_waves[:, run.has_arrival]
+            wave_parts = np.stack(
+                [
+                    wave_part
+                    for weighted_wave in weighted_waves
+                    for wave_part in (weighted_wave.real, -weighted_wave.imag)
+                ]
+            )
+            # Mode, wave and slope, parts.
+            wave_parts = wave_parts.reshape(-1, 2, 2, len(weighted_displacements))
+            wave_columns = wave_parts[:, 0].reshape(-1, len(weighted_displacements))
+            residual_rows = np.vstack(
+                [
+                    weighted_displacements.real,
+                    wave_parts[:, 1].reshape(-1, len(weighted_displacements)),
+                ]
+            )
+            force_parts = np.linalg.lstsq(
+                wave_columns @ wave_columns.T, wave_columns @ residual_rows.T, rcond=None
+            )[0]
+            residual_rows -= force_parts.T @ wave_columns
+            run_forces.append(force_parts[0::2, 0] + 1j * force_parts[1::2, 0])
+            force_slopes = run_forces[-1][:, None] * log_pole_slopes  # by ln w_n, and by ln zeta
+            residual_slopes = (
+                force_slopes[..., None] * (residual_rows[1::2] - 1j * residual_rows[2::2])[:, None]
+            )
+            residual_blocks.append(
+                np.vstack(
+                    [
+                        residual_rows[:1],
+                        -residual_slopes.real.reshape(-1, len(weighted_displacements)),
+                    ]
+                ).T
+            )
+        self.forces, residual_columns = np.array(run_forces).T, np.concatenate(residual_blocks)
         return residual_columns[:, 0], residual_columns[:, 1:]
 
     def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
         """Split values (n,) of the arrivals by run: (R, P), 0 without an arrival."""
-        counts = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
-        run_values = [np.zeros(run.nominal_angle.shape) for run in self._runs]
-        for array, run, part in zip(run_values, self._runs, np.split(values, counts), strict=True):
-            array[run.has_arrival] = part
-        return run_values
+        split_indices = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
+        run_arrays = [np.zeros(run.nominal_angle.shape) for run in self._runs]
+        for run_array, run, arrival_values in zip(
+            run_arrays, self._runs, np.split(values, split_indices), strict=True
+        ):
+            run_array[run.has_arrival] = arrival_values
+        return run_arrays
 
     @property
     def mode(self) -> Mode:
@@ -390,47 +499,63 @@ class Fit:
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Revolutions and probes of the arrivals: two (n,)."""
-        rows = [np.nonzero(run.has_arrival) for run in self._runs]
-        turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
-        return np.concatenate(turns), np.concatenate([probe for _, probe in rows])
+        row_probe_pairs = [np.nonzero(run.has_arrival) for run in self._runs]
+        revolution_indices = [
+            run.begin + row_indices
+            for run, (row_indices, _) in zip(self._runs, row_probe_pairs, strict=True)
+        ]
+        return np.concatenate(revolution_indices), np.concatenate(
+            [probe_indices for _, probe_indices in row_probe_pairs]
+        )
 
     @cached_property
-    def errors(self) -> np.ndarray:
+    def omega_and_damping_errors(self) -> np.ndarray:
         """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
-        covariance = self.noise.covariance(columns, self.places)
+        covariance = self.noise.coefficient_covariance(columns, self.places)
         return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
 
     @cached_property
-    def amplitude(self) -> float:
+    def largest_amplitude(self) -> float:
         """Largest amplitude [m] of the first mode in the runs."""
-        pairs = zip(self.forces[0], self._runs, strict=True)
-        return float(max(np.abs(force * run.wave(self.mode)).max() for force, run in pairs))
+        force_run_pairs = zip(self.forces[0], self._runs, strict=True)
+        return float(
+            max(np.abs(force * run.compute_wave(self.mode)).max() for force, run in force_run_pairs)
+        )
 
-    def motion(self, record: Record, revolutions: int, mode_index: int = 0) -> np.ndarray:
+    def compute_motion(self, record: Record, n_revolutions: int, mode_index: int = 0) -> np.ndarray:
         """Return the displacements by one of the modes: (revolutions, probes) [m].
 
         The motion in each run extends halfway to the next run.
         """
-        motions = []
-        halfway = [
+        run_motions = []
+        halfway_revolutions = [
             (run.end + next_run.begin) // 2 for run, next_run in itertools.pairwise(self._runs)
         ]
-        ends = itertools.pairwise([0, *halfway, revolutions])
-        no_displacements = np.zeros(record.arrivals.time.shape)
-        for (begin, end), force in zip(ends, self.forces[mode_index], strict=True):
-            wave = Run(record, no_displacements, begin, end).wave(self.modes[mode_index])
-            motions.append((force * wave).real)
-        return np.concatenate(motions)
+        revolution_ranges = itertools.pairwise([0, *halfway_revolutions, n_revolutions])
+        zero_displacements = np.zeros(record.arrivals.time.shape)
+        for (begin_revolution, end_revolution), force in zip(
+            revolution_ranges, self.forces[mode_index], strict=True
+        ):
+            wave = Run(record, zero_displacements, begin_revolution, end_revolution).compute_wave(
+                self.modes[mode_index]
+            )
+            run_motions.append((force * wave).real)
+        return np.concatenate(run_motions)
 
     @property
     def whiteness(self) -> float:
-        """Probability that noise alone leaves residuals as correlated: :meth:`Noise.whiteness`."""
-        marks = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
-        shares = between(
-            marks, np.eye(len(marks)), self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0
+        """Probability that noise alone leaves residuals as correlated.
+
+        From :meth:`StudentNoise.whiteness`.
+        """
+        mark_numbers = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
+        mark_shares = interpolate_by_splines(
+            mark_numbers,
+            np.eye(len(mark_numbers)),
+            self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0,
         ).T
-        return self.noise.whiteness(self.places, shares)
+        return self.noise.whiteness(self.places, mark_shares)
 
     @property
     def weights(self) -> list[np.ndarray]:
@@ -438,39 +563,53 @@ class Fit:
         return self._split_by_run(self.noise.weights)
 
     @property
-    def blind_probes(self) -> np.ndarray:
+    def blind_probe_indices(self) -> np.ndarray:
         """Indices (n,) of probes with pulses from another source than the blade.
 
         A vibration of any phase is fitted at each probe, in units of the first mode's motion. Blind
         probes are a minority with less than half the median in-phase amplitude. Their amplitudes
         are over five times farther from the median than all others.
         """
-        count = self._runs[0].nominal_angle.shape[1]
-        matrices, vectors = np.zeros((count, 2, 2)), np.zeros((count, 2))
-        size_ratios = np.ones(count)
-        for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
-            equations = run.phase_equations(force * run.wave(self.mode), weight)
-            matrices, vectors = matrices + equations[0], vectors + equations[1]
-        is_live = matrices.any(axis=(1, 2))
-        amplitudes = np.linalg.solve(matrices[is_live], vectors[is_live, :, None])[..., 0]
-        size_ratios[is_live] = np.hypot(*amplitudes.T) / np.median(amplitudes[:, 0])
+        n_probes = self._runs[0].nominal_angle.shape[1]
+        matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
+        size_ratios = np.ones(n_probes)
+        for run, force, run_weights in zip(self._runs, self.forces[0], self.weights, strict=True):
+            run_equations = run.build_equations_by_probe(
+                force * run.compute_wave(self.mode), run_weights
+            )
+            matrices, vectors = matrices + run_equations[0], vectors + run_equations[1]
+        has_motion = matrices.any(axis=(1, 2))
+        probe_amplitudes = np.linalg.solve(matrices[has_motion], vectors[has_motion, :, None])[
+            ..., 0
+        ]
+        size_ratios[has_motion] = np.hypot(*probe_amplitudes.T) / np.median(probe_amplitudes[:, 0])
         # Of 200 records with another mode within the width and 4 to 8 probes one had such a probe.
-        is_small, offsets = size_ratios < 0.5, np.abs(size_ratios - 1.0)
-        if not 0 < np.count_nonzero(is_small) < np.count_nonzero(is_live & ~is_small):
+        has_small_ratio, ratio_offsets = size_ratios < 0.5, np.abs(size_ratios - 1.0)
+        if (
+            not 0
+            < np.count_nonzero(has_small_ratio)
+            < np.count_nonzero(has_motion & ~has_small_ratio)
+        ):
             return np.array([], dtype=int)
-        return np.flatnonzero(is_small & (offsets[is_small].min() > 5.0 * offsets[~is_small].max()))
+        return np.flatnonzero(
+            has_small_ratio
+            & (ratio_offsets[has_small_ratio].min() > 5.0 * ratio_offsets[~has_small_ratio].max())
+        )
 
     @cached_property
-    def gain(self) -> float:
+    def likelihood_gain(self) -> float:
         """Reduction of -2 log likelihood by the fitted modes."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            parts = zip(self._runs, self._split_by_run(weights), strict=True)
-            residuals = [
-                run.without_drifts(run.values, weight)[run.has_arrival] for run, weight in parts
+            run_weight_pairs = zip(self._runs, self._split_by_run(weights), strict=True)
+            run_residuals = [
+                run.subtract_weighted_drifts(run.displacements, run_weights)[run.has_arrival]
+                for run, run_weights in run_weight_pairs
             ]
-            return np.asarray(np.concatenate(residuals) / np.sqrt(weights))
+            return np.asarray(np.concatenate(run_residuals) / np.sqrt(weights))
 
-        unknowns = self.noise.unknowns - 2 * len(self.modes) * (1 + len(self._runs))
-        drift_noise = reweighted(solve, self.noise.weights, unknowns, self._runs[0].rounding)
+        n_drift_unknowns = self.noise.n_unknowns - 2 * len(self.modes) * (1 + len(self._runs))
+        drift_noise = fit_noise_by_reweighting(
+            solve, self.noise.weights, n_drift_unknowns, self._runs[0].rounding
+        )
         return drift_noise.cost - self.noise.cost

@@ -47,7 +47,7 @@ from fenics_crack.basics.errors import (
     check_omega,
 )
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.suggestions import fit_argument_to_annotation
 from fenics_crack.basics.tables import format_percent, format_quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.matrices import floats_or_nan
@@ -309,7 +309,7 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless the search for a problem's solution can begin at ``initial``."""
     structure, subharmonic = problem.structure, problem.subharmonic
-    fit_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
+    fit_argument_to_annotation("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
     initial_dofs_and_pairs = initial.structure.n_dofs, initial.structure.n_pairs
     needs_gaps_only = structure.light_lips and initial_dofs_and_pairs[1] == structure.n_pairs
     if not needs_gaps_only and initial_dofs_and_pairs != (structure.n_dofs, structure.n_pairs):

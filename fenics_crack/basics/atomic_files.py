@@ -48,8 +48,8 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
     """
     content_bytes = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICE_FOLDERS:
-        with report_write_errors(path, key), open(path, "wb") as device:
-            device.write(content_bytes)
+        with report_write_errors(path, key), open(path, "wb") as device_file:
+            device_file.write(content_bytes)
         return
     with partial_file(path, key) as hidden_path, open(hidden_path, "wb") as file:
         file.write(content_bytes)
@@ -117,13 +117,15 @@ def partial_file(
             _OPEN_FILE_STACKS[-1] if _OPEN_FILE_STACKS and not must_be_new else single_file_stack
         )
         file_stack.enter_context(report_write_errors(path, key))
-        hidden_path = file_stack.enter_context(_hidden_file(Path(path), must_be_new=must_be_new))
+        hidden_path = file_stack.enter_context(
+            _yield_hidden_path(Path(path), must_be_new=must_be_new)
+        )
         with report_write_errors(path, key):
             yield hidden_path
 
 
 @contextlib.contextmanager
-def _hidden_file(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
+def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
     """Yield a hidden path beside a file, and rename it after the block."""
     random_text = os.urandom(4).hex()
     hidden_path = final_path.parent / f".{random_text}.{final_path.name}"
@@ -165,7 +167,7 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
         if (folder / name).is_file() and not (folder / name).is_symlink()
     ]
     for name in existing_file_names:
-        with _hidden_file(kept_folder / name) as hidden_path:
+        with _yield_hidden_path(kept_folder / name) as hidden_path:
             try:
                 os.link(folder / name, hidden_path)  # a new file takes the place of the first name
             except OSError:  # a file system without links
@@ -227,7 +229,7 @@ def _is_link_or_file(path: Path) -> bool:
     return path.is_symlink() or (path.exists() and not path.is_dir())
 
 
-def make_temporary_folder() -> Path:
+def make_folder_until_exit() -> Path:
     """Return a new folder for this user alone, removed when the program ends."""
     folder = tempfile.mkdtemp(prefix="fenics_crack-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -242,10 +244,10 @@ def remove_file(path: Path, key: str) -> None:
 
 def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:
     """Write all bytes at an offset of an open file; OSError if the disk is full."""
-    remaining_bytes = memoryview(content)
-    while remaining_bytes:
-        n_written = os.pwrite(file_descriptor, remaining_bytes, offset)
-        remaining_bytes, offset = remaining_bytes[n_written:], offset + n_written
+    remaining_content = memoryview(content)
+    while remaining_content:
+        n_written = os.pwrite(file_descriptor, remaining_content, offset)
+        remaining_content, offset = remaining_content[n_written:], offset + n_written
 
 
 @contextlib.contextmanager

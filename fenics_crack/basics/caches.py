@@ -85,10 +85,10 @@ def check_private_folder(
     folders_with_status = [
         (ancestor, ancestor.stat()) for ancestor in (folder, *folder.parents) if ancestor.exists()
     ]
-    for ancestor, file_status in folders_with_status:
-        is_sticky = file_status.st_mode & 0o1000
+    for ancestor, folder_status in folders_with_status:
+        is_sticky = folder_status.st_mode & 0o1000
         forbidden_bits = forbidden_mode_bits if ancestor == folder else (0 if is_sticky else 0o22)
-        if file_status.st_mode & forbidden_bits or file_status.st_uid not in (0, os.geteuid()):
+        if folder_status.st_mode & forbidden_bits or folder_status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {ancestor}")
     with tempfile.TemporaryFile(dir=folders_with_status[0][0]) as temporary_file:
         if (

@@ -2,13 +2,13 @@
 
 MESH_ERROR_CAUSES = ("mesh", "shift")
 """Parts of the mesh error: at a given distance from the resonance, and by the resonance's shift."""
-REDUCED_STRUCTURE_CAUSES = ("modes", "harmonics", "mesh")
+REDUCED_STRUCTURE_ERROR_CAUSES = ("modes", "harmonics", "mesh")
 """Causes varied for a reduced structure alone: full models take three times as long."""
 ERROR_CAUSES = (*MESH_ERROR_CAUSES, "modes", "harmonics", "friction", "samples")
 """All causes, in the order of colours in pictures."""
-REQUIRED_CAUSES = ("harmonics", "modes")
+REQUIRED_ERROR_CAUSES = ("harmonics", "modes")
 """Causes without which no error is known. The mesh is required, too, if its second run fails."""
-OPTIONAL_CAUSES = ("mesh", "friction")
+OPTIONAL_ERROR_CAUSES = ("mesh", "friction")
 """Causes that the user may leave out: this part is then unknown, not absent."""
 RUN_WORDS_BY_CAUSE = {"mesh": "another mesh", "shift": "a shifted resonance",
               "friction": "a run with friction"}  # fmt: skip

@@ -113,7 +113,7 @@ class StoppedError(ConvergenceError):
     """Ctrl-C has stopped a computation; the same command continues it."""
 
 
-INTERRUPTED_STATUS = "interrupted"
+INTERRUPTED_CURVE_STATUS = "interrupted"
 """Status of a curve that Ctrl-C has ended."""
 
 
@@ -177,7 +177,7 @@ def check_choice(key: str, value: object, choices: Iterable[str]) -> None:
         raise InputError(key, value, describe_choices(choices))
 
 
-def check_damping_ratios(
+def check_rayleigh_damping_ratios(
     key: str, damping_ratios: Sequence[float], omegas: Sequence[float]
 ) -> None:
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
@@ -188,11 +188,13 @@ def check_damping_ratios(
     (low_omega, low_ratio), (high_omega, high_ratio) = sorted(
         zip(omegas, damping_ratios, strict=True)
     )
-    min_ratio = low_ratio * (low_omega / high_omega)
-    max_ratio = low_ratio * (high_omega / low_omega)
-    if not min_ratio * (1.0 - 1e-15) <= high_ratio <= max_ratio * (1.0 + 1e-15):
+    min_allowed_ratio = low_ratio * (low_omega / high_omega)
+    max_allowed_ratio = low_ratio * (high_omega / low_omega)
+    if not min_allowed_ratio * (1.0 - 1e-15) <= high_ratio <= max_allowed_ratio * (1.0 + 1e-15):
         requirement = (
             f"such that no coefficient is negative: with {low_ratio:g} at {low_omega:g} rad/s,"
         )
-        requirement += f" from {min_ratio:g} to {max_ratio:g} at {high_omega:g} rad/s"
+        requirement += (
+            f" from {min_allowed_ratio:g} to {max_allowed_ratio:g} at {high_omega:g} rad/s"
+        )
         raise InputError(key, tuple(damping_ratios), requirement)

@@ -22,7 +22,7 @@ from fenics_crack.basics.ranks import MPI, Result, on_root
 from fenics_crack.basics.untrusted_files import file_sha256, read_utf8_text
 
 
-def load_form(
+def load_or_compile_form(
     comm: MPI.Comm, record_file: Path, compile_form: Callable[[dict[str, object]], Result]
 ) -> Result:
     """Load a compiled form, or compile it (collective).
@@ -36,8 +36,10 @@ def load_form(
     compile_form : callable
         Function that loads or compiles the form, given options of DOLFINx.
     """
-    form_folder, compiler_command = on_root(comm, lambda: _find_form_folder(record_file))
-    previous_compiler = os.environ.get("CC")
+    form_folder, compiler_command = on_root(
+        comm, lambda: _find_form_folder_and_compiler(record_file)
+    )
+    previous_compiler_command = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
     os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler_command}"
@@ -49,7 +51,7 @@ def load_form(
         raise
     finally:
         del os.environ["CC"]
-        os.environ.update({"CC": previous_compiler} if previous_compiler else {})
+        os.environ.update({"CC": previous_compiler_command} if previous_compiler_command else {})
     if compiler_command:
         on_root(
             comm,
@@ -60,7 +62,7 @@ def load_form(
     return compiled_form
 
 
-def _find_form_folder(record_file: Path) -> tuple[Path, str]:
+def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
     """Return the recorded folder, or make a new folder and find a compiler.
 
     Returns

@@ -23,11 +23,11 @@ def keep_interrupt_handler() -> Iterator[None]:
     In other threads than the main thread Python forbids gmsh to set a handler: there, nothing is
     set.
     """
-    interrupt_handler, set_signal_handler = signal.getsignal(signal.SIGINT), signal.signal
+    interrupt_handler, original_signal_function = signal.getsignal(signal.SIGINT), signal.signal
 
     def set_handler_in_main_thread(signal_number: int, handler: Any) -> Any:
         if threading.current_thread() is threading.main_thread():
-            return set_signal_handler(signal_number, handler)
+            return original_signal_function(signal_number, handler)
         return signal.getsignal(signal_number)
 
     signal.signal = set_handler_in_main_thread  # type: ignore[assignment]
@@ -35,7 +35,7 @@ def keep_interrupt_handler() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, interrupt_handler)
-        signal.signal = set_signal_handler
+        signal.signal = original_signal_function
 
 
 with keep_interrupt_handler(), report_missing_libraries():

@@ -32,7 +32,7 @@ class Place(Enum):
     CLAMP = "the clamp"
 
     @property
-    def on_request(self) -> bool:
+    def is_made_on_request(self) -> bool:
         """True if the rows are made only for a scene that requests these numbers."""
         return self not in (Place.POINT, Place.FACES, Place.MODES)
 

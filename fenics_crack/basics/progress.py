@@ -1,8 +1,8 @@
 """Log the stages of a long computation when they begin.
 
 The library calls :func:`begin_stage` before work that takes seconds with a large mesh. This logs a
-message of level DEBUG to the logger ``fenics_crack.progress``, and :class:`StageLines` shows the
-messages on the program's console.
+message of level DEBUG to the logger ``fenics_crack.progress``, and :class:`StageLineHandler` shows
+the messages on the program's console.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def add_progress_text(describe_progress: Callable[[], str]) -> AbstractContextMa
     return _append_temporarily(_progress_functions, describe_progress)
 
 
-class StageLines(logging.Handler):
+class StageLineHandler(logging.Handler):
     """Handler that shows the current stage, and a message every :data:`MESSAGE_INTERVAL`.
 
     On a terminal the current stage is shown at once; elsewhere each message is a line.
@@ -69,7 +69,7 @@ class StageLines(logging.Handler):
         self._stage_text, self._start_time, self._end_event = "", 0.0, threading.Event()
         self._write_lock = self.lock or nullcontext()
 
-    def __enter__(self) -> StageLines:
+    def __enter__(self) -> StageLineHandler:
         _STAGE_LOGGER.addHandler(self)
         _STAGE_LOGGER.setLevel(logging.DEBUG)
         return self
@@ -118,7 +118,7 @@ class StageLines(logging.Handler):
         self._stream.flush()
 
 
-class Messages(logging.StreamHandler):
+class MessageHandler(logging.StreamHandler):
     """Handler that prints the program's messages on standard error during a block.
 
     With ``quiet`` only warnings are printed.
@@ -128,7 +128,7 @@ class Messages(logging.StreamHandler):
         super().__init__()
         self.setLevel(logging.WARNING if quiet else logging.INFO)
 
-    def __enter__(self) -> Messages:
+    def __enter__(self) -> MessageHandler:
         LOGGER.addHandler(self)
         LOGGER.setLevel(logging.INFO)
         LOGGER.propagate = False  # compilers of forms set up the root's handlers, too

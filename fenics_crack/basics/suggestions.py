@@ -101,11 +101,13 @@ def find_similar_names(
     name_by_lower_case = {name.lower(): name for name in known_names}
     lower_word = str(word).lower()[:100]
     similar_names = difflib.get_close_matches(lower_word, name_by_lower_case, 2, min_likeness)
-    ratios = [difflib.SequenceMatcher(None, name, lower_word).ratio() for name in similar_names]
+    likeness_ratios = [
+        difflib.SequenceMatcher(None, name, lower_word).ratio() for name in similar_names
+    ]
     return [
         name_by_lower_case[name]
-        for name, ratio in zip(similar_names, ratios, strict=True)
-        if ratio == ratios[0]
+        for name, likeness in zip(similar_names, likeness_ratios, strict=True)
+        if likeness == likeness_ratios[0]
     ]
 
 
@@ -139,11 +141,11 @@ def find_calls_by_synonyms(name: str) -> list[str]:
         )
         for call_text, synonym_text in SEARCH_WORDS_BY_CALL.items()
     }
-    max_matches = max(n_matches_by_call.values())
+    largest_match_count = max(n_matches_by_call.values())
     call_texts = [
         call_text
         for call_text, n_matches in n_matches_by_call.items()
-        if n_matches == max_matches > 0
+        if n_matches == largest_match_count > 0
     ]
     return [call_text for call_text in call_texts if call_text.startswith("fc.")] or call_texts
 
@@ -153,7 +155,7 @@ def did_you_mean_text(suggested_names: Sequence[str]) -> str:
     return f"did you mean {' or '.join(suggested_names[:3])}? " if suggested_names else ""
 
 
-def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
+def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
     """Return a question with replacements for a name that the package lacks.
 
     Without a similar name, and for private names, the text is "".
@@ -216,7 +218,9 @@ def _class_names_of(value: object) -> set[str]:
     }
 
 
-def fit_argument(key: str, value: Any, annotation: str, known_class_names: Collection[str]) -> Any:
+def fit_argument_to_annotation(
+    key: str, value: Any, annotation: str, known_class_names: Collection[str]
+) -> Any:
     """Return a value that fits an annotation: the argument, or the result of a Run.
 
     Raise InputError if the value is of no class of the annotation. Unless every class there is in
@@ -236,14 +240,14 @@ def fit_argument(key: str, value: Any, annotation: str, known_class_names: Colle
             annotation_class_names
         ):
             return value.result
-        is_plain = isinstance(value, str | int | float | None)
+        is_plain_value = isinstance(value, str | int | float | None)
         class_descriptions = (
             DESCRIPTION_BY_CLASS_NAME.get(class_name)
             or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
             for class_name in annotation_class_names
         )
         raise InputError(
-            key, value if is_plain else type(value).__name__, " or ".join(class_descriptions)
+            key, value if is_plain_value else type(value).__name__, " or ".join(class_descriptions)
         )
     return value
 
@@ -257,7 +261,8 @@ def check_calls(
 
     A wrong argument raises a TypeError with suggestions: another argument, a key of the scene from
     ``find_scene_keys``, or another function. A ``comm`` that is no communicator raises an
-    InputError. Each argument goes through :func:`fit_argument`, with ``known_class_names``.
+    InputError. Each argument goes through :func:`fit_argument_to_annotation`, with
+    ``known_class_names``.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
@@ -316,7 +321,7 @@ def check_calls(
             check_communicator(arguments["comm"])
         for name, value in arguments.items():
             annotation = str(signature.parameters[name].annotation)
-            arguments[name] = fit_argument(name, value, annotation, known_class_names)
+            arguments[name] = fit_argument_to_annotation(name, value, annotation, known_class_names)
         return function(*bound_arguments.args, **bound_arguments.kwargs)
 
     return cast(Function, call)
@@ -325,7 +330,7 @@ def check_calls(
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def convert_number(text: str, unit: str) -> float | None:
+def convert_to_unit_or_none(text: str, unit: str) -> float | None:
     """Convert a number with a decimal comma, or in another unit, to a unit.
 
     Returns
@@ -359,13 +364,16 @@ def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
     Candidates are a number or None, a whole number, and a list of numbers.
     """
     if isinstance(value, str):
-        number = convert_number(value, unit)
+        number = convert_to_unit_or_none(value, unit)
         yield number
         if number is not None and number.is_integer():
             yield int(number)
         value = value.strip("[] ").split(",")
     if isinstance(value, list | tuple):
-        yield [convert_number(entry, unit) if isinstance(entry, str) else entry for entry in value]
+        yield [
+            convert_to_unit_or_none(entry, unit) if isinstance(entry, str) else entry
+            for entry in value
+        ]
 
 
 def format_scene_value(value: object) -> str:

@@ -31,7 +31,7 @@ RAD_PER_TURN = 2.0 * math.pi
 RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-_NAMES_BY_UNIT = {
+_NAME_WORDS_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
     "frequency_error",
@@ -43,7 +43,9 @@ _NAMES_BY_UNIT = {
 }
 UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
 """Units of the entries of ``to_dict``; all other entries have no unit."""
-UNIT_BY_NAME |= {name: unit for unit, names in _NAMES_BY_UNIT.items() for name in names.split()}
+UNIT_BY_NAME |= {
+    name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()
+}
 """Units of the entries of ``to_dict``; all others have none."""
 
 
@@ -114,7 +116,7 @@ class Table:
                     for text in column_texts
                 ]
             )
-        lines = ["  ".join(line).rstrip() for line in zip(*text_columns, strict=True)]
+        lines = ["  ".join(line_texts).rstrip() for line_texts in zip(*text_columns, strict=True)]
         if len(self.rows) > len(printed_rows):
             lines.append(f"... and {len(self.rows) - len(printed_rows)} more")
         return "\n".join(lines) + "\n"
@@ -205,7 +207,7 @@ class Described:
         """Return the text between the brackets of the one line."""
         return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
-    def said(self) -> Conclusion | None:
+    def build_conclusion(self) -> Conclusion | None:
         """Return the parts of the last sentence; None if the one line says everything."""
         return None
 
@@ -213,7 +215,7 @@ class Described:
         return f"{type(self).__name__}({self._title()})"
 
     def __str__(self) -> str:
-        conclusion = self.said()
+        conclusion = self.build_conclusion()
         return repr(self) if conclusion is None else f"{self!r}: {conclusion.sentence()}"
 
     def _repr_html_(self) -> str:
@@ -267,9 +269,11 @@ UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "
 _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def choose_unit_prefix(max_value: float, unit: str) -> tuple[float, str]:
+def choose_unit_prefix(largest_value: float, unit: str) -> tuple[float, str]:
     """Return factor and prefixed unit for numbers up to a maximum: (1e6, "µm")."""
-    exponent = 3 * int(np.floor(np.log10(max_value) / 3.0)) if 0.0 < max_value < math.inf else 0
+    exponent = (
+        3 * int(np.floor(np.log10(largest_value) / 3.0)) if 0.0 < largest_value < math.inf else 0
+    )
     prefix = _PREFIX_BY_EXPONENT.get(exponent)
     return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
 
@@ -322,15 +326,15 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
 
     "frequency" [Hz] follows "omega" [rad/s], "rpm" follows "speed" [rad/s]: numbers or lists.
     """
-    second_name_and_factor = {
+    second_name_factor_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
         "speed": ("rpm", RAD_PER_S_PER_RPM),
     }
     extended_value_by_name: dict[str, Any] = {}
     for name, value in values_by_name.items():
         extended_value_by_name[name] = value
-        if name in second_name_and_factor:
-            second_name, factor = second_name_and_factor[name]
+        if name in second_name_factor_by_name:
+            second_name, factor = second_name_factor_by_name[name]
             extended_value_by_name[second_name] = (np.array(value) / factor).tolist()
     return extended_value_by_name
 

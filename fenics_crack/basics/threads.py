@@ -43,7 +43,7 @@ _lock = threading.RLock()
 
 
 @cache
-def check_debian_modules() -> None:
+def check_debian_module_versions() -> None:
     """Check, before they are imported, that NumPy and mpi4py are Debian's.
 
     ``install.sh`` has pinned the versions in this virtual environment; an environment without pins
@@ -88,7 +88,7 @@ def run_single_threaded() -> Iterator[None]:
         openblas_count_pairs = (
             []
             if any(map(os.environ.get, THREAD_COUNT_VARIABLES))
-            else _load_openblas_libraries(len(sys.modules))
+            else _load_openblas_with_thread_counts(len(sys.modules))
         )
         limited_openblas_pairs = [
             (openblas, n_default_threads)
@@ -138,7 +138,7 @@ class _OpenBlas(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def _load_openblas_libraries(n_modules: int) -> list[tuple[_OpenBlas, int]]:
+def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_OpenBlas, int]]:
     """Return each OpenBLAS of this process, and its default number of threads.
 
     The argument only makes the cache search again after imports.
@@ -158,7 +158,7 @@ def _load_openblas_libraries(n_modules: int) -> list[tuple[_OpenBlas, int]]:
 
 
 @lru_cache(maxsize=1)
-def _load_openmp_libraries(n_modules: int) -> list[ctypes.CDLL]:
+def _load_openmp_libraries(n_imported_modules: int) -> list[ctypes.CDLL]:
     """Return each OpenMP of this process: GCC's, LLVM's and Intel's.
 
     The argument only makes the cache search again after imports.

@@ -44,7 +44,7 @@ READER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
 """Environment variables that a reader gets."""
-READER_PROGRAM = Path(__file__).with_name("untrusted_reader.py")
+READER_PROGRAM_PATH = Path(__file__).with_name("untrusted_reader.py")
 ENCODING_BY_BYTE_ORDER_MARK = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
@@ -56,9 +56,12 @@ COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
 """Patterns of numbers with a decimal comma, and with a decimal point."""
 FACTOR_BY_HEADING_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
 """Factor from a prefixed unit in a heading to the unit."""
-SI_UNIT_AND_FACTOR = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
+SI_UNIT_AND_FACTOR_BY_UNIT = {
+    "rad": ("rad", 1.0),
+    **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0)),
+}
 """SI unit and factor, by the unit of a heading that is converted."""
-SI_UNIT_AND_FACTOR |= {
+SI_UNIT_AND_FACTOR_BY_UNIT |= {
     name + unit: (unit, part)
     for name, part in FACTOR_BY_HEADING_PREFIX.items()
     for unit in ("m", "Hz")
@@ -150,11 +153,11 @@ def max_unpacked_bytes(packed_bytes: int) -> int:
 
 def file_sha256(path: str | Path) -> str:
     """Return the SHA-256 of a regular file; OSError from :func:`regular_file_size`."""
-    remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
+    n_remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
     with open(path, "rb") as file:
-        while remaining_bytes > 0 and (block := file.read(min(remaining_bytes, 2**20))):
+        while n_remaining_bytes > 0 and (block := file.read(min(n_remaining_bytes, 2**20))):
             hash_object.update(block)
-            remaining_bytes -= len(block)
+            n_remaining_bytes -= len(block)
     return hash_object.hexdigest()
 
 
@@ -175,7 +178,7 @@ def read_utf8_text(path: str | Path) -> str:
     return content.decode("utf-8-sig")
 
 
-def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
+def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     """Return number and cells of each line of a CSV file.
 
     Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas, which
@@ -193,10 +196,14 @@ def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         for line_number, line in numbered_lines
         if line.strip()[:1] not in ("", "#")
     ]
-    heading = re.sub('"[^"]*"', "", numbered_content_lines[0][1]) if numbered_content_lines else ""
-    separator = next((separator for separator in ",;\t" if separator in heading), ",")
+    heading_line = (
+        re.sub('"[^"]*"', "", numbered_content_lines[0][1]) if numbered_content_lines else ""
+    )
+    cell_separator = next(
+        (cell_separator for cell_separator in ",;\t" if cell_separator in heading_line), ","
+    )
     numbered_rows = [
-        (line_number, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))])
+        (line_number, [cell.strip() for cell in next(csv.reader([line], delimiter=cell_separator))])
         for line_number, line in numbered_content_lines
     ]
     numbered_extra_cells = (
@@ -214,7 +221,7 @@ def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         )
     if [cells[0] for _, cells in numbered_rows] == ["", *map(str, range(len(numbered_rows) - 1))]:
         numbered_rows = [(line_number, cells[1:]) for line_number, cells in numbered_rows]
-    text_by_cell = _replace_decimal_commas(
+    text_by_cell = _map_decimal_commas_to_points(
         [cell for _, cells in numbered_rows[1:] for cell in cells]
     )
     return [
@@ -223,7 +230,7 @@ def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     ]
 
 
-def _replace_decimal_commas(cells: Sequence[str]) -> dict[str, str]:
+def _map_decimal_commas_to_points(cells: Sequence[str]) -> dict[str, str]:
     """Return numbers with decimal points, by cell with a decimal comma.
 
     Raises
@@ -252,7 +259,7 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
     """
     heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
     si_unit, factor = (
-        SI_UNIT_AND_FACTOR.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
+        SI_UNIT_AND_FACTOR_BY_UNIT.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
     )
     return f"{heading_match[1]} [{si_unit}]" if heading_match and si_unit else heading, factor
 
@@ -307,13 +314,14 @@ def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
 
 
 def run_reader(
-    reader_file: Path, path: Path, max_seconds: int, base_memory: int = 2**30, **request: Any
+    reader_file: Path, path: Path, max_seconds: int, base_memory_bytes: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
     """Let a separate program read a file (:mod:`fenics_crack.basics.untrusted_reader`).
 
     Processor time [s] and address space [bytes] of the program are limited. The address space is
-    ``base_memory`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB, h5py half
-    as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword arguments.
+    ``base_memory_bytes`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB,
+    h5py half as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword
+    arguments.
 
     Returns
     -------
@@ -329,7 +337,7 @@ def run_reader(
     }
     request_entries |= {
         "most": max_array_bytes,
-        "memory": base_memory + 4 * max_array_bytes,
+        "memory": base_memory_bytes + 4 * max_array_bytes,
         "request": request,
     }
     with os.fdopen(os.memfd_create("numbers"), "w+b") as array_file:  # a disk may be full
@@ -354,12 +362,12 @@ def _send_request(reader_file: Path, request_bytes: bytes, array_descriptor: int
 
     The reader itself waits for the next file.
     """
-    passed_descriptors = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
+    descriptor_message = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
         reader_socket, answer_bytes = _start_reader(reader_file, os.getpid(), get_ident())[1], b""
         try:
             # PETSc ends the program at a signal of a line that is broken.
-            reader_socket.sendmsg([request_bytes], [passed_descriptors], socket.MSG_NOSIGNAL)
+            reader_socket.sendmsg([request_bytes], [descriptor_message], socket.MSG_NOSIGNAL)
             answer_bytes = reader_socket.recv(64)
         except OSError:
             continue
@@ -390,7 +398,10 @@ def _start_reader(
     reader_descriptor = reader_socket.fileno()
     with reader_socket:
         reader_process = subprocess.Popen(
-            [sys.executable, "-I", str(READER_PROGRAM), str(reader_file), str(reader_descriptor)],
+            [
+                sys.executable, "-I", str(READER_PROGRAM_PATH), str(reader_file),
+                str(reader_descriptor),
+            ],
             env=environment | READER_ENVIRONMENT, pass_fds=[reader_descriptor],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip

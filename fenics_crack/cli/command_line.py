@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 from fenics_crack.basics import threads
 from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
-from fenics_crack.basics.progress import Messages
+from fenics_crack.basics.progress import MessageHandler
 from fenics_crack.basics.suggestions import (
     did_you_mean_text,
     find_calls_by_synonyms,
@@ -250,7 +250,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     """
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
-    threads.check_debian_modules()
+    threads.check_debian_module_versions()
     from fenics_crack.cli.given import (
         STRUCTURE_FILE_NAME,
         Console,
@@ -287,7 +287,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     for signal_number in STOP_SIGNALS:
         signal.signal(signal_number, signal.default_int_handler)
-    with threads.run_single_threaded(), Messages(quiet=arguments.quiet):
+    with threads.run_single_threaded(), MessageHandler(quiet=arguments.quiet):
         if is_prepared_file:
             inputs = read_prepared_study(arguments, comm)
         elif is_launched:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fenics_crack.basics.atomic_files import complete_files_together, remove_file
 from fenics_crack.basics.errors import (
-    INTERRUPTED_STATUS,
+    INTERRUPTED_CURVE_STATUS,
     N_LOWEST_MODES,
     Exit,
     InputError,
@@ -74,7 +74,7 @@ def run_and_report_function(
         result = package_function(**arguments_by_parameter)
     file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
-    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_STATUS
+    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_CURVE_STATUS
     try:
         with console.report_stage("errors"):
             if run is not None and not is_stopped:
@@ -242,7 +242,7 @@ def _convert_arrivals(
     InputError
         The arrivals have no resonance, or do not fit the scene.
     """
-    from fenics_crack.arrivals.arrival_times import STEADY
+    from fenics_crack.arrivals.arrival_times import MAX_STEADY_SPEED_VARIATION
     from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import (
         Measurements,
@@ -273,7 +273,10 @@ def _convert_arrivals(
     if is_uncracked:
         raise InputError(option_name, repr(arrivals), "those of a run-up, or frequency responses")
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
-    if has_fixed_speed and abs(arrivals.mean_speed / scene.speed - 1.0) > STEADY:
+    if (
+        has_fixed_speed
+        and abs(arrivals.mean_speed / scene.speed - 1.0) > MAX_STEADY_SPEED_VARIATION
+    ):
         measured_speed, scene_speed = (
             format_speed(speed, scene.is_speed_in_rpm)
             for speed in (arrivals.mean_speed, scene.speed)

@@ -25,7 +25,7 @@ from fenics_crack.basics.installation import (
 )
 from fenics_crack.basics.progress import LOGGER
 from fenics_crack.basics.threads import (
-    check_debian_modules,
+    check_debian_module_versions,
     list_loaded_libraries,
     set_one_process_variables,
 )
@@ -113,7 +113,7 @@ def _describe_program() -> str:
 
 def _check_numpy() -> str:
     """Return the versions of NumPy and SciPy; InputError if NumPy is too old."""
-    check_debian_modules()
+    check_debian_module_versions()
     with report_missing_libraries():
         import numpy
         import scipy

@@ -33,7 +33,7 @@ from fenics_crack.basics.atomic_files import (
     write_file_whole,
 )
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
-from fenics_crack.basics.progress import LOGGER, StageLines, begin_stage
+from fenics_crack.basics.progress import LOGGER, StageLineHandler, begin_stage
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
@@ -307,11 +307,11 @@ def _read_arrivals(scene: Scene, arguments: Namespace, path: Path | None) -> Arr
     if path is None or path.suffix.lower() == ".h5":
         return path
     timing_table = scene.given("tip_timing")
-    from fenics_crack.arrivals.arrival_times import probes_of_blades, read_record
+    from fenics_crack.arrivals.arrival_times import find_probe_angles_by_blade, read_record
 
     probe_angles: Any = np.radians(timing_table.probes)
     if scene.disk is not None:
-        probe_angles = probes_of_blades(probe_angles, scene.disk.sectors)
+        probe_angles = find_probe_angles_by_blade(probe_angles, scene.disk.sectors)
     arrivals_by_blade = read_record(path, tip_radius=timing_table.tip_radius, probes=probe_angles)
     return select_blades(
         arrivals_by_blade, arguments.blade, path, allows_several=scene.disk is not None
@@ -433,7 +433,7 @@ class Console:
         """
         start_time = time.perf_counter()
         is_silent = self.is_quiet or (has_bars and self.shows_progress)
-        with nullcontext() if is_silent else StageLines(keeps_lines=self.shows_progress):
+        with nullcontext() if is_silent else StageLineHandler(keeps_lines=self.shows_progress):
             begin_stage(stage_name)
             yield
         if self.is_verbose:

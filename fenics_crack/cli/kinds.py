@@ -57,8 +57,8 @@ RESULT_KINDS = {
         "cli.pictures:draw_curve_pictures",
     ),
     "sweep": ResultKind(
-        "sweep", "Sweep", "cli.studies:report_of_sweep", "sweep.result:SweepResult.of",
-        "cli.pictures:draw_sweep",
+        "sweep", "Sweep", "cli.studies:report_of_sweep",
+        "sweep.result:SweepResult.from_stored_file", "cli.pictures:draw_sweep",
     ),
     "time history": ResultKind(
         "integration", "Motion in time", "cli.results:report_of_history", "runs.load:read_run",
@@ -66,36 +66,36 @@ RESULT_KINDS = {
     ),
     "crack growth": ResultKind(
         "growth", "Growth of the crack", "fatigue.growth:report_of_growth",
-        "fatigue.growth:Growth.of", "cli.pictures:draw_crack_growth",
+        "fatigue.growth:Growth.from_stored_file", "cli.pictures:draw_crack_growth",
     ),
     "identification": ResultKind(
         "identify", "Identification",
         "monitoring.identification.report:report_of_identification",
-        "monitoring.identification.report:IdentificationOutput.of",
+        "monitoring.identification.report:IdentificationOutput.from_stored_file",
         "cli.pictures:copy_posterior_picture",
     ),
     "verification": ResultKind(
         "verify", "Convergence study", "cli.studies:report_of_verification",
-        "errors.verification:Verification.of", "draw.plot_study:draw_verification",
+        "errors.verification:Verification.from_stored_file", "draw.plot_study:draw_verification",
         "Distance of each quantity from its extrapolated value; contributions to its error.",
     ),
     "Campbell diagram": ResultKind(
         "campbell", "Campbell diagram", "study.campbell:report_of_campbell",
-        "study.campbell:Campbell.of", "cli.pictures:draw_campbell_diagram",
+        "study.campbell:Campbell.from_stored_file", "cli.pictures:draw_campbell_diagram",
     ),
     "nodal diameters": ResultKind(
         "disk", "Nodal diameters", "disk.bladed_disk:report_of_diameters",
-        "disk.bladed_disk:NodalDiameters.of", "disk.plot_disk:draw_nodal_diameters",
+        "disk.bladed_disk:NodalDiameters.from_stored_file", "disk.plot_disk:draw_nodal_diameters",
         "Natural frequencies over the nodal diameter; rings: what the engine order excites.",
     ),
     "amplification": ResultKind(
         "amplification", "Mistuning", "disk.bladed_disk:report_of_amplification",
-        "disk.bladed_disk:Amplification.of", "disk.plot_disk:draw_amplification",
+        "disk.bladed_disk:Amplification.from_stored_file", "disk.plot_disk:draw_amplification",
         "Amplification factors of the patterns, and the share of patterns below a factor.",
     ),
     "tip timing": ResultKind(
         "timing", "Tip timing", "monitoring.timing:report_of_timing",
-        "monitoring.timing:Timing.of", "cli.pictures:draw_timing",
+        "monitoring.timing:Timing.from_stored_file", "cli.pictures:draw_timing",
     ),
 }  # fmt: skip
 """Kinds of results by the class attribute ``KIND``, in a report's order."""

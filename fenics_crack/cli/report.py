@@ -18,7 +18,7 @@ from typing import Any
 
 import h5py
 
-from fenics_crack.basics.atomic_files import make_temporary_folder, write_file_whole
+from fenics_crack.basics.atomic_files import make_folder_until_exit, write_file_whole
 from fenics_crack.basics.errors import InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
@@ -32,7 +32,7 @@ from fenics_crack.cli.scenes import describe_harmonics
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
-from fenics_crack.files.store import StoredFile, library_versions, read_result_file
+from fenics_crack.files.store import StoredFile, library_versions_text, read_result_file
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene, unit_of_key
@@ -262,7 +262,7 @@ def _write_page(
     )
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
     file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
-    picture_folder = make_temporary_folder()
+    picture_folder = make_folder_until_exit()
     page_fields = _build_scene_fields(scene_results[0], picture_folder) if scene_results else {}
     fields_of_results = []
     for result_index, (stored_file, result) in enumerate(files_and_results):
@@ -387,7 +387,7 @@ def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
         )
         version_rows.append((str(stored_file.path), file_versions))
     page_versions = (
-        f"Python {platform.python_version()}, {library_versions()}, h5py {h5py.__version__}"
+        f"Python {platform.python_version()}, {library_versions_text()}, h5py {h5py.__version__}"
     )
     version_rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
     return Table(("file", "made with"), version_rows)

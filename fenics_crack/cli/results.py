@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import INTERRUPTED_STATUS, ConvergenceError, InputError
+from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS, ConvergenceError, InputError
 from fenics_crack.basics.observables import (
     IN_PRINTED_TABLE,
     IN_SPECIAL_POINTS_TABLE,
@@ -594,7 +594,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
             )
         },
         further_tables=_blade_tables_by_heading(run, "Blades, each at its largest response"),
-        has_converged=bool(curve.complete) and curve.status != INTERRUPTED_STATUS,
+        has_converged=bool(curve.complete) and curve.status != INTERRUPTED_CURVE_STATUS,
         misses_tolerance=bool(explain_unknown_error(run)),
     )
 
@@ -632,7 +632,7 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     """Yield warnings about large errors, undecided stability and an early end."""
     curve, scene = run.result, run.scene
     if (
-        curve.status == INTERRUPTED_STATUS
+        curve.status == INTERRUPTED_CURVE_STATUS
     ):  # nothing more is assessed; exact orbits have their verdicts
         end_text = "" if curve.complete else "ended early: it "
         skipped_text = "errors and stability" if curve.multipliers is None else "errors"

@@ -35,7 +35,7 @@ def report_of_verification(verification: Verification) -> Report:
     """Report a convergence study."""
     return Report(
         verification.table(),
-        verification.said(),
+        verification.build_conclusion(),
         printed_table=verification.totals(),
         notes=verification.statement[: -len(verification.warnings) or None],
         warnings=verification.warnings,
@@ -71,7 +71,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         tables_by_heading["Failed cases"] = Table(("case", "reason"), failed_rows)
     return Report(
         sweep_result.table(),
-        sweep_result.said(),
+        sweep_result.build_conclusion(),
         printed_table=short_table,
         notes=[f"cases: {states_text}{selection_text}", high_order_note],
         warnings=[*describe_sweep_warnings(sweep_result)],

@@ -38,7 +38,7 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.suggestions import fit_argument_to_annotation
 from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.branch import ReturnToParent, branch_start
@@ -387,8 +387,8 @@ class Continuation(GrowingCurve):
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
         step_limits = StepLimits(**steps)
-        fit_argument("problem", problem, "Problem", ("Problem",))
-        fit_argument("stability", stability, "bool", ())
+        fit_argument_to_annotation("problem", problem, "Problem", ("Problem",))
+        fit_argument_to_annotation("stability", stability, "bool", ())
         if exact and tolerance is None:
             tolerance = DEFAULT_ERROR_TOLERANCE if branch_of is None else branch_of.tolerance
         if tolerance is not None:

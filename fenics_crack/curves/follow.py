@@ -11,7 +11,7 @@ import numpy as np
 from fenics_crack.balance.problem import MAX_CURVE_UNKNOWNS_PER_CALL, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
-    INTERRUPTED_STATUS,
+    INTERRUPTED_CURVE_STATUS,
     ConvergenceError,
     InputError,
     check_count,
@@ -358,7 +358,7 @@ def run_to_end(
             growing_curve.status = str(error)
         curve = growing_curve.curve
     except KeyboardInterrupt:  # may also interrupt the verdicts
-        throw, growing_curve.status = False, INTERRUPTED_STATUS
+        throw, growing_curve.status = False, INTERRUPTED_CURVE_STATUS
         curve = growing_curve.unjudged_curve
     if throw and not curve.complete:
         curve_words = f"curve in {curve.parameter} from {curve.values[0]:g}"

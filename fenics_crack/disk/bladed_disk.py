@@ -252,7 +252,7 @@ class NodalDiameters(SavedResult):
             f"frequency_{family_index + 1}": "Hz" for family_index in range(self.omega.shape[1])
         }
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the concluding sentence's parts: frequencies at the excited diameter."""
         frequencies_text = ", ".join(
             f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited]
@@ -305,7 +305,11 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 def report_of_diameters(disk_modes: NodalDiameters) -> Report:
     """Report frequencies over the nodal diameter and at the excited diameter."""
-    return Report(disk_modes.table(), disk_modes.said(), remarks=remarks_on_scene(disk_modes.scene))
+    return Report(
+        disk_modes.table(),
+        disk_modes.build_conclusion(),
+        remarks=remarks_on_scene(disk_modes.scene),
+    )
 
 
 # --- patterns of mistuning ------------------------------------------------------------------------
@@ -369,7 +373,7 @@ class Amplification(SavedResult):
     def _units(self) -> dict[str, str]:
         return {"frequency": "Hz"}
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the concluding sentence's parts: factors and Whitehead's bound."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
         answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
@@ -469,7 +473,7 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
     notes = [f"the tuned wheel without a crack: {tuned_peak_text}"]
     return Report(
         amplification_result.table(),
-        amplification_result.said(),
+        amplification_result.build_conclusion(),
         printed_table=percentile_table,
         notes=notes,
     )

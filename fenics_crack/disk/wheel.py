@@ -36,7 +36,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.suggestions import fit_argument_to_annotation
 from fenics_crack.disk.cyclic import (
     CyclicBasis,
     CyclicModes,
@@ -114,7 +114,7 @@ class Wheel(Structure):
         rotation: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> None:
-        fit_argument("sector", sector, "Sector", ("Sector",))
+        fit_argument_to_annotation("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
         sector_structure, n_sectors = sector.structure, sector.n_sectors
         tangential_gap = sector_structure.tangential

@@ -29,7 +29,7 @@ from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import check_options, fit_argument
+from fenics_crack.basics.suggestions import check_options, fit_argument_to_annotation
 from fenics_crack.basics.tables import UNITS_WITHOUT_PREFIX, choose_unit_prefix, heading_with_unit
 
 COLOURS_BY_NAME = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
@@ -110,7 +110,7 @@ class Picture:
             PictureOptions.__annotations__,
         )
         path, axes = picture_options.get("path"), read_axes_option(picture_options)
-        fit_argument("path", path, "str | Path | None", ())
+        fit_argument_to_annotation("path", path, "str | Path | None", ())
         self._path, self._title, self._comm = path, picture_options.get("title"), comm
         self.has_legend = picture_options.get("legend", True)
         if axes is None:

@@ -106,7 +106,7 @@ def numbers_of(
         min_size = {"1": ROUNDING_SPREAD, "m": rounding * (place is Place.FACES)}.get(
             number.unit, 0.0
         )
-        if abs(value) > min_size or (place.on_request and value == 0.0):
+        if abs(value) > min_size or (place.is_made_on_request and value == 0.0):
             values[number.column] = value
             units[number.column] = number.unit.replace("1", "")
     resonance, mode = _add_frequencies(study, motion.omega, mode, values, units)

@@ -68,7 +68,7 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.more_modes import more_modes_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.causes import REDUCED_STRUCTURE_CAUSES
+from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import frequency_axis
@@ -112,7 +112,7 @@ from fenics_crack.study.observer import estimate_front_errors, make_requested_ro
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
-STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
+STATED_CAUSES = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
 """Causes with a stated error."""
 HARMONIC_FACTORS = 2, 4
 """Factors on the answer's harmonics; the second is for a large truncation error in the report."""
@@ -265,7 +265,7 @@ def stated_errors(
     numbers = numbers_of(study, answer)
     errors = Verification(study.scene, numbers.values, numbers.units)
     if not is_small(study.structure):  # three more solutions take three times as long
-        reasons = dict.fromkeys(REDUCED_STRUCTURE_CAUSES, "the structure is not reduced")
+        reasons = dict.fromkeys(REDUCED_STRUCTURE_ERROR_CAUSES, "the structure is not reduced")
         return replace(errors, unknown=reasons)
     if answer.report.unknown:  # other runs may agree by chance
         return errors.with_unknown("harmonics", not_estimated(answer.report))

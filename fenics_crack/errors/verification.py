@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 from fenics_crack.basics.causes import (
     MESH_ERROR_CAUSES,
     MISSING_PART_REASON_BY_CAUSE,
-    OPTIONAL_CAUSES,
-    REQUIRED_CAUSES,
+    OPTIONAL_ERROR_CAUSES,
+    REQUIRED_ERROR_CAUSES,
 )
 from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
@@ -105,7 +105,7 @@ class Verification(SavedResult):
             )
         if not part:
             return self
-        if cause in OPTIONAL_CAUSES:
+        if cause in OPTIONAL_ERROR_CAUSES:
             return self.with_unknown(cause, part)
         return replace(self, absent=self.absent | {cause: part})
 
@@ -200,7 +200,9 @@ class Verification(SavedResult):
             Cause with the largest part: "mesh", "modes", "harmonics", "friction" or "samples"; ""
             with nan.
         """
-        unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed_causes))
+        unknown = any(
+            cause in self.unknown for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes)
+        )
         parts = self._parts(quantity) if quantity in self.values else {}
         if not parts or unknown:
             return math.nan, ""
@@ -215,7 +217,7 @@ class Verification(SavedResult):
 
         The text is empty if the error is known, or was left out by choice.
         """
-        for cause in (*REQUIRED_CAUSES, *self.failed_causes):
+        for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes):
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
@@ -295,7 +297,7 @@ class Verification(SavedResult):
     def _title(self) -> str:
         return self.statement[0]
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the parts of the study's concluding sentence."""
         name = next(iter(self.values))
         words = getattr(OBSERVABLES_BY_NAME.get(name.rpartition(".")[2]), "words", name)
@@ -417,7 +419,7 @@ def verification_of(result_file: StoredFile) -> Verification | None:
     InputError
         The stored verification does not fit.
     """
-    with result_file.checked_datasets() as parts:
+    with result_file.yield_checked_datasets() as parts:
         if "verification" not in parts:
             return None
         verification = dataclass_from_json(Verification, parts["verification"], result_file.scene())

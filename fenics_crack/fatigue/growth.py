@@ -191,7 +191,7 @@ class Growth(SavedResult):
             {column_name: column.tolist() for column_name, column in values_by_column.items()}
         )
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the sentences on the growth."""
         start_size, end_size = (self._size_in_words(row) for row in (0, -1))
         if len(self.length) == 1:
@@ -241,7 +241,7 @@ def report_of_growth(growth: Growth) -> Report:
     shown_rows = sorted({*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()})
     return Report(
         table,
-        growth.said(),
+        growth.build_conclusion(),
         growth.scene,
         printed_table=Table(table.columns, [table.rows[row] for row in shown_rows]),
         warnings=growth.remarks,

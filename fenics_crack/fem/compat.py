@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.caches import replace_unusable_caches
 from fenics_crack.basics.errors import report_read_errors
-from fenics_crack.basics.form_cache import load_form
+from fenics_crack.basics.form_cache import load_or_compile_form
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.installation import report_missing_libraries
 from fenics_crack.basics.threads import remaining_address_space
@@ -124,7 +124,7 @@ def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *argume
     cache_key = ffcx.naming.compute_signature(
         [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))
     )
-    return load_form(
+    return load_or_compile_form(
         comm,
         _CACHE_FOLDER / f"{cache_key}.txt",
         lambda options: make_object(*arguments, **{_JIT_KEYWORD: options}),

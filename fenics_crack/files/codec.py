@@ -25,12 +25,12 @@ from fenics_crack.scene.scene import Scene
 
 DataclassType = TypeVar("DataclassType")
 Datasets = dict[str, Any]
-DATASET_ERRORS = (
+DATASET_ERROR_CLASSES = (
     LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError,
     StopIteration,
 )  # fmt: skip
 """Errors if a dataset does not fit its field."""
-_ARRAY_KINDS_BY_FIELD = {
+_DTYPE_KINDS_BY_FIELD = {
     **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces"), "bifuc"),
     **dict.fromkeys(("indices", "indptr", "dofs", "cells", "cracks"), "iu"),
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
@@ -113,7 +113,7 @@ def unpack_dataclass(
 
     Raises
     ------
-    ValueError, LookupError and others of :data:`DATASET_ERRORS`
+    ValueError, LookupError and others of :data:`DATASET_ERROR_CLASSES`
         A dataset is missing, or does not fit its field.
     """
     instance: DataclassType = _DatasetReader(datasets, scene).build_dataclass(
@@ -180,7 +180,7 @@ class _DatasetReader(NamedTuple):
             )
         if generic_type in (Union, UnionType):
             for inner_type in inner_types:
-                with suppress(*DATASET_ERRORS):
+                with suppress(*DATASET_ERROR_CLASSES):
                     return self.convert_value(inner_type, stored_content, field_name)
         elif generic_type in (dict, Mapping) and isinstance(stored_content, dict):
             key_type, entry_type = inner_types
@@ -221,7 +221,7 @@ def check_arrays(datasets: Mapping[str, Any]) -> None:
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):
-            allowed_kinds = _ARRAY_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
+            allowed_kinds = _DTYPE_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
             if array.dtype.kind not in allowed_kinds or np.any(
                 np.abs(array) > MAX_ALLOWED_MAGNITUDE
             ):

@@ -30,12 +30,16 @@ def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
     these arrays.
     """
     with h5py.File(path, "r", locking=False) as file:
-        contents, arrays = read_content(file, os.path.getsize(path), max_bytes)
-    array_by_numbered_name = {f"arr_{number}": array for number, array in enumerate(arrays)}
+        contents, arrays = read_contents_and_arrays(file, os.path.getsize(path), max_bytes)
+    array_by_numbered_name = {
+        f"arr_{array_index}": array for array_index, array in enumerate(arrays)
+    }
     return {"head": np.array(json.dumps(contents)), **array_by_numbered_name}
 
 
-def read_content(file: h5py.File, file_size: int, max_bytes: int) -> tuple[dict, list[np.ndarray]]:
+def read_contents_and_arrays(
+    file: h5py.File, file_size: int, max_bytes: int
+) -> tuple[dict, list[np.ndarray]]:
     """Read the contents from an open file.
 
     Returns

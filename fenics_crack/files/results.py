@@ -79,15 +79,17 @@ def save(
     --------
     >>> fc.save(solution, "solution.h5", scene)
     """
-    if type(result) not in _FUNCTIONS_BY_CLASS:
-        class_names_text = ", ".join(result_type.__name__ for result_type in _FUNCTIONS_BY_CLASS)
+    if type(result) not in _PACK_UNPACK_FUNCTIONS_BY_CLASS:
+        class_names_text = ", ".join(
+            result_type.__name__ for result_type in _PACK_UNPACK_FUNCTIONS_BY_CLASS
+        )
         raise InputError("result", type(result).__name__, f"one of {class_names_text}")
-    datasets = _FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
+    datasets = _PACK_UNPACK_FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
     if watched:
-        motion_kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
+        watched_quantity = "displacement" if isinstance(result, TimeHistory) else "coefficients"
         datasets |= {
             "watched": [*watched],
-            f"watched_{motion_kind}": np.stack([*watched.values()], axis=-1),
+            f"watched_{watched_quantity}": np.stack([*watched.values()], axis=-1),
         }
     write_result_file(datasets, path, result.KIND, scene, result.structure.comm)
 
@@ -132,13 +134,13 @@ def unpack_result(
     Raises as :func:`load`.
     """
     result_type = result_class(stored_file)
-    with stored_file.checked_datasets() as datasets:
+    with stored_file.yield_checked_datasets() as datasets:
         if (friction := friction_of(contact)) is not None and "law_direction" in datasets:
             line_field_by_name = {
                 name: datasets[f"law_{name}"] for name in ("direction", "turning")
             }
             contact = replace(friction, **line_field_by_name)
-        return _FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
+        return _PACK_UNPACK_FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
 
 
 def result_class(stored_file: StoredFile) -> type[Result]:
@@ -149,7 +151,7 @@ def result_class(stored_file: StoredFile) -> type[Result]:
     InputError
         The file holds something else.
     """
-    for result_type in _FUNCTIONS_BY_CLASS:
+    for result_type in _PACK_UNPACK_FUNCTIONS_BY_CLASS:
         if result_type.KIND == stored_file.kind:
             return result_type
     if stored_file.kind == "backbone":
@@ -170,11 +172,11 @@ def _pack_modes(modes: Modes) -> Datasets:
         shapes_by_dof = gather_rows(whole_structure.comm, modes.structure.expand(modes.shapes.T).T)
         return {"omega": modes.omega, "shapes": shapes_by_dof.T}
     nodal_mesh = NodalMesh(modes.structure)
-    shapes = nodal_mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
+    nodal_shapes = nodal_mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     return {
         "omega": modes.omega,
-        "nodes": _node_positions_and_midpoints(nodal_mesh),
-        "shapes": shapes,
+        "nodes": _find_node_positions_and_midpoints(nodal_mesh),
+        "shapes": nodal_shapes,
     }
 
 
@@ -186,47 +188,52 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     InputError
         The structure has other nodes, or another number of dofs.
     """
-    omega, shapes, whole_structure = datasets["omega"], datasets["shapes"], structure.whole
-    check_shapes(datasets, {"omega": (len(shapes),)})
+    omegas, stored_shapes, whole_structure = datasets["omega"], datasets["shapes"], structure.whole
+    check_shapes(datasets, {"omega": (len(stored_shapes),)})
     if whole_structure.drawable_nodes is None:
-        if "nodes" in datasets or shapes.ndim != 2 or shapes.shape[1] != whole_structure.n_dofs:
-            requirement = f"that of the file, {shapes.shape}"
+        if (
+            "nodes" in datasets
+            or stored_shapes.ndim != 2
+            or stored_shapes.shape[1] != whole_structure.n_dofs
+        ):
+            requirement = f"that of the file, {stored_shapes.shape}"
             raise InputError("structure", f"{whole_structure.n_dofs} dofs", requirement)
         local_dof_slice = slice(
             whole_structure.first_dof, whole_structure.first_dof + whole_structure.n_local
         )
-        return Modes(omega, shapes[:, local_dof_slice].T, whole_structure)
+        return Modes(omegas, stored_shapes[:, local_dof_slice].T, whole_structure)
     nodal_mesh = NodalMesh(structure)
     assert whole_structure.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    positions, stored_positions = _node_positions_and_midpoints(nodal_mesh), datasets["nodes"]
+    positions = _find_node_positions_and_midpoints(nodal_mesh)
+    stored_positions = datasets["nodes"]
     dimension = nodal_mesh.dimension
     check_shapes(
         datasets,
-        {"shapes": (len(omega), len(stored_positions), dimension), "nodes": (-1, 2 * dimension)},
+        {"shapes": (len(omegas), len(stored_positions), dimension), "nodes": (-1, 2 * dimension)},
     )
-    distances, node_indices = cKDTree(stored_positions).query(positions)
-    is_one_to_one = len(stored_positions) == len(positions) and len(set(node_indices)) == len(
-        node_indices
-    )
-    if not is_one_to_one or distances.max() > 1e-6 * nodal_mesh.size:
+    nearest_distances, stored_node_indices = cKDTree(stored_positions).query(positions)
+    is_one_to_one = len(stored_positions) == len(positions) and len(
+        set(stored_node_indices)
+    ) == len(stored_node_indices)
+    if not is_one_to_one or nearest_distances.max() > 1e-6 * nodal_mesh.size:
         raise InputError(
             "structure", f"{len(positions)} nodes", f"that of the file, {len(stored_positions)}"
         )
     first_node = whole_structure.comm.exscan(len(whole_structure.nodes.points)) or 0
-    local_shapes = nodal_mesh.to_nodal_frames(shapes[:, node_indices])[
+    local_shapes = nodal_mesh.to_nodal_frames(stored_shapes[:, stored_node_indices])[
         :, first_node : first_node + len(whole_structure.nodes.points)
     ]
     is_free_dof = whole_structure.nodes.dofs >= 0
-    mode_shape_rows = np.zeros((len(omega), whole_structure.n_local))
+    mode_shape_rows = np.zeros((len(omegas), whole_structure.n_local))
     mode_shape_rows[:, whole_structure.nodes.dofs[is_free_dof] - whole_structure.first_dof] = (
         local_shapes[:, is_free_dof]
     )
-    return Modes(omega, mode_shape_rows.T, whole_structure)
+    return Modes(omegas, mode_shape_rows.T, whole_structure)
 
 
-def _node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
+def _find_node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
     """Return the position of each node, then the mean midpoint of the cells around: (n, 2 d).
 
     Nodes at the same place on opposite crack faces differ in the midpoint.
@@ -263,11 +270,12 @@ def _unpack_solution(
 ) -> PeriodicSolution:
     gap_coefficients = datasets["gap_coefficients"]
     coefficient_shape = len(gap_coefficients) | 1, gap_coefficients.shape[-1]
-    wave_names = "gap_coefficients", "force_coefficients"
+    wave_dataset_names = "gap_coefficients", "force_coefficients"
     check_shapes(
         datasets,
         dict.fromkeys(
-            [*wave_names, *(f"tangential_{name}" for name in wave_names)], coefficient_shape
+            [*wave_dataset_names, *(f"tangential_{name}" for name in wave_dataset_names)],
+            coefficient_shape,
         ),
     )
     check_shapes(datasets, {"multipliers": (max(np.size(datasets.get("multipliers")), 1),)})
@@ -295,7 +303,8 @@ def rebuild_solution(
     InputError
         The solution belongs to another structure.
     """
-    gap_coefficients, force = datasets["gap_coefficients"], datasets["force_coefficients"]
+    gap_coefficients = datasets["gap_coefficients"]
+    force_coefficients = datasets["force_coefficients"]
     _check_n_pairs(structure.n_pairs, gap_coefficients)
     if is_rigid(contact) and friction_of(contact) is None:
         contact = UnilateralConstraint(datasets.get("weight"))
@@ -306,14 +315,18 @@ def rebuild_solution(
     omega, subharmonic = datasets["omega"], datasets["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
         raise ValueError("its frequency does not fit")
-    tangential_force = datasets.get("tangential_force_coefficients")
-    force_rows = force if tangential_force is None else np.hstack([force, tangential_force])
+    tangential_force_coefficients = datasets.get("tangential_force_coefficients")
+    all_force_coefficients = (
+        force_coefficients
+        if tangential_force_coefficients is None
+        else np.hstack([force_coefficients, tangential_force_coefficients])
+    )
     structure_with_friction = add_friction_pairs(contact, structure)
-    compliance = make_compliance_model(
+    compliance_model = make_compliance_model(
         structure_with_friction, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
     )
-    displacement_coefficients = compliance.displacement(force_rows)
-    compliance.destroy()
+    displacement_coefficients = compliance_model.displacement(all_force_coefficients)
+    compliance_model.destroy()
     solution = unpack_dataclass(
         PeriodicSolution,
         datasets,
@@ -357,8 +370,8 @@ def _check_gap_coefficients(
     difference_tolerance = tolerance * np.linalg.norm(closing_coefficients)
     difference_tolerance += NEGLIGIBLE * np.linalg.norm(displacement_sizes)
     closing_coefficients[0] -= structure.clearance
-    difference = np.linalg.norm(closing_coefficients - gap_coefficients)
-    if not difference <= difference_tolerance:  # nan neither
+    difference_norm = np.linalg.norm(closing_coefficients - gap_coefficients)
+    if not difference_norm <= difference_tolerance:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
 
 
@@ -375,8 +388,10 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     datasets["kinds"] = [bifurcation.kind for bifurcation in curve.bifurcations]
     point_datasets = {"values": special_points.values, "omega": special_points.omega}
     if curve.exact:
-        datasets |= _states_by_dof(curve) | {"couplings": _gap_and_load_rows(curve.structure)}
-        point_datasets |= _states_by_dof(special_points) | {
+        datasets |= _pack_states_by_dof(curve) | {
+            "couplings": _stack_gap_and_load_rows(curve.structure)
+        }
+        point_datasets |= _pack_states_by_dof(special_points) | {
             "multipliers": special_points.multipliers
         }
     else:
@@ -388,7 +403,7 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     return datasets | _law_datasets(curve.contact, curve.structure)
 
 
-def _states_by_dof(curve: ResponseCurve) -> Datasets:
+def _pack_states_by_dof(curve: ResponseCurve) -> Datasets:
     """Return the states of exact orbits by dof, whose signs are known.
 
     Returns
@@ -437,15 +452,20 @@ def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw
         datasets, structure, contact, count_by_prefix, shape_by_name
     )
     parameter_values = datasets["bifurcation_values"].tolist()
-    frequencies = datasets.get(
+    special_omegas = datasets.get(
         "bifurcation_omega",
         [curve.problem_at(parameter_value).omega for parameter_value in parameter_values],
     )
-    multipliers = (
+    special_multipliers = (
         datasets["bifurcation_multipliers"][:, None] if is_exact else [None] * len(parameter_values)
     )
     special_point_rows = zip(
-        datasets["kinds"], parameter_values, frequencies, special_unknowns, multipliers, strict=True
+        datasets["kinds"],
+        parameter_values,
+        special_omegas,
+        special_unknowns,
+        special_multipliers,
+        strict=True,
     )
     return replace(
         curve,
@@ -479,7 +499,7 @@ def _unpack_exact_points(
     known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
     curve = unpack_dataclass(ResponseCurve, datasets, **known_fields, points=datasets["states"])
     states, special_states = (
-        _states_by_mode(datasets, prefix, curve, dof_signs) for prefix in count_by_prefix
+        _unpack_states_by_mode(datasets, prefix, curve, dof_signs) for prefix in count_by_prefix
     )
     curve = replace(curve, points=states)
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
@@ -521,7 +541,7 @@ def _unpack_balance_points(
     return curve, special_unknowns
 
 
-def _states_by_mode(
+def _unpack_states_by_mode(
     datasets: Datasets, prefix: str, curve: ResponseCurve, dof_signs: np.ndarray
 ) -> np.ndarray:
     """Return states in modal coordinates from the states by dof.
@@ -551,7 +571,7 @@ def _pack_history(history: TimeHistory) -> Datasets:
     if history.structure.comm.size > 1:
         raise InputError("result", "spread over several ranks", "a time history of one rank")
     datasets = pack_dataclass(history, *_FIELDS_NOT_STORED, "final_state")
-    datasets["couplings"] = _gap_and_load_rows(history.structure)
+    datasets["couplings"] = _stack_gap_and_load_rows(history.structure)
     datasets["final_state"] = history.final_state[:2]
     if history.friction is not None:
         datasets["final_places"] = history.final_state[2]
@@ -583,7 +603,7 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
 # --- dofs and laws --------------------------------------------------------------------------------
 
 
-def _gap_and_load_rows(structure: Structure) -> np.ndarray:
+def _stack_gap_and_load_rows(structure: Structure) -> np.ndarray:
     """Return B^T and the load, which identify a file's dofs: (n_pairs + 2K+1, n_local)."""
     return np.vstack([structure.gap.toarray().T, structure.force])
 
@@ -593,17 +613,17 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
 
     Modes computed anew may have other signs. A changed load, or changed pairs, is an InputError.
     """
-    rows = _gap_and_load_rows(structure)
-    if stored_rows.shape != rows.shape:
+    structure_rows = _stack_gap_and_load_rows(structure)
+    if stored_rows.shape != structure_rows.shape:
         sizes_text = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
         n_pairs = len(stored_rows) - len(structure.force)
         requirement = f"one with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
         raise InputError("structure", sizes_text, requirement)
-    signs = np.where((stored_rows * rows).sum(axis=0) < 0.0, -1.0, 1.0)
+    dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
-    if np.any(np.abs(stored_rows - rows * signs) > 1e-6 * row_maxima):
+    if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):
         raise InputError("structure", "other load or pairs", "that of the file")
-    return signs
+    return dof_signs
 
 
 LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
@@ -665,7 +685,7 @@ _FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessm
 """Fields left out of a file, or stored in other datasets."""
 PackFunction = Callable[[Any], Datasets]
 UnpackFunction = Callable[[Datasets, Structure, OptionalLaw], Result]
-_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
+_PACK_UNPACK_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
     ResponseCurve: (_pack_curve, _unpack_curve),

@@ -41,13 +41,13 @@ class SavedResult(Tabular):
         InputError
             The file cannot be read, is damaged, or holds something else.
         """
-        return cls.of(read_result_file(path))
+        return cls.from_stored_file(read_result_file(path))
 
     @classmethod
-    def of(cls, stored_file: StoredFile) -> Self:
+    def from_stored_file(cls, stored_file: StoredFile) -> Self:
         """Return the result in an open result file; raises as :meth:`load`."""
         stored_file.check_kind(cls.KIND)
-        with stored_file.checked_datasets() as datasets:
+        with stored_file.yield_checked_datasets() as datasets:
             result = cls._unpack_fields(datasets, stored_file.scene())
             repr(result), result.table()  # whose columns are of one length
             return result

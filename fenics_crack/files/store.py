@@ -38,7 +38,7 @@ from fenics_crack.basics.untrusted_files import (
     run_reader,
 )
 from fenics_crack.fem.model_files import list_included_files
-from fenics_crack.files.codec import DATASET_ERRORS, check_arrays
+from fenics_crack.files.codec import DATASET_ERROR_CLASSES, check_arrays
 from fenics_crack.scene.scene import Scene, file_keys_and_paths, with_file_paths
 from fenics_crack.version import VERSION
 
@@ -101,7 +101,7 @@ def write_result_file(
                     file_dataset = file.create_dataset(
                         dataset_name, data=content, **compression_options
                     )
-                    file_dataset.attrs.update(describe_dataset(dataset_name, datasets))
+                    file_dataset.attrs.update(dataset_attribute_texts(dataset_name, datasets))
             file.attrs["digest"] = content_digest(attribute_texts(file), datasets)
         write_file_whole(path, file_buffer.getvalue())
 
@@ -110,13 +110,15 @@ def write_result_file(
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     """Write the attributes: kind of contents, program, versions and scene."""
-    file.attrs.update(kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions())
+    file.attrs.update(
+        kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions_text()
+    )
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(scene_file_digests(scene))
+        file.attrs["meshes"] = "\n".join(list_scene_file_digests(scene))
 
 
-def library_versions() -> str:
+def library_versions_text() -> str:
     """Return library versions as text; SLEPc, DOLFINx and gmsh only if loaded."""
     module_by_name = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
     version_by_name = {
@@ -131,7 +133,7 @@ def library_versions() -> str:
 
 
 @functools.cache
-def program_fingerprint() -> str:
+def program_fingerprint_text() -> str:
     """Return a text that changes with the program, and with libraries for meshes and assembly.
 
     The text has sizes and times of the program's sources, and of the libraries' first files.
@@ -218,7 +220,7 @@ class Column:
         return f"{self.dtype.str} {self.shape} {self.offset}"
 
     @property
-    def size(self) -> int:
+    def n_bytes(self) -> int:
         """Size of the dataset in the file [byte]."""
         return math.prod(self.shape) * self.dtype.itemsize
 
@@ -230,9 +232,9 @@ class Column:
         OSError or ValueError if the file cannot be read, or ends too early.
         """
         start_byte = self.offset + first_index * self.dtype.itemsize
-        n_values = math.prod(self.shape) if count is None else count
-        numbers = np.fromfile(path, self.dtype, n_values, offset=start_byte)
-        if len(numbers) < n_values:
+        n_numbers = math.prod(self.shape) if count is None else count
+        numbers = np.fromfile(path, self.dtype, n_numbers, offset=start_byte)
+        if len(numbers) < n_numbers:
             raise ValueError("it ends too early")
         return numbers.reshape(self.shape) if count is None else numbers
 
@@ -274,7 +276,7 @@ class StoredFile:
         if "scene" not in self.attributes:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
-        if len(self._digests) < len(file_keys_and_paths(scene)):
+        if len(self._stored_scene_file_digests) < len(file_keys_and_paths(scene)):
             raise self._older_version_error("digests of its mesh or matrices")
         return scene
 
@@ -284,14 +286,16 @@ class StoredFile:
         A missing file is an error only if ``is_required``.
         """
         key_path_pairs = _list_scene_files(scene)
-        for (key, path), stored_digest in zip(key_path_pairs, self._digests, strict=False):
+        for (key, path), stored_digest in zip(
+            key_path_pairs, self._stored_scene_file_digests, strict=False
+        ):
             file_digest = _file_digest(path)
             if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
                 requirement = (
                     f"the file with which {self.path} was computed; it has changed or gone"
                 )
                 raise InputError(key, path, requirement)
-        if is_required and len(self._digests) != len(key_path_pairs):
+        if is_required and len(self._stored_scene_file_digests) != len(key_path_pairs):
             raise self._older_version_error("digests of all files of its matrices")
 
     def refusal(self, requirement: str) -> InputError:
@@ -304,21 +308,22 @@ class StoredFile:
             raise self.refusal(f"a file with a {kind}; in this one is a {self.kind}")
 
     @contextlib.contextmanager
-    def checked_datasets(self) -> Iterator[dict[str, Any]]:
+    def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
         """Yield a dict of the datasets that the block may change.
 
-        InputError if the numbers are unusable, or the block raises any of ``DATASET_ERRORS``.
+        InputError if the numbers are unusable, or the block raises one of
+        ``DATASET_ERROR_CLASSES``.
         """
         try:
             check_arrays(self.datasets)
             yield dict(self.datasets)
         except InputError:
             raise
-        except DATASET_ERRORS as error:
+        except DATASET_ERROR_CLASSES as error:
             raise self.refusal(f"a {self.kind} written by save ({error})") from None
 
     @property
-    def _digests(self) -> list[str]:
+    def _stored_scene_file_digests(self) -> list[str]:
         """Digests of the scene's files."""
         return self.attributes.get("meshes", "").split()
 
@@ -353,10 +358,10 @@ def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored
     InputError
         The file cannot be read, is damaged, has an older version, or comes from another program.
     """
-    return on_root(comm, lambda: _read_and_check(Path(path)))
+    return on_root(comm, lambda: _read_and_check_result_file(Path(path)))
 
 
-def _read_and_check(path: Path) -> StoredFile:
+def _read_and_check_result_file(path: Path) -> StoredFile:
     def refusal(reason: str) -> InputError:
         kinds_text = "one of the .h5 files that solve, curve and the other commands write"
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
@@ -396,7 +401,8 @@ def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]
     """Return a file's contents from the reader's arrays."""
     contents = json.loads(str(array_by_name["head"]))
     array_by_dataset_name = {
-        name: array_by_name[f"arr_{number}"] for number, name in enumerate(contents["arrays"])
+        name: array_by_name[f"arr_{array_index}"]
+        for array_index, name in enumerate(contents["arrays"])
     }
     array_or_number_by_name = {
         name: array if array.ndim else array.item() for name, array in array_by_dataset_name.items()
@@ -422,7 +428,7 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
             raise ValueError(f"its {name} does not fit")
 
 
-def read_header(path: str | Path) -> StoredFile:
+def read_result_file_without_numbers(path: str | Path) -> StoredFile:
     """Return a file without the numbers; the digest is verified with the numbers.
 
     Raises as :func:`read_result_file`. A changed file is read again.
@@ -431,15 +437,15 @@ def read_header(path: str | Path) -> StoredFile:
         file_status = os.stat(path)
     except (OSError, ValueError):
         return read_result_file(path)  # which says why it cannot be
-    return _read_header_cached(
+    return _read_without_numbers_cached(
         Path(path),
         (file_status.st_dev, file_status.st_ino, file_status.st_size, file_status.st_mtime_ns),
     )
 
 
 @functools.lru_cache(maxsize=32)
-def _read_header_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
-    return replace(_read_and_check(path), datasets={})
+def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
+    return replace(_read_and_check_result_file(path), datasets={})
 
 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
@@ -459,7 +465,7 @@ def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-def scene_file_digests(scene: Scene) -> list[str]:
+def list_scene_file_digests(scene: Scene) -> list[str]:
     """Return SHA-256 digests for a scene's files, and for the files read with them."""
     return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
@@ -546,11 +552,14 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
 """Units and meanings by dataset name; a meaning goes axis by axis."""
 
 
-def describe_dataset(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
+def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
     """Return a dataset's attributes ``unit`` and ``about``; counts and words have none."""
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
-        parameter = str(datasets["parameter"])  # most are factors
-        unit_and_meaning = UNIT_BY_NAME.get(parameter, "1"), f"of the parameter {parameter}"
+        parameter_name = str(datasets["parameter"])  # most are factors
+        unit_and_meaning = (
+            UNIT_BY_NAME.get(parameter_name, "1"),
+            f"of the parameter {parameter_name}",
+        )
     elif name.startswith("error_"):
         unit_and_meaning = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():

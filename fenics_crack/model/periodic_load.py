@@ -20,7 +20,7 @@ from fenics_crack.basics.errors import (
     check_count,
     report_read_errors,
 )
-from fenics_crack.basics.untrusted_files import read_csv_rows
+from fenics_crack.basics.untrusted_files import read_numbered_csv_rows
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.numerics.fourier import from_complex
 
@@ -125,7 +125,9 @@ def read_load_harmonics_and_error(
     """
     requirement = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
     with report_read_errors(key, path, requirement):
-        table = np.array([[float(cell) for cell in cells] for _, cells in read_csv_rows(path)[1:]])
+        table = np.array(
+            [[float(cell) for cell in cells] for _, cells in read_numbered_csv_rows(path)[1:]]
+        )
     if table.ndim != 2 or table.shape[1] != dimension + 1:
         raise InputError(key, path, requirement)
     try:

@@ -26,7 +26,12 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import InputError, check_count, check_damping_ratios, check_number
+from fenics_crack.basics.errors import (
+    InputError,
+    check_count,
+    check_number,
+    check_rayleigh_damping_ratios,
+)
 from fenics_crack.basics.suggestions import check_calls
 from fenics_crack.basics.tables import format_count
 from fenics_crack.basics.threads import run_single_threaded
@@ -177,7 +182,7 @@ class RayleighDamping:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
         xi_list = [float(ratio) for ratio in ratio_array]
         omega_list = [float(w) for w in omega_array]
-        check_damping_ratios("damping ratios", xi_list, omega_list)
+        check_rayleigh_damping_ratios("damping ratios", xi_list, omega_list)
         (w_1, xi_1), (w_2, xi_2) = sorted(zip(omega_list, xi_list, strict=True))
         ratio_shift = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
         mean_omega = 0.5 * (w_1 + w_2)

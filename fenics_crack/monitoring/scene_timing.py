@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes, probes_of_blades
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, find_probe_angles_by_blade
 from fenics_crack.arrivals.fit_frequency import fit_frequency
 from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit
-from fenics_crack.arrivals.passages import Follows, PassageFit, find_passages
+from fenics_crack.arrivals.passages import PassageFit, StiffeningFunction, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
@@ -91,7 +91,7 @@ def arrivals_of_blades(
     timing_table = scene.given("tip_timing")
     run, arrivals_by_blade = _load_or_solve(scene, source, comm), {}
     n_blades = run.structure.whole.n_sectors
-    for blade_number, probe_angles in probes_of_blades(
+    for blade_number, probe_angles in find_probe_angles_by_blade(
         np.radians(timing_table.probes), n_blades
     ).items():
         begin_stage(f"arrivals of blade {blade_number}")
@@ -328,7 +328,7 @@ def _fit_passages(
     timing_table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
 ) -> tuple[PassageFit, ...]:
     """Find resonances, with the stiffening of the table, diagram, or none."""
-    stiffening: float | Follows = timing_table.stiffening or 0.0
+    stiffening: float | StiffeningFunction = timing_table.stiffening or 0.0
     if timing_table.stiffening is None and diagram is not None:
         stiffening = diagram.stiffening
     return find_passages(arrivals, timing_table.orders or ORDERS, stiffening=stiffening)

@@ -22,7 +22,11 @@ from numbers import Integral
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from fenics_crack.arrivals.arrival_times import MOST_PASSAGES, ArrivalTimes, check_probes
+from fenics_crack.arrivals.arrival_times import (
+    MAX_ALLOWED_PASSAGES,
+    ArrivalTimes,
+    check_probe_angles,
+)
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.curves.curve import ResponseCurve
@@ -103,7 +107,7 @@ def tip_timing(
     ...     solution, tip, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=0.4, order=6)
     """
     probe_angles = np.atleast_1d(floats_or_nan(probes))
-    check_probes(probe_angles)
+    check_probe_angles(probe_angles)
     factor_by_dof = (
         tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
     )
@@ -113,8 +117,10 @@ def tip_timing(
         check_number(f"tip[{dof!r}]", factor)
     check_number("tip_radius", tip_radius, 0.0, excludes_bound=True)
     check_count("revolutions", revolutions, 1)
-    if revolutions * len(probe_angles) > MOST_PASSAGES:
-        raise InputError("revolutions", revolutions, f"fewer: {MOST_PASSAGES:.0e} passages at most")
+    if revolutions * len(probe_angles) > MAX_ALLOWED_PASSAGES:
+        raise InputError(
+            "revolutions", revolutions, f"fewer: {MAX_ALLOWED_PASSAGES:.0e} passages at most"
+        )
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
     check_count("seed", seed, 0)

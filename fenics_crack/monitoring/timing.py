@@ -10,9 +10,9 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_order import TipTrack
-from fenics_crack.arrivals.harmonics import TipFit, in_words
+from fenics_crack.arrivals.harmonics import TipFit, format_first_orders
 from fenics_crack.arrivals.passages import PassageFit
-from fenics_crack.arrivals.robust import LEVELS
+from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
@@ -242,7 +242,7 @@ def _describe_passages(
 
 def _orders_in_words(orders_text: str, orders: Iterable[float]) -> str:
     """Return "orders that TEXT: 5, 7"."""
-    return f"orders that {orders_text}: {in_words([*orders])}"
+    return f"orders that {orders_text}: {format_first_orders([*orders])}"
 
 
 def _describe_line(line_fit: TipFit) -> str:
@@ -270,7 +270,9 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
     conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
     peak_rows, notes = [], []
     # Without any vibration, the largest of so many amplitudes is several errors large.
-    max_noise_ratio = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
+    max_noise_ratio = float(
+        np.sqrt(2.0 * np.log(len(track.speed) / CONFIDENCE_LEVELS.misfit_significance_level))
+    )
     for harmonic_index, harmonic_multiple in enumerate(track.multiples):
         amplitudes = track.amplitudes[:, harmonic_index]
         amplitude_errors = track.amplitude_errors[:, harmonic_index]
@@ -301,7 +303,12 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
                 conclusion = Conclusion("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
             upper_bound_text = format_quantity(
-                float(np.nanmax(amplitudes + LEVELS.deviations * amplitude_errors)), "m"
+                float(
+                    np.nanmax(
+                        amplitudes + CONFIDENCE_LEVELS.allowed_standard_errors * amplitude_errors
+                    )
+                ),
+                "m",
             )
             unclear_text = UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)
             notes.append(f"harmonic {harmonic_multiple:g}: {unclear_text}")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import INTERRUPTED_STATUS
+from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
     Conclusion,
@@ -250,7 +250,7 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
     else:
         sentences.append("stability not examined")
     outcome_text = "curve complete" if curve.complete else "the curve ended early"
-    if curve.status == INTERRUPTED_STATUS:
+    if curve.status == INTERRUPTED_CURVE_STATUS:
         outcome_text = "curve interrupted"
     return Conclusion(outcome_text, answer_text, unknown_error_reason, sentences)
 

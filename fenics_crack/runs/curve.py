@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_from_neighbour
 from fenics_crack.balance.problem import Problem
-from fenics_crack.basics.errors import INTERRUPTED_STATUS, InputError
+from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS, InputError
 from fenics_crack.basics.tables import format_percent
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.stated import error_by_modes
@@ -95,7 +95,7 @@ def curve(
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
         response_curve = _follow_curve(study, scene, progress)
-        if response_curve.status == INTERRUPTED_STATUS:
+        if response_curve.status == INTERRUPTED_CURVE_STATUS:
             break
         point_indices = sorted(
             {response_curve.top(study.watched[0].dof).index, 0, len(response_curve) - 1}

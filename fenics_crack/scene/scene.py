@@ -24,7 +24,7 @@ from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, Observable, ObservableFlag, Place
 from fenics_crack.basics.suggestions import (
     check_calls,
-    convert_number,
+    convert_to_unit_or_none,
     did_you_mean_text,
     find_similar_names,
     find_similar_or_longer_names,
@@ -530,7 +530,7 @@ def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     return tuple(
         quantity_name
         for quantity_name in scene.quantities or ()
-        if OBSERVABLES_BY_NAME[quantity_name].place.on_request
+        if OBSERVABLES_BY_NAME[quantity_name].place.is_made_on_request
     )
 
 
@@ -634,7 +634,7 @@ def _make_line_fix_text(toml_text: str, error_text: str) -> str:
     key, _, value_text = (
         line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
     )
-    si_value = convert_number(
+    si_value = convert_to_unit_or_none(
         value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key]))
     )
     if si_value is None and not value_text.isidentifier():

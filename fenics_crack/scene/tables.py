@@ -17,7 +17,7 @@ from fenics_crack.basics.errors import (
     DEFAULT_ERROR_TOLERANCE,
     MAX_SAMPLES_PER_PERIOD,
     InputError,
-    check_damping_ratios,
+    check_rayleigh_damping_ratios,
 )
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
@@ -320,7 +320,7 @@ class Damping(Table):
         if "ratios" in chosen_key_group:
             ratios = self.given("ratios", f"given with omegas = {self.omegas}")
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
-            check_damping_ratios(self.full_key("ratios"), ratios, omegas)
+            check_rayleigh_damping_ratios(self.full_key("ratios"), ratios, omegas)
 
     @property
     def damps_all_modes(self) -> bool:

@@ -169,7 +169,7 @@ class PreparedStructure:
         """Make the structure with a scene's damping and clearance (collective).
 
         Rank 0 has all rows. Datasets that are no structure raise an error of
-        :data:`fenics_crack.files.codec.DATASET_ERRORS`.
+        :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES`.
 
         Parameters
         ----------
@@ -445,7 +445,7 @@ def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Sc
     unavailable_quantities = [
         quantity_name
         for quantity_name in scene.quantities or ()
-        if OBSERVABLES_BY_NAME[quantity_name].place.on_request
+        if OBSERVABLES_BY_NAME[quantity_name].place.is_made_on_request
     ]
     if unavailable_quantities:
         requirement = "those of points and crack faces, for a file; else the scene itself is solved"
@@ -525,6 +525,6 @@ def _make_file_structure(stored_file: StoredFile, scene: Scene, comm: MPI.Comm) 
     file_scene = stored_file.scene()
     assert file_scene is not None
     load_weights = _load_weights_between_scenes(file_scene, scene)
-    with stored_file.checked_datasets() as datasets:
+    with stored_file.yield_checked_datasets() as datasets:
         prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
         return prepared_file.make_structures(scene, load_weights, comm)

@@ -143,9 +143,9 @@ class Campbell(SavedResult):
     frequency_bilinear = hertz_property("omega_bilinear")
 
     @classmethod
-    def of(cls, stored: StoredFile) -> Campbell:
+    def from_stored_file(cls, stored: StoredFile) -> Campbell:
         """Return the diagram of a file; its mesh must not have changed."""
-        diagram = super().of(stored)
+        diagram = super().from_stored_file(stored)
         stored.check_files(diagram.scene)
         return diagram
 
@@ -367,7 +367,7 @@ class Campbell(SavedResult):
                 columns[name] = getattr(self, name).ravel().tolist()
         return add_frequency_entries(columns)
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
         axis, order = speed_axis(self.scene.is_speed_in_rpm), self.scene.excitation.order
         modes_text = format_count(self.omega_open.shape[1], "mode")
@@ -549,7 +549,7 @@ def report_of_campbell(diagram: Campbell) -> Report:
     ]
     return Report(
         diagram.table(),
-        diagram.said(),
+        diagram.build_conclusion(),
         printed_table=diagram.table(*columns),
         notes=notes,
         remarks=remarks_on_scene(scene),

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_crack.balance.problem import Problem
-from fenics_crack.basics.causes import OPTIONAL_CAUSES, REQUIRED_CAUSES
+from fenics_crack.basics.causes import OPTIONAL_ERROR_CAUSES, REQUIRED_ERROR_CAUSES
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import describe_omitted_causes, format_error, format_quantity
 from fenics_crack.curves.stability import floquet
@@ -74,7 +74,8 @@ class LoadResonance:
         """Amplitude, verdict, errors and missing causes of errors; or the reason for none."""
         known_error_by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
         error_by_cause = (
-            dict.fromkeys((*REQUIRED_CAUSES, *OPTIONAL_CAUSES), math.nan) | known_error_by_cause
+            dict.fromkeys((*REQUIRED_ERROR_CAUSES, *OPTIONAL_ERROR_CAUSES), math.nan)
+            | known_error_by_cause
         )
         missing_causes = [
             cause for cause, error in error_by_cause.items() if not math.isfinite(error)

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
-from fenics_crack.files.store import scene_file_digests
+from fenics_crack.files.store import list_scene_file_digests
 from fenics_crack.model.body import DEFAULT_SETTING
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -70,7 +70,9 @@ def assemble_or_reuse(
     needs_all_equal = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
     structure_files = [] if (  # what is integrated over a mesh of DOLFINx needs one
         needs_all_equal or last_entries is not LAST_STRUCTURES or scene.geometry.file is not None
-        or any(OBSERVABLES_BY_NAME[name].place.on_request for name in scene.quantities or ())
+        or any(
+            OBSERVABLES_BY_NAME[name].place.is_made_on_request for name in scene.quantities or ()
+        )
     ) else STRUCTURE_FILES  # fmt: skip
     if not comm.allreduce(
         bool(last_entries) and _can_reuse(last_entries[0], dependencies, comm, needs_all_equal),
@@ -151,7 +153,7 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
         scene.geometry, scene.material, _values_without_keys(scene.mesh, "error", "coarser"),
         pair_kind, [_values_without_keys(crack, "clearance") for crack in cracks],
         scene.rotation, scene.disk, scene.structure,
-        on_root(comm, lambda: scene_file_digests(scene)),
+        on_root(comm, lambda: list_scene_file_digests(scene)),
     )  # fmt: skip
     return (
         mesh_dependencies,

@@ -17,8 +17,8 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.setting import list_force_harmonic_vectors
-from fenics_crack.files.codec import DATASET_ERRORS, pack_dataclass, unpack_dataclass
-from fenics_crack.files.store import program_fingerprint, read_result_file, write_result_file
+from fenics_crack.files.codec import DATASET_ERROR_CLASSES, pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import program_fingerprint_text, read_result_file, write_result_file
 from fenics_crack.model.factor import local_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.artefact import (
@@ -48,7 +48,7 @@ def dependencies_key(dependencies: tuple[Any, ...]) -> str:
     key_dependencies = (
         dependencies[0],
         loads_without_amplitudes(dependencies[1]),
-        program_fingerprint(),
+        program_fingerprint_text(),
     )
     return hashlib.sha256(repr(key_dependencies).encode()).hexdigest()
 
@@ -77,7 +77,7 @@ class StructureFile:
             if not self._cached_files:
                 stored_file = read_result_file(self._path, comm)
                 stored_file.check_kind(FILE_KIND)
-                with stored_file.checked_datasets() as datasets:
+                with stored_file.yield_checked_datasets() as datasets:
                     self._cached_files.append(unpack_dataclass(PreparedFile, datasets))
             prepared_file = self._cached_files[0]
             if prepared_file is None or prepared_file.structure.key != dependencies_key(
@@ -87,7 +87,7 @@ class StructureFile:
             entry = prepared_file.make_structures(
                 scene, load_weights_from_rows(prepared_file.structure.excitation, scene), comm
             )
-        except (InputError, *DATASET_ERRORS) as error:
+        except (InputError, *DATASET_ERROR_CLASSES) as error:
             self._cached_files[:] = [None]
             self._print_line(f"{self._path}: not used, {error}")
             return None

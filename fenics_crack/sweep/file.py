@@ -42,7 +42,7 @@ from fenics_crack.basics.observables import (
 from fenics_crack.basics.tables import UNIT_BY_NAME
 from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
-from fenics_crack.files.store import describe_dataset
+from fenics_crack.files.store import dataset_attribute_texts
 from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
@@ -302,7 +302,7 @@ class SweepFile:
     def _write_column(self, column_name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
         """Write values of cases into a column or a wave, from each case's offset on."""
         stored_column = self.sweep_header.columns[column_name]
-        bytes_per_case = stored_column.size // self.case_states.size
+        bytes_per_case = stored_column.n_bytes // self.case_states.size
         byte_rows = (
             np.ascontiguousarray(values, stored_column.dtype).view("u1").reshape(len(values), -1)
         )
@@ -445,7 +445,10 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
 def _describe_column(column_name: str) -> str:
     """Return a description of a column or wave; empty if unknown."""
     if column_name in UNIT_BY_WAVE:
-        return f"axes of the sweep; {describe_dataset(f'{column_name}_coefficients', {})['about']}"
+        return (
+            "axes of the sweep; "
+            f"{dataset_attribute_texts(f'{column_name}_coefficients', {})['about']}"
+        )
     quantity = "amplitude" if column_name == "response" else column_name.rpartition(".")[2]
     words_by_quantity = {
         column_name: observable.words for column_name, observable in OBSERVABLES_BY_NAME.items()
@@ -483,7 +486,7 @@ def _compute_case_checksums(
 
 def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
     """Return a file's header; raise InputError unless it fits the scene and version."""
-    sweep_header = store.read_header(path)
+    sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
     stored_scene = sweep_header.scene()
     requested_scene = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
@@ -553,7 +556,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
             raise sweep_header.refusal("a whole sweep")
-        n_bytes += stored_column.size
+        n_bytes += stored_column.n_bytes
     if n_bytes > MAX_FILE_BYTES:
         raise sweep_header.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene
@@ -681,7 +684,7 @@ def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarr
 
     With friction, tangential rows follow the normal ones.
     """
-    sweep_header = store.read_header(path)
+    sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
     waves = _read_intact_waves(sweep_header, index)
     if waves is None:

@@ -38,7 +38,7 @@ from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linea
 from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import make_temporary_folder
+from fenics_crack.basics.atomic_files import make_folder_until_exit
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import (
     IN_SWEEP_PICTURES,
@@ -58,7 +58,7 @@ from fenics_crack.basics.tables import (
     import_optional,
 )
 from fenics_crack.files.results import rebuild_solution
-from fenics_crack.files.store import StoredFile, read_header
+from fenics_crack.files.store import StoredFile, read_result_file_without_numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.conclusion import describe_linearity
 from fenics_crack.scene.fields import Axis
@@ -157,7 +157,7 @@ def run_sweep(
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
         omitted_options += [f"vibration_{position}" for position in sorted(natural)]
-        file_path = Path(path or make_temporary_folder() / "sweep.h5")
+        file_path = Path(path or make_folder_until_exit() / "sweep.h5")
         sweep_file = SweepFile(
             file_path, scene, plan.harmonics_upper_bound, plan.gap_rows_upper_bound, omitted_options
         )
@@ -183,7 +183,7 @@ def run_sweep(
             serve_jobs(worker, job_comm)
     worker.release_geometry(is_stopped=stop_request.is_requested(comm))
     job_comm.Free()
-    return on_root(comm, lambda: SweepResult.of(managers[0].sweep_header))
+    return on_root(comm, lambda: SweepResult.from_stored_file(managers[0].sweep_header))
 
 
 def can_seek_resonance(scene: Scene) -> bool:
@@ -249,10 +249,10 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        return cls.of(read_header(Path(path)))
+        return cls.from_stored_file(read_result_file_without_numbers(Path(path)))
 
     @classmethod
-    def of(cls, sweep_header: StoredFile) -> SweepResult:
+    def from_stored_file(cls, sweep_header: StoredFile) -> SweepResult:
         """Return the table from a file's header."""
         scene = scene_of_sweep(sweep_header)
         return cls(sweep_header.path, scene, read_columns(sweep_header, scene))
@@ -367,7 +367,7 @@ class SweepResult(Tabular):
             As :meth:`gap`; or a mesh file has changed.
         """
         case_index = self._find_converged_index(index)
-        read_header(self.path).check_files(self.scene)
+        read_result_file_without_numbers(self.path).check_files(self.scene)
         plan = Plan(self.scene)
         case = plan.case_at(case_index)
         assert isinstance(case, Scene)
@@ -507,7 +507,7 @@ class SweepResult(Tabular):
             for column_name, (unit, _) in unit_and_type_by_column(self.scene).items()
         }
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return what the last printed sentence says about the sweep."""
         is_converged, clauses = self.converged, []
         total_errors = self.errors.sum(axis=0)[is_converged]

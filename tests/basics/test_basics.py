@@ -70,7 +70,7 @@ def test_long_stages_leave_a_line(stream: io.StringIO, monkeypatch: pytest.Monke
     """A terminal shows each as it begins; only what took more than a second stays."""
     clock = iter([0.0, 0.5, 3.0, 3.1])
     monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
-    with progress.StageLines(stream):
+    with progress.StageLineHandler(stream):
         progress.begin_stage("mesh")
         progress.begin_stage("natural modes")
         progress.begin_stage("solution")
@@ -120,7 +120,7 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
     monkeypatch.setattr(progress.time, "perf_counter", lambda: 7.0)
     stream.seek(0)
     stream.truncate()
-    with progress.StageLines(stream, keeps_lines=kept):
+    with progress.StageLineHandler(stream, keeps_lines=kept):
         progress.begin_stage("path")
         assert passed_event.wait(LIMIT)
     shown_text = stream.getvalue()
@@ -643,7 +643,9 @@ class Pool:
 def pool(monkeypatch: pytest.MonkeyPatch) -> Pool:
     """The only OpenBLAS, of a user who has said nothing, on 8 processors."""
     loaded_pool = Pool(8)
-    monkeypatch.setattr(threads, "_load_openblas_libraries", lambda modules: [(loaded_pool, 8)])
+    monkeypatch.setattr(
+        threads, "_load_openblas_with_thread_counts", lambda modules: [(loaded_pool, 8)]
+    )
     for name in threads.THREAD_COUNT_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     return loaded_pool
@@ -688,7 +690,7 @@ from surroundings import main
 fc.prepare, fc.Scene
 
 def counted():
-    pools = threads._load_openblas_libraries(len(sys.modules))
+    pools = threads._load_openblas_with_thread_counts(len(sys.modules))
     return len(pools), {pool("get_num_threads") == begin for pool, begin in pools}, {
         pool("get_num_threads") for pool, _ in pools}
 
@@ -711,7 +713,7 @@ from surroundings import main
 
 def counted(*_):
     import scipy.linalg
-    print({pool("get_num_threads") for pool, _ in threads._load_openblas_libraries(-1)})
+    print({pool("get_num_threads") for pool, _ in threads._load_openblas_with_thread_counts(-1)})
 
 with patch("fenics_crack.cli.command_line._call_command", counted):
     main(["check", "demos/paper_plate.toml"])

@@ -20,7 +20,7 @@ from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import ErrorReport, SweepResult
-from fenics_crack.basics.progress import StageLines
+from fenics_crack.basics.progress import StageLineHandler
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import TOLERANCE_OPTION, describe_instability, describe_large_error
@@ -574,14 +574,14 @@ def test_signs_of_life_say_how_far(
             assert shown_event.wait(LIMIT)
             return super().pop()
 
-    def write(wrapped: Callable[..., None], lines: StageLines, text: str) -> None:
+    def write(wrapped: Callable[..., None], lines: StageLineHandler, text: str) -> None:
         wrapped(lines, text)
         if re.search(said, text):
             shown_event.set()
 
     monkeypatch.setattr("fenics_crack.basics.progress.MESSAGE_INTERVAL", 0.01)
     monkeypatch.setattr("fenics_crack.basics.progress._progress_functions", Held())
-    wrap(monkeypatch, "fenics_crack.basics.progress.StageLines._write", write)
+    wrap(monkeypatch, "fenics_crack.basics.progress.StageLineHandler._write", write)
     settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
     words = [command, str(PAPER), "--output", str(tmp_path), *(f"--set={x}" for x in settings)]
     assert main(words) in (0, 3)

@@ -23,7 +23,7 @@ from test_coupled_curves import SPAN, folds, steel
 
 import fenics_crack as fc
 from fenics_crack import continue_frequency
-from fenics_crack.basics.errors import INTERRUPTED_STATUS
+from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS
 from fenics_crack.curves import continuation
 from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import branch_start
@@ -789,7 +789,7 @@ def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Continuation, "_append_segment", interrupted)
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2, progress=True)
-    assert curve.status == INTERRUPTED_STATUS and len(curve) == 21 and not curve.complete
+    assert curve.status == INTERRUPTED_CURVE_STATUS and len(curve) == 21 and not curve.complete
 
 
 def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:

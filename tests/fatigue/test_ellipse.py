@@ -247,7 +247,7 @@ def test_growth_of_a_table(swept: SimpleNamespace) -> None:
     assert integration.y[1, -1] == pytest.approx(found.life, rel=0.01)
     assert found.time[-1] == pytest.approx(found.life / 100.0)
     assert found.errors["vibration"] == pytest.approx(0.06) and found.factor > 1.06
-    assert "deep" in found.said().outcome and "crack_depth" in found.to_dict()
+    assert "deep" in found.build_conclusion().outcome and "crack_depth" in found.to_dict()
     assert not found.remarks
 
 

@@ -25,7 +25,7 @@ import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
 from fenics_crack.basics.caches import check_private_folder, replace_unusable_caches
 from fenics_crack.basics.untrusted_files import file_sha256, run_reader
-from fenics_crack.files.store import read_header, read_result_file
+from fenics_crack.files.store import read_result_file, read_result_file_without_numbers
 from fenics_crack.scene.tables import Sweep
 
 SCRIPT = 'SystemCall "touch PWNED";\n'
@@ -387,9 +387,9 @@ def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: 
     """It is not read, and the others stay; the state alone is known from the checksum."""
     path = home / "sweep.h5"
     shutil.copy(swept.path, path)
-    column = read_header(path).columns[name]
+    column = read_result_file_without_numbers(path).columns[name]
     content = bytearray(path.read_bytes())
-    content[column.offset + column.size // 4] ^= 1  # the first byte of the second case
+    content[column.offset + column.n_bytes // 4] ^= 1  # the first byte of the second case
     path.write_bytes(content)
     if name == "state":
         assert same(SweepResult.load(path).columns, swept.columns)

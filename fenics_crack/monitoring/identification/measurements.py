@@ -22,9 +22,9 @@ from fenics_crack.basics.errors import (
     check_number,
     report_read_errors,
 )
-from fenics_crack.basics.suggestions import check_calls, fit_argument
+from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
-from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_csv_rows
+from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import (
     MAX_ALLOWED_MAGNITUDE,
@@ -254,7 +254,7 @@ class Measurements(Tabular):
     rows: tuple[Measurement, ...]
 
     def __post_init__(self) -> None:
-        fit_argument("measurements", self.rows, "Iterable", ())
+        fit_argument_to_annotation("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(
             isinstance(measurement, Measurement) for measurement in self.rows
@@ -303,7 +303,7 @@ class Measurements(Tabular):
         InputError
             A value cannot be used, or the lengths differ.
         """
-        fit_argument("values", values, "Iterable", ())
+        fit_argument_to_annotation("values", values, "Iterable", ())
         n_values = len(values)
         column_by_name = {"value": values, **optional_columns}
         has_deviation_column = isinstance(deviations, Iterable)
@@ -366,8 +366,8 @@ class Measurements(Tabular):
             fewer than four probes have arrivals. Or ``noise`` is missing, and passages have no
             scatter or are too few for an estimate, as in one revolution alone.
         """
-        from fenics_crack.arrivals.fit_order import Means  # SciPy
-        from fenics_crack.arrivals.robust import student
+        from fenics_crack.arrivals.fit_order import ProbeMeans  # SciPy
+        from fenics_crack.arrivals.robust import student_variance_ratio
 
         check_count("order", order, 1)
         if noise is not None:
@@ -379,14 +379,14 @@ class Measurements(Tabular):
         n_arrivals, rotor_speed = n_arrivals[n_arrivals > 0], arrivals.mean_speed
         if len(n_arrivals) < 4:  # one more than the load's size and phase, and a constant
             raise InputError("arrivals", repr(arrivals), "those of 4 probes or more")
-        probe_means = Means(arrivals, 1, float(order), angle_deviation)
+        probe_means = ProbeMeans(arrivals, 1, float(order), angle_deviation)
         place_deviation = arrivals.tip_radius * angle_deviation
         if noise is not None:
             angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals)
             deviations = arrivals.tip_radius * np.hypot(angle_deviations, angle_deviation)
         elif probe_means.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
-        elif np.isnan(variance_factor := student(probe_means.within)):
+        elif np.isnan(variance_factor := student_variance_ratio(probe_means.freedom_within_groups)):
             arrivals_text = format_count(int(n_arrivals.sum()), "arrival")
             probes_text = format_count(len(n_arrivals), "probe")
             allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
@@ -396,9 +396,9 @@ class Measurements(Tabular):
             deviations = np.sqrt(variance_factor * displacement_variances + place_deviation**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
         load_frequency = float(f"{order * rotor_speed / RAD_PER_TURN:.9g}")
-        displacements = -probe_means.values if against else probe_means.values
+        displacements = -probe_means.displacements if against else probe_means.displacements
         column_by_name: dict[str, Any] = {
-            "phase": (order * probe_means.angle % RAD_PER_TURN).tolist()
+            "phase": (order * probe_means.angles % RAD_PER_TURN).tolist()
         }
         column_by_name |= {
             "frequency": [load_frequency] * len(n_arrivals),
@@ -571,7 +571,7 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     Raises InputError.
     """
     with report_read_errors("measurements", path, "a CSV file"):
-        (_, heading_cells), *table_lines = read_csv_rows(path) or [(0, [])]
+        (_, heading_cells), *table_lines = read_numbered_csv_rows(path) or [(0, [])]
     table_lines = table_lines[: OPTIONS.max_measurements + 1]  # enough to be too many
     # Those of a value depend on the quantity.
     headings_in_si = [

@@ -33,13 +33,13 @@ class IdentificationOutput:
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
-    def of(cls, stored_file: StoredFile) -> IdentificationOutput:
+    def from_stored_file(cls, stored_file: StoredFile) -> IdentificationOutput:
         """Take a stored result, and the picture beside its file.
 
         Raises LookupError for files of older versions, and InputError without the picture.
         """
         picture_path = stored_file.path.with_name("posterior.png")
-        with stored_file.checked_datasets() as data_by_name:
+        with stored_file.yield_checked_datasets() as data_by_name:
             scene, summary = stored_file.scene(), json.loads(data_by_name["summary"])
             if scene is None:
                 raise LookupError("scene")
