@@ -30,17 +30,17 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, quantities_on_request
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
-    CURVE_UNIT_BY_PARAMETER,
+    FACTOR_AND_UNIT_BY_CURVE_PARAMETER,
     KeyFigures,
     find_key_figures,
     highest_harmonic_omega,
-    propose_curve,
+    propose_curve_or_none,
     remarks_on_scene,
     scales_with_load,
 )
 from fenics_crack.study.prepare import (
     Study,
-    estimate_checked_memory,
+    estimate_and_check_memory,
     prepare,
     reduction_of,
     release_freed_memory,
@@ -56,14 +56,14 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if quantities_on_request(scene):  # which may be refused
-            from fenics_crack.study.observer import make_requested_rows  # the solver
+            from fenics_crack.study.observer import make_requested_extra_rows  # the solver
 
-            make_requested_rows(study)
+            make_requested_extra_rows(study)
     structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(structure, n_harmonics)
     is_run_up = scene.curve is not None and scene.curve.continuation_range[0] == "speed"
     release_freed_memory()
-    memory_bytes = estimate_checked_memory(scene, structure, is_run_up=is_run_up)
+    memory_bytes = estimate_and_check_memory(scene, structure, is_run_up=is_run_up)
     with console.report_stage("natural frequencies"):
         key_figures = find_key_figures(study)
     with console.report_stage("resonance at the load"):
@@ -99,8 +99,8 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     if scene.curve is not None:
         range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
-    if (curve_proposal := propose_curve(study.scene, key_figures)) is not None:
-        unit = CURVE_UNIT_BY_PARAMETER[curve_proposal.parameter][1]
+    if (curve_proposal := propose_curve_or_none(study.scene, key_figures)) is not None:
+        unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_proposal.parameter][1]
         values_by_label["proposed curve.parameter"] = curve_proposal.parameter
         values_by_label[f"proposed curve.start [{unit}]"] = curve_proposal.start
         values_by_label[f"proposed curve.stop [{unit}]"] = curve_proposal.stop
@@ -132,7 +132,7 @@ def missing_curve_error(scene: Scene, console: Console) -> InputError:
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
-        if curve_proposal := propose_curve(study.scene, find_key_figures(study)):
+        if curve_proposal := propose_curve_or_none(study.scene, find_key_figures(study)):
             error.example = curve_proposal.as_toml()
     return error
 
@@ -236,7 +236,9 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
             load_resonance.value / RAD_PER_S_PER_RPM,
         )
     is_not_proportional = (
-        key_figures.n_closed_pairs or key_figures.mean_opening or not scales_with_load(scene)
+        key_figures.n_closed_pairs
+        or key_figures.opening_under_mean_load
+        or not scales_with_load(scene)
     )
     values_by_label["vibration there" if values_by_label else label] = load_resonance.in_words
     if not (is_not_proportional or load_resonance.unknown):
@@ -253,7 +255,9 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
     if key_figures.n_face_elements is not None:
-        values_by_label["crack opened by rotation and mean load [m]"] = key_figures.mean_opening
+        values_by_label["crack opened by rotation and mean load [m]"] = (
+            key_figures.opening_under_mean_load
+        )
     return values_by_label
 
 
@@ -286,9 +290,9 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
         values_by_label["contact stiffness / static stiffness"] = format_range(
             key_figures.stiffness_ratio, ".3g"
         )
-    values_by_label["static opening, mean load [m]"] = key_figures.mean_opening
+    values_by_label["static opening, mean load [m]"] = key_figures.opening_under_mean_load
     values_by_label[f"static motion of the {faces_text}, amplitude of the load [m]"] = (
-        key_figures.static_gap_motion
+        key_figures.largest_static_gap_motion
     )
     return values_by_label
 
@@ -327,7 +331,7 @@ def _describe_invalid_cases(scene: Scene) -> str:
     ]  # others while they are run
     reason_texts = [
         case_or_reason
-        for case_or_reason in map(sweep_plan.case_at, case_indices)
+        for case_or_reason in map(sweep_plan.scene_or_reason_at, case_indices)
         if isinstance(case_or_reason, str)
     ]
     scope_text = (

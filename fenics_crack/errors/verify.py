@@ -38,7 +38,7 @@ from fenics_crack.errors.numbers import accepted_orbit, add_changes, bilinear_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import can_refine_evenly, count_elements, refine_scene
+from fenics_crack.study.meshes import count_elements, has_similar_finer_mesh, refine_scene_or_none
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
@@ -284,11 +284,11 @@ class _VerifiedCase(Case):
         scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
-        factors = (1.5, 2.0) if can_refine_evenly(scene) else (2.0, 3.0)
+        factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
         finer_scenes = [
             (f"a mesh {factor:g} times finer", None, finer_scene)
             for factor in factors
-            if (finer_scene := refine_scene(scene, factor)) is not None
+            if (finer_scene := refine_scene_or_none(scene, factor)) is not None
         ]
         if not finer_scenes:
             return (

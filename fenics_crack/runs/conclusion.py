@@ -76,7 +76,7 @@ MIN_REPORTED_FRICTION_CHANGE = 0.01
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 
 
-def describe_linearity(closed_share: np.ndarray) -> list[str]:
+def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
     """Return a sentence if the vibration is linear, else an empty list.
 
     It is linear if in every solution all pairs stay closed, or all stay open. ``closed_share``
@@ -128,10 +128,14 @@ def frequency_in_words(scene: Scene, omega: float) -> str:
 def make_conclusion(run: StudyWithResult) -> Conclusion:
     """Return the parts of the last sentence on a run (collective)."""
     kind: str = run.result.KIND
-    return _CONCLUDE_BY_KIND[kind](run) if kind in _CONCLUDE_BY_KIND else Conclusion(kind)
+    return (
+        _MAKE_CONCLUSION_BY_KIND[kind](run)
+        if kind in _MAKE_CONCLUSION_BY_KIND
+        else Conclusion(kind)
+    )
 
 
-def _conclude_modes(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for modes: the first natural frequency and its error."""
     first_omega = float(run.result.omega[0])
     answer_text = (
@@ -154,7 +158,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
     return f"{fallback_text}, {missing_causes_text}" if missing_causes_text else fallback_text
 
 
-def _conclude_solution(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a solution: amplitude, error, crack and stability."""
     solution: PeriodicSolution = run.result
     unknown_error_reason = explain_unknown_solution_error(run)
@@ -178,11 +182,11 @@ def _conclude_solution(run: StudyWithResult) -> Conclusion:
         unknown_error_reason,
         ["nothing vibrates"]
         if solution.still
-        else _describe_crack_and_verdict(run, solution, faces_text),
+        else _list_crack_and_verdict_sentences(run, solution, faces_text),
     )
 
 
-def _describe_crack_and_verdict(
+def _list_crack_and_verdict_sentences(
     run: StudyWithResult, solution: PeriodicSolution, faces_text: str
 ) -> list[str]:
     """Describe the crack's opening, the effect of friction left out, and the stability."""
@@ -210,11 +214,11 @@ def _describe_crack_and_verdict(
         sentences.append(f"friction left out: about {format_percent(friction_error.gci)}")
     return [
         *sentences,
-        *describe_stability(solution.stability, solution.amplitude(run.watched_dof)),
+        *list_stability_sentences(solution.stability, solution.amplitude(run.watched_dof)),
     ]
 
 
-def _conclude_curve(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a curve: its largest response, errors and verdicts."""
     curve: ResponseCurve = run.result
     largest_response = curve.top(run.watched_dof)
@@ -239,7 +243,7 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
             f" within {format_error(location_error)}" if 0.0 < location_error < np.inf else ""
         )
         answer_text += f" at {location_text}{location_error_text}{error_text}"
-    sentences = describe_linearity(curve.indicators(run.watched_dof).closed_share)
+    sentences = list_linearity_sentences(curve.indicators(run.watched_dof).closed_share)
     if curve.multipliers is not None:
         verdict_names, verdict_counts = np.unique(curve.verdicts, return_counts=True)
         count_texts = (
@@ -255,7 +259,7 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
     return Conclusion(outcome_text, answer_text, unknown_error_reason, sentences)
 
 
-def _conclude_history(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
     history: TimeHistory = run.result
     integration_table, displacement_name = run.scene.integration or Integration(), run.watched_name
@@ -297,15 +301,15 @@ def _conclude_history(run: StudyWithResult) -> Conclusion:
     )
 
 
-_CONCLUDE_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
-    Modes.KIND: _conclude_modes,
-    PeriodicSolution.KIND: _conclude_solution,
-    ResponseCurve.KIND: _conclude_curve,
-    TimeHistory.KIND: _conclude_history,
+_MAKE_CONCLUSION_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
+    Modes.KIND: _make_conclusion_of_modes,
+    PeriodicSolution.KIND: _make_conclusion_of_solution,
+    ResponseCurve.KIND: _make_conclusion_of_curve,
+    TimeHistory.KIND: _make_conclusion_of_history,
 }
 
 
-def describe_stability(stability: Stability | None, amplitude: float) -> list[str]:
+def list_stability_sentences(stability: Stability | None, amplitude: float) -> list[str]:
     """Describe the verdict on a solution, and the motion from rest if it differs.
 
     ``amplitude`` [m] is the amplitude of the solution.

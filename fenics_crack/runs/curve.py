@@ -24,18 +24,18 @@ from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
-    estimate_checked_memory,
+    estimate_and_check_memory,
     reduction_of,
 )
 from fenics_crack.study.solve import (
     MAX_MODES_FOR_MANY_SOLUTIONS,
     candidate_mode_counts,
+    iterate_studies_with_more_modes,
     prepare_unreduced_study,
-    reduce_with_more_modes,
     required_contact_law,
     with_friction_lines,
 )
@@ -77,13 +77,13 @@ def curve(
     """
     studies = iterate_curve_studies(scene, comm)
     study = next(studies)
-    _check_curve(study)
-    make_requested_rows(study)  # before the curve: this may raise InputError
+    _check_curve_is_possible(study)
+    make_requested_extra_rows(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
     parameter, start, stop = scene.given("curve").continuation_range
     if friction_of(required_contact_law(study)) is not None:
         resonance_omega = (
-            _lowest_bilinear_frequency(study, start, stop) if parameter == "omega" else None
+            _lowest_bilinear_omega(study, start, stop) if parameter == "omega" else None
         )
         study = with_friction_lines(study, resonance_omega or scene.excitation.omega)
     unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
@@ -111,7 +111,7 @@ def curve(
     return Run(**vars(study), result=response_curve)
 
 
-def _check_curve(study: Study) -> None:
+def _check_curve_is_possible(study: Study) -> None:
     """Raise InputError if no load vibrates, or the law suits no curve."""
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
@@ -169,15 +169,17 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
     parameter, start, stop = scene.given("curve").continuation_range
     unreduced_study = prepare_unreduced_study(source, comm)
     if parameter != "speed":
-        yield from reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
+        yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
         requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
-    estimate_checked_memory(scene, unreduced_study.structure, is_run_up=True)
+    estimate_and_check_memory(scene, unreduced_study.structure, is_run_up=True)
     if candidate_mode_counts(unreduced_study):
         engine_order = scene.excitation.omega / scene.speed
-        candidate_studies = reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
+        candidate_studies = iterate_studies_with_more_modes(
+            unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS
+        )
         study = _find_study_with_enough_modes(
             next(candidate_studies), candidate_studies, engine_order * start, engine_order * stop
         )
@@ -200,7 +202,7 @@ def _find_study_with_enough_modes(
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
-        resonance_omega = _lowest_bilinear_frequency(study, start, stop)
+        resonance_omega = _lowest_bilinear_omega(study, start, stop)
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
         with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
@@ -210,7 +212,7 @@ def _find_study_with_enough_modes(
     return study
 
 
-def _lowest_bilinear_frequency(study: Study, start: float, stop: float) -> float:
+def _lowest_bilinear_omega(study: Study, start: float, stop: float) -> float:
     """Return the lowest bilinear frequency in a range [rad/s], else its start (collective)."""
     lower_bound, upper_bound = sorted((start, stop))
     bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear

@@ -27,7 +27,7 @@ from fenics_crack.runs.load import (
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
@@ -72,13 +72,13 @@ def integrate(
     earlier_file = (
         None
         if integration_table.initial is None
-        else _read_initial_motion(integration_table.initial, comm)
+        else _read_initial_motion_file(integration_table.initial, comm)
     )
     omega = scene.excitation.omega
     study = with_friction_lines(prepare(scene, comm), omega)
     structure, law = study.structure, required_contact_law(study)
     method_name = _choose_method(study, integration_table, law)
-    make_requested_rows(study)  # before the integration: this may raise InputError
+    make_requested_extra_rows(study)  # before the integration: this may raise InputError
     initial_motion: Initial = None
     if integration_table.deflection is not None:
         static_structure = structure_under_static_load(structure, integration_table.deflection)
@@ -140,7 +140,7 @@ def _march_function_and_steps(
     return integrate_central_difference, steps_per_period
 
 
-def _read_initial_motion(path: str, comm: MPI.Comm) -> StoredFile:
+def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
     """Read the file of an earlier motion, named by ``integration.initial`` (collective)."""
     try:
         motion_file = read_result_file(path, comm)

@@ -91,7 +91,7 @@ def make_run_from_file(
     return Run(**vars(study), result=result, stated=verification_of(result_file))
 
 
-def read_run(result_file: StoredFile) -> Run[Result]:
+def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
     """Make the run of a result file on this rank alone.
 
     A solution's structure gets no reference, because the file has the stated errors.

@@ -12,7 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.observables import Place, read_observables
 from fenics_crack.basics.tables import Tabular, format_quantity
 from fenics_crack.model.nodes import AXES
-from fenics_crack.runs.run import Run, check_motion
+from fenics_crack.runs.run import Run, check_run_has_motion
 from fenics_crack.scene.scene import reason_without_clamp_forces, refuse_for_reason
 from fenics_crack.study.observer import clamp_inertia_rows, compute_clamp_reactions
 from fenics_crack.time.march import TimeHistory
@@ -101,7 +101,7 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     >>> held = fc.reaction(fc.solve(scene))
     >>> held.force.mean(axis=0), held.numbers["reaction_moment"]
     """
-    check_motion(run)
+    check_run_has_motion(run)
     refuse_for_reason(reason_without_clamp_forces(run.scene), "run", repr(run))
     structure = run.result.structure
     [record] = run.result.records(structure.compute_once(clamp_inertia_rows))

@@ -235,7 +235,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     verdicts = ResultAttribute()
 
 
-def check_motion(run: object) -> None:
+def check_run_has_motion(run: object) -> None:
     """Raise InputError unless a run has a solution or a motion in time."""
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
         requirement = "what fc.solve(scene) or fc.integrate(scene) returns"

@@ -84,10 +84,10 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
     solved_study = solve_study(prepare_unreduced_study(scene, comm))
-    return _with_motion_from_rest(Run(**vars(solved_study)))
+    return _with_rest_motion_outcome(Run(**vars(solved_study)))
 
 
-def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
+def _with_rest_motion_outcome(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Add the outcome of the motion from rest if the verdict needs it (collective).
 
     It is needed if the verdict is undecided, or if no pair opens and closes in the solution. In the

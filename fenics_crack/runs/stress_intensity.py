@@ -14,13 +14,13 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.errors.stated import errors_of
 from fenics_crack.errors.verification import Verification
-from fenics_crack.runs.run import Run, check_motion
+from fenics_crack.runs.run import Run, check_run_has_motion
 from fenics_crack.scene.scene import reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.study.observer import (
     TipHistory,
     compute_tip_histories,
     leading_tip_index,
-    make_tips_and_rows,
+    make_tips_and_intensity_rows,
     station_indices_by_front,
 )
 from fenics_crack.time.march import TimeHistory
@@ -195,9 +195,9 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     >>> found = fc.stress_intensity(fc.solve(scene))
     >>> found.largest, found.effective, found.turn
     """
-    check_motion(run)
+    check_run_has_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
-    tips, displacement_rows, force_rows = make_tips_and_rows(run)
+    tips, displacement_rows, force_rows = make_tips_and_intensity_rows(run)
     [record] = run.result.records(displacement_rows)
     tip_histories = compute_tip_histories(record, tips, force_rows, run.scene.growth)
     K_III_columns = [

@@ -43,12 +43,12 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import make_coarser_scene, prepare_coarser_study
+from fenics_crack.study.meshes import make_coarser_scene_or_reason, prepare_coarser_study_or_reason
 from fenics_crack.study.prepare import Study, prepare, reduce_study
 from fenics_crack.study.sharing import (
     SharedStructure,
-    coarser_structure_cache,
     load_dependencies,
+    make_empty_coarser_structure_list,
     structure_dependencies,
 )
 from fenics_crack.study.solve import (
@@ -112,7 +112,8 @@ class PreparedStructure:
     mass, stiffness : SparseRows or None
         Matrices, if they are kept.
     key : str
-        Digest of the structure's dependencies (:func:`fenics_crack.study.shelf.dependencies_key`).
+        Digest of the structure's dependencies, by
+        :func:`fenics_crack.study.shelf.digest_of_dependencies`.
     excitation : (2K+1, d) [N]
         Force of the excitation: mean, cosine and sine parts of each harmonic.
     """
@@ -290,7 +291,7 @@ class PreparedFile:
     structure: PreparedStructure
     coarser_structure: PreparedStructure | None = None
 
-    def make_structures(
+    def make_shared_structure(
         self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm
     ) -> SharedStructure:
         """Make a scene's structure with its coarser structure, if any (collective).
@@ -298,10 +299,12 @@ class PreparedFile:
         ``load_weights`` are as in :meth:`PreparedStructure.make_structure`.
         """
         structure = self.structure.make_structure(scene, load_weights, comm)
-        scene_or_reason, single_rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
+        scene_or_reason, single_rank_comm = make_coarser_scene_or_reason(scene), MPI.COMM_SELF
         if self.coarser_structure is not None and isinstance(scene_or_reason, Scene):
             # As of a reduced structure.
-            coarser_entries = structure.compute_once(coarser_structure_cache, from_matrices=True)
+            coarser_entries = structure.compute_once(
+                make_empty_coarser_structure_list, from_matrices=True
+            )
             coarser_entries.append(SharedStructure(
                 self.coarser_structure.make_structure(
                     scene_or_reason, load_weights, single_rank_comm
@@ -347,16 +350,16 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), requirement)
-    coarser_study_or_reason = prepare_coarser_study(prepared)
+    coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
     studies = (
         prepared,
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
-    datasets = pack_dataclass(PreparedFile(*map(_gather_study_datasets, studies)))
+    datasets = pack_dataclass(PreparedFile(*map(_gather_prepared_structure, studies)))
     write_result_file(datasets, path, FILE_KIND, scene, structure.whole.comm)
 
 
-def _gather_study_datasets(study: Study) -> PreparedStructure:
+def _gather_prepared_structure(study: Study) -> PreparedStructure:
     """Gather the datasets of a reduced study, with the modes of its reference (collective)."""
     reference_structure = getattr(study.structure, "reference", None) or study.structure
     n_modes = max(study.structure.n_modes, reference_structure.n_modes)
@@ -402,11 +405,13 @@ def load_prepared(
     >>> fc.solve(fc.load_prepared("plate.h5", {"excitation.frequency": 800.0}))
     """
     stored_file = read_result_file(path, comm)
-    scene = on_root(comm, lambda: _changed_scene(stored_file, changes or {}))
-    return prepare(scene, comm, whole=True, last=[_make_file_structure(stored_file, scene, comm)])
+    scene = on_root(comm, lambda: _scene_of_file_with_changes(stored_file, changes or {}))
+    return prepare(
+        scene, comm, whole=True, last=[_make_shared_structure_from_file(stored_file, scene, comm)]
+    )
 
 
-def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Scene:
+def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, object]) -> Scene:
     """Return the scene of a prepared file with changed keys.
 
     Raises
@@ -512,7 +517,9 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
     return weights
 
 
-def _make_file_structure(stored_file: StoredFile, scene: Scene, comm: MPI.Comm) -> SharedStructure:
+def _make_shared_structure_from_file(
+    stored_file: StoredFile, scene: Scene, comm: MPI.Comm
+) -> SharedStructure:
     """Make a scene's structure from a file, with its coarser mesh (collective).
 
     Raises
@@ -525,4 +532,4 @@ def _make_file_structure(stored_file: StoredFile, scene: Scene, comm: MPI.Comm) 
     load_weights = _load_weights_between_scenes(file_scene, scene)
     with stored_file.checked_datasets() as datasets:
         prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
-        return prepared_file.make_structures(scene, load_weights, comm)
+        return prepared_file.make_shared_structure(scene, load_weights, comm)

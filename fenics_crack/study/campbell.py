@@ -72,7 +72,7 @@ from fenics_crack.study.resonance import (
     LoadResonance,
     find_load_resonance,
 )
-from fenics_crack.study.sharing import assemble_or_reuse
+from fenics_crack.study.sharing import assemble_or_reuse_structure
 
 HELD_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
 """Kinds of frequencies of a held crack: "open", "tied", "partly"."""
@@ -198,10 +198,10 @@ class Campbell(SavedResult):
         check_count("order", order, 1)
         check_choice("kind", kind, (*STATE_TEXT_BY_KIND, "real"))
         if kind == "real":
-            return self._real_crossings(order)
+            return self._crossings_in_actual_state(order)
 
         def frequency_difference(speed: float, mode: int) -> float:
-            return self._state_frequency(mode, speed, kind) - order * speed
+            return self._omega_of_kind(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
         crossings = []
@@ -212,24 +212,24 @@ class Campbell(SavedResult):
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
-    def _real_crossings(self, order: int) -> np.ndarray:
+    def _crossings_in_actual_state(self, order: int) -> np.ndarray:
         """Return crossings with the line of the crack's actual state, and at its changes."""
         crossings = [
             (mode, speed)
             for kind in self.kinds
             for mode, speed in self.crossings(order, kind)
-            if self._kinds_around(int(mode), speed)[1] == kind
+            if self._kinds_before_and_after(int(mode), speed)[1] == kind
         ]
         for mode, speed, _ in self.changes:
             omega_below, omega_above = (
-                self._state_frequency(mode, speed, state)
-                for state in self._kinds_around(mode, speed)
+                self._omega_of_kind(mode, speed, state)
+                for state in self._kinds_before_and_after(mode, speed)
             )
             if omega_below > order * speed > omega_above:
                 crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
-    def _kinds_around(self, mode: int, speed: float) -> tuple[str, str]:
+    def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
         """Return the kinds of a mode's frequency just below and from a speed on."""
         kinds_at_speeds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
         changed_kinds = [
@@ -240,7 +240,7 @@ class Campbell(SavedResult):
         kinds_from = [kind for start, kind in starts_and_kinds if start <= speed]
         return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
 
-    def _state_frequency(self, mode: int, speed: float, kind: str) -> float:
+    def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
         """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
         omega = self._frequency_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
@@ -258,12 +258,12 @@ class Campbell(SavedResult):
             *(line_speed for changed_mode, line_speed, _ in self.changes if changed_mode == mode),
         }
         return [
-            (line_speed, self._state_frequency(mode, line_speed, kind), kind)
+            (line_speed, self._omega_of_kind(mode, line_speed, kind), kind)
             for line_speed in sorted(speeds)
-            for kind in dict.fromkeys(self._kinds_around(mode, line_speed))
+            for kind in dict.fromkeys(self._kinds_before_and_after(mode, line_speed))
         ]
 
-    def _crossing_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
+    def _list_crossings_with_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
         """Return mode, speed and resonance for each crossing of an engine order.
 
         Only the load's own engine order has known resonances.
@@ -282,7 +282,7 @@ class Campbell(SavedResult):
         It names the mode, the resonance at the load if it is known, and the speeds at which the
         order meets the crack's frequency in the actual state and in others.
         """
-        for mode, speed, resonance in self._crossing_resonances(order):
+        for mode, speed, resonance in self._list_crossings_with_resonances(order):
             text = f"engine order {order} meets mode {mode} at "
             if math.isfinite(resonance.value):
                 text += (
@@ -291,7 +291,7 @@ class Campbell(SavedResult):
                 )
             text += _speed_in_words(speed)
             if self.cracked:
-                kinds_at_crossing = [*dict.fromkeys(self._kinds_around(mode, speed))]
+                kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
                 alternative_texts = [
                     f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(alternative_speed)}"
                     for kind in FREQUENCY_KIND_NAMES
@@ -318,7 +318,7 @@ class Campbell(SavedResult):
         state_omega = np.select(
             [nearest_kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds
         )
-        squares, slopes = self._interpolate_squares(speed, state_omega)
+        squares, slopes = self._interpolate_squares_and_slopes(speed, state_omega)
         mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
         return float(slopes[mode_index] * speed**2 / squares[mode_index])
 
@@ -328,13 +328,13 @@ class Campbell(SavedResult):
         They are interpolated as in :meth:`stiffening`.
         """
         squares_of_states = (
-            self._interpolate_squares(speed, omega)[0]
+            self._interpolate_squares_and_slopes(speed, omega)[0]
             for omega in (self.omega_open, self.omega_tied)
         )
         omega_open, omega_tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares_of_states)
         return omega_open, omega_tied
 
-    def _interpolate_squares(
+    def _interpolate_squares_and_slopes(
         self, speed: float, omega: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Interpolate squares of frequencies (n, m) at a speed.
@@ -379,7 +379,7 @@ class Campbell(SavedResult):
         crossing_texts = [
             f"mode {mode} at "
             f"{format_in_unit(axis, speed if resonance.unknown else resonance.value)}"
-            for mode, speed, resonance in self._crossing_resonances(order)
+            for mode, speed, resonance in self._list_crossings_with_resonances(order)
         ]
         return Conclusion(
             outcome_text,
@@ -446,7 +446,7 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     requested_scene = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
-    top_structure = assemble_or_reuse(scene, comm)
+    top_structure = assemble_or_reuse_structure(scene, comm)
     max_modes = count_bonded_modes(top_structure)
     if count is not None and count > max_modes:
         raise InputError("count", count, f"a whole number from 1 to {max_modes}")
@@ -472,9 +472,11 @@ def campbell(
         (mode_index + 1, speed, kind)
         for mode_index in range(count)
         for interval in pairwise(speed_array.tolist())
-        for speed, kind in _find_state_changes(find_frequencies_and_margins, *interval, mode_index)
+        for speed, kind in _iterate_state_changes(
+            find_frequencies_and_margins, *interval, mode_index
+        )
     )
-    frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
+    frequency_kinds = np.array([_kinds_from_margins(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
     coriolis = coriolis_shifts(modes, speed_array[-1] * axis)
@@ -491,10 +493,10 @@ def campbell(
         find_frequencies_and_margins,
     )
     damped_projection = replace(projection, structure=top_structure)
-    return replace(diagram, met=_find_load_resonances(diagram, damped_projection))
+    return replace(diagram, met=_find_modes_and_load_resonances(diagram, damped_projection))
 
 
-def _find_load_resonances(
+def _find_modes_and_load_resonances(
     diagram: Campbell, projection: RitzProjection
 ) -> tuple[tuple[int, LoadResonance], ...]:
     """Find the resonance at the load for each crossing of the load's engine order.
@@ -550,7 +552,7 @@ def report_of_campbell(diagram: Campbell) -> Report:
     )
 
 
-def _classify_states(hold_margins: np.ndarray) -> np.ndarray:
+def _kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
     """Return the kind of the crack's frequency in each mode: (count,) of str.
 
     ``hold_margins`` (3, count) are the margins of the states in HELD_KINDS.
@@ -558,7 +560,7 @@ def _classify_states(hold_margins: np.ndarray) -> np.ndarray:
     return np.select([*(hold_margins > 0.0)], HELD_KINDS, "bilinear")
 
 
-def _find_state_changes(
+def _iterate_state_changes(
     find_frequencies_and_margins: StateFrequencyFunction,
     lower_speed: float,
     upper_speed: float,
@@ -571,7 +573,7 @@ def _find_state_changes(
     however narrow. ``mode_index`` counts from 0.
     """
     lower_kind, upper_kind = (
-        str(_classify_states(find_frequencies_and_margins(speed)[1])[mode_index])
+        str(_kinds_from_margins(find_frequencies_and_margins(speed)[1])[mode_index])
         for speed in (lower_speed, upper_speed)
     )
     held_kinds = {lower_kind, upper_kind} - {"bilinear"}
@@ -586,10 +588,10 @@ def _find_state_changes(
         yield upper_speed, upper_kind
     elif lower_kind != upper_kind:
         middle_speed = 0.5 * (lower_speed + upper_speed)
-        yield from _find_state_changes(
+        yield from _iterate_state_changes(
             find_frequencies_and_margins, lower_speed, middle_speed, mode_index
         )
-        yield from _find_state_changes(
+        yield from _iterate_state_changes(
             find_frequencies_and_margins, middle_speed, upper_speed, mode_index
         )
 

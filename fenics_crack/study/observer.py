@@ -49,7 +49,7 @@ MAX_EXPANDED_VALUES = 20_000_000
 expansion factors the structure again."""
 
 
-def make_requested_rows(study: Study) -> list[ExtraRows]:
+def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
     """Make the rows for requested quantities of crack tips and clamp (collective).
 
     Rows are made once for the study's structure.
@@ -59,7 +59,7 @@ def make_requested_rows(study: Study) -> list[ExtraRows]:
     }
     return [
         make_rows(study)
-        for place, make_rows in _MAKE_ROWS_BY_PLACE.items()
+        for place, make_rows in _MAKE_EXTRA_ROWS_BY_PLACE.items()
         if place in requested_places
     ]
 
@@ -89,7 +89,9 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     Requested are quantities of crack tips and the clamp.
     """
     dofs = [displacement.dof for displacement in study.watched]
-    observed_displacements, extra_value_by_name = motion.observe(dofs, make_requested_rows(study))
+    observed_displacements, extra_value_by_name = motion.observe(
+        dofs, make_requested_extra_rows(study)
+    )
     quantities = []
     for displacement, (indicators, _) in zip(study.watched, observed_displacements, strict=True):
         for name in observable_names(Place.POINT):
@@ -123,7 +125,7 @@ class ClampReactions(NamedTuple):
 def compute_clamp_reactions(record: Record) -> ClampReactions:
     """Compute clamp reactions over time from a record of :func:`clamp_inertia_rows`."""
     whole_structure, omega = record.structure.whole, record.omega
-    clamp, drag_factor = _clamp_and_drag(whole_structure)
+    clamp, drag_factor = _clamp_and_rayleigh_mass_factor(whole_structure)
     if record.instants_per_load_period:
         return ClampReactions(
             *clamp.reaction_of_record(record.time, record.row_products, omega, drag_factor)
@@ -136,7 +138,7 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
     return ClampReactions(*reactions)
 
 
-def _clamp_and_drag(whole_structure: Structure) -> tuple[Clamp, float]:
+def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, float]:
     """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
     check_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
@@ -150,7 +152,10 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     The columns are the structure's coordinates. Coordinates without mass have no inertia, since
     truncated modes respond quasi-statically.
     """
-    whole_structure, inertia = structure.whole, _clamp_and_drag(structure.whole)[0].inertia
+    whole_structure, inertia = (
+        structure.whole,
+        _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia,
+    )
     if structure is whole_structure:
         return inertia
     # These modes have mass, even if some coordinates have none.
@@ -226,7 +231,7 @@ class TipHistory(NamedTuple):
 def compute_tip_histories(
     record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
 ) -> list[TipHistory]:
-    """Compute stress intensities of each tip from a record of :func:`make_tips_and_rows`.
+    """Compute stress intensities of each tip from a record of :func:`make_tips_and_intensity_rows`.
 
     At the front of a solid's crack without clearance K_I is never negative, and zero while all
     adjacent pairs are closed.
@@ -269,7 +274,7 @@ class EllipseHistories(NamedTuple):
     end_histories: list[TipHistory]
 
 
-def estimate_front_errors(
+def estimate_closed_front_and_mesh_errors(
     study: Study, motion: ObservedMotion, coarser_study: Study, coarser_motion: ObservedMotion
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Estimate errors of a solid's stress intensities, by closed fronts and a coarser mesh.
@@ -293,8 +298,8 @@ def estimate_front_errors(
         return {}, {}
     if not requested_names.intersection(quantities_on_request(coarser_study.scene)):
         return {}, dict.fromkeys(quantity_names, math.inf)
-    fronts = _collect_fronts(study, motion)
-    coarser_fronts = _collect_fronts(coarser_study, coarser_motion)
+    fronts = _collect_intensities_by_front(study, motion)
+    coarser_fronts = _collect_intensities_by_front(coarser_study, coarser_motion)
     if min(len(positions) for positions, *_ in coarser_fronts.values()) < MIN_FRONT_STATIONS:
         return {}, dict.fromkeys(quantity_names, math.inf)
     difference_by_name = {}
@@ -314,7 +319,7 @@ def estimate_front_errors(
     return dict.fromkeys(quantity_names, closed_error), difference_by_name
 
 
-def _collect_fronts(
+def _collect_intensities_by_front(
     study: Study, motion: ObservedMotion
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
     """Collect the stress intensities of each front by its name (collective).
@@ -325,7 +330,7 @@ def _collect_fronts(
         Positions (n,) over the front's length, each number at these positions (n,), and the error
         of K_I while the front is closed [Pa m^1/2].
     """
-    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.records(displacement_rows)
     tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
     front_by_name, station_names = {}, [station.name for station in stations]
@@ -363,7 +368,9 @@ def leading_tip_index(tip_histories: list[TipHistory]) -> int:
     )
 
 
-def make_tips_and_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
+def make_tips_and_intensity_rows(
+    study: Study,
+) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
     """Make the rows of K at crack tips or front stations (collective).
 
     The rows are made once for a structure and all structures with the same matrices. In a reduced
@@ -387,11 +394,11 @@ def make_tips_and_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndar
     refuse_for_reason(reason_without_stress_intensity(scene), "output.quantities")
     pair_kind = None if scene.contact is None else scene.contact.pairs
     dependencies = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pair_kind
-    return study.structure.compute_once(_TipsAndRowsOfScene(dependencies, scene))
+    return study.structure.compute_once(_TipsAndIntensityRowsMaker(dependencies, scene))
 
 
 @dataclass(frozen=True)
-class _TipsAndRowsOfScene:
+class _TipsAndIntensityRowsMaker:
     """Function that makes tips and rows of a structure; equal for scenes of the same body."""
 
     dependencies: tuple[object, ...]
@@ -449,12 +456,12 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     return np.array(cycles).reshape(-1, 2)
 
 
-def _make_tip_rows(study: Study) -> ExtraRows:
+def _make_tip_extra_rows(study: Study) -> ExtraRows:
     """Make the rows of crack tips, for the numbers at the leading tip (collective).
 
     In a solid K_max is the largest K_I of all stations, which decides on fracture.
     """
-    tips, displacement_rows, force_rows = make_tips_and_rows(study)
+    tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def leading_tip_values(record: Record) -> dict[str, float]:
         tip_histories = compute_tip_histories(record, tips, force_rows, study.scene.growth)
@@ -468,12 +475,12 @@ def _make_tip_rows(study: Study) -> ExtraRows:
     return ExtraRows(displacement_rows, leading_tip_values)
 
 
-def _make_ellipse_rows(study: Study) -> ExtraRows:
+def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
     """Make the rows of a half-ellipse's front (collective).
 
     The numbers are taken at the deepest station and at the ends.
     """
-    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     station_positions = np.array([station.point for station in stations])
     crack = study.scene.given("crack")
     station_heights = station_positions[:, 2]
@@ -497,7 +504,7 @@ def _make_ellipse_rows(study: Study) -> ExtraRows:
     return ExtraRows(displacement_rows, ellipse_values)
 
 
-def _make_clamp_rows(study: Study) -> ExtraRows:
+def _make_clamp_extra_rows(study: Study) -> ExtraRows:
     """Make the rows of the clamp, for its largest force and moment (collective)."""
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(
@@ -505,7 +512,8 @@ def _make_clamp_rows(study: Study) -> ExtraRows:
     )
 
 
-_MAKE_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.TIPS: _make_tip_rows, Place.ELLIPSE: _make_ellipse_rows, Place.CLAMP: _make_clamp_rows
+_MAKE_EXTRA_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
+    Place.TIPS: _make_tip_extra_rows, Place.ELLIPSE: _make_ellipse_extra_rows,
+    Place.CLAMP: _make_clamp_extra_rows,
 }  # fmt: skip
 """Functions that make the rows of a place."""

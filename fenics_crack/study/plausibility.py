@@ -64,7 +64,7 @@ from fenics_crack.study.resonance import (
     order_crossing_speed,
 )
 
-N_FIGURE_MODES = 4
+N_KEY_FIGURE_MODES = 4
 """Number of modes among the key figures."""
 MAX_SMALL_ROTATION = 0.1
 """Maximum rotation [rad], displacement over length, of small displacements. Linear theory neglects
@@ -94,7 +94,7 @@ class KeyFigures:
         Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
     stiffness_ratio : (n_pairs,) or None
         Contact stiffness over ``face_stiffness``; None without a law, or without a stiffness.
-    mean_opening, static_gap_motion : float [m]
+    opening_under_mean_load, largest_static_gap_motion : float [m]
         Largest static opening of an open crack under the mean load, and largest static motion of
         its gaps under the load's amplitude.
     peak_displacement, peak_gap_motion : float [m]
@@ -106,7 +106,7 @@ class KeyFigures:
         Number of pairs that are closed under the mean load and the preload alone.
     breathes : bool
         True if one of these pairs opens, or another pair closes, at the requested frequencies.
-    n_modes_below : int
+    n_modes_below_highest_harmonic : int
         Number of natural frequencies below the frequency of the highest harmonic; 0 without pairs.
     n_kept_modes : int
         Number of modes after the reduction.
@@ -123,14 +123,14 @@ class KeyFigures:
     speed_slopes: np.ndarray
     face_stiffness: np.ndarray
     stiffness_ratio: np.ndarray | None
-    mean_opening: float
-    static_gap_motion: float
+    opening_under_mean_load: float
+    largest_static_gap_motion: float
     peak_displacement: float
     peak_rotation: float
     peak_gap_motion: float
     n_closed_pairs: int
     breathes: bool
-    n_modes_below: int
+    n_modes_below_highest_harmonic: int
     n_kept_modes: int
     load_resonance: LoadResonance = UNSOUGHT_RESONANCE
 
@@ -143,7 +143,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     scene, law = study.scene, study.contact
     structure = study.structure.structure_in_few_coordinates()
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
-        _solve_modes_and_statics(structure)
+        _solve_modes_and_static_responses(structure)
     )
     modal_damping_ratios = damping_ratios(structure, modes.omega)
     bilinear_frequencies = BilinearFrequencies(
@@ -164,7 +164,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     watched_dofs = [watched.dof for watched in study.watched]
     clamp_distances = distances_from_clamp(structure.whole, watched_dofs)
     peak_displacement, peak_rotation, peak_gap_motion, breathes = 0.0, 0.0, 0.0, False
-    for omega in _requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
+    for omega in _list_requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
         watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = (
             _amplitude_bounds(
                 structure, modes, modal_damping_ratios, harmonic_amplitudes, face_compliance,
@@ -189,7 +189,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     reduction = reduction_of(scene, structure)
     return KeyFigures(
         extents=mesh_extents(structure.whole),
-        n_face_elements=_count_face_elements(scene, structure),
+        n_face_elements=_count_elements_along_face(scene, structure),
         omega_open=modes.omega,
         omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
@@ -197,21 +197,25 @@ def find_key_figures(study: Study) -> KeyFigures:
         speed_slopes=_speed_slopes(modes),
         face_stiffness=face_stiffness,
         stiffness_ratio=None if contact_stiffness is None else contact_stiffness / face_stiffness,
-        mean_opening=float(np.max(-resting_gaps, initial=0.0)) + 0.0,
-        static_gap_motion=float(np.abs(harmonic_amplitudes[1]).sum(axis=0).max(initial=0.0)),
+        opening_under_mean_load=float(np.max(-resting_gaps, initial=0.0)) + 0.0,
+        largest_static_gap_motion=float(
+            np.abs(harmonic_amplitudes[1]).sum(axis=0).max(initial=0.0)
+        ),
         peak_displacement=peak_displacement,
         peak_rotation=peak_rotation,
         peak_gap_motion=peak_gap_motion,
         n_closed_pairs=int(is_closed.sum()),
         breathes=breathes,
-        n_modes_below=_count_modes_below(structure, search_modes, highest_harmonic_omega(scene))
+        n_modes_below_highest_harmonic=_count_modes_below(
+            structure, search_modes, highest_harmonic_omega(scene)
+        )
         if structure.n_pairs
         else 0,
         n_kept_modes=structure.n_dofs if reduction is None else reduction.n_modes,
     )
 
 
-def _solve_modes_and_statics(
+def _solve_modes_and_static_responses(
     structure: Structure,
 ) -> tuple[Modes, Modes, Modes, np.ndarray, np.ndarray]:
     """Find modes and static responses with one factor of the stiffness (collective).
@@ -229,13 +233,13 @@ def _solve_modes_and_statics(
     """
     known_modes = structure.known_omega_and_shapes(is_bonded=False)
     max_modes = structure.n_dofs if known_modes is None else len(known_modes[0])
-    n_modes, n_search_modes = min(N_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
+    n_modes, n_search_modes = min(N_KEY_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
     with Factor(structure.stiffness, definite=True) as factor:
         search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
-        static_displacements = _static_response(factor, modes, structure.force)
+        static_displacements = _static_displacements(factor, modes, structure.force)
         face_compliance = structure.apply_bt(
-            _static_response(factor, modes, structure.gap.T.toarray())
+            _static_displacements(factor, modes, structure.gap.T.toarray())
         )
         bonded_modes = (
             solve_bonded_modes(structure, n_modes, factor) if structure.n_pairs else modes
@@ -310,7 +314,7 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     return count_below(structure, omega**2)
 
 
-def _static_response(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Return static responses to forces (m, n_local) [N]: (m, n_local) [m] (collective).
 
     For a structure with rigid-body motions it is the deformation alone, while the structure
@@ -347,7 +351,7 @@ def _speed_slopes(modes: Modes) -> np.ndarray:
     return slopes
 
 
-def _count_face_elements(scene: Scene, structure: Structure) -> int | None:
+def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
     """Return the number of elements along the crack with the fewest; None without pairs.
 
     It is the number of pairs over the order of the elements, rounded up because tips are no pairs.
@@ -436,15 +440,15 @@ def _receptance_increase(
 # --- the frequencies that a scene requests --------------------------------------------------------
 
 
-def _requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
+def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
     """Return the requested load frequencies [rad/s], ascending.
 
     They are the scene's frequency, the ends of its ranges, and natural frequencies between them.
     """
     omegas = {scene.excitation.omega}
     for lowest_omega, highest_omega in (
-        load_frequency_range(scene, "curve"),
-        load_frequency_range(scene, "sweep"),
+        load_omega_range(scene, "curve"),
+        load_omega_range(scene, "sweep"),
     ):
         omegas |= {
             lowest_omega,
@@ -454,7 +458,7 @@ def _requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
     return sorted(omegas)
 
 
-def load_frequency_range(scene: Scene, command: str) -> tuple[float, float]:
+def load_omega_range(scene: Scene, command: str) -> tuple[float, float]:
     """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
     curve = scene.curve if command == "curve" else None
@@ -480,19 +484,19 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
     harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
         harmonic_counts = [*scene.swept.get("harmonic_balance.harmonics", harmonic_counts)]
-    return load_frequency_range(scene, command)[1] * max(harmonic_counts)
+    return load_omega_range(scene, command)[1] * max(harmonic_counts)
 
 
 # --- resonances and curves ------------------------------------------------------------------------
 
-CURVE_UNIT_BY_PARAMETER = {
+FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
     "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
     "rpm": (RAD_PER_S_PER_RPM, "rpm"),
 }  # fmt: skip
 """Factor from a curve's parameter to [rad/s], and the parameter's unit."""
 
 
-def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
+def propose_curve_or_none(scene: Scene, figures: KeyFigures) -> Curve | None:
     """Propose a curve through the resonance at the load, or return None.
 
     None is returned if the scene's curve meets the resonance or follows another kind of parameter,
@@ -509,7 +513,7 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         parameter = "rpm" if scene.in_rpm else "speed"
     if scene_curve is not None:
         parameter = scene_curve.parameter
-    if parameter not in CURVE_UNIT_BY_PARAMETER:
+    if parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
     mode_index = int(np.argmin(np.abs(figures.omega_bilinear - excitation.omega)))
     open_omega = float(figures.omega_open[mode_index])
@@ -520,7 +524,7 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
     find_crossing_parameter = partial(
-        _crossing_parameter, scene, parameter, slope=figures.speed_slopes[mode_index]
+        _curve_parameter_at_crossing, scene, parameter, slope=figures.speed_slopes[mode_index]
     )
     lowest_resonance, highest_resonance, start, stop = map(
         find_crossing_parameter,
@@ -538,7 +542,7 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         return None
     if not 0.0 < start < stop < math.inf:
         return None
-    unit_factor = CURVE_UNIT_BY_PARAMETER[parameter][0]
+    unit_factor = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[parameter][0]
     return Curve(
         _round_to_three_digits(start / unit_factor, math.floor),
         _round_to_three_digits(stop / unit_factor, math.ceil),
@@ -552,7 +556,7 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
     return round_function(value * digit_factor) / digit_factor
 
 
-def _crossing_parameter(
+def _curve_parameter_at_crossing(
     scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
     """Return a curve's parameter at which a harmonic meets a natural frequency [rad/s].
@@ -591,7 +595,13 @@ MIN_REPORTED_CORIOLIS_CHANGE = 0.01
 """Minimum reported relative change of a frequency by the Coriolis force. Errors of usual meshes are
 as large."""
 CORIOLIS_TEXT_TEMPLATE = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
-KEY_PREFIXES_OF_FIGURES = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+SCENE_KEY_PREFIXES_OF_KEY_FIGURES = (
+    "material.",
+    "geometry.",
+    "rotation.",
+    "mesh.file",
+    "structure.model",
+)
 """Beginnings of keys on which the key figures depend. After a remark on such a key, the figures get
 no remarks."""
 
@@ -641,15 +651,15 @@ def remarks_on_scene(
     scene: Scene, structure: Structure | None = None, figures: KeyFigures | None = None
 ) -> list[Remark]:
     """Return the remarks on a scene, its unreduced structure and its key figures (collective)."""
-    remarks = [*_find_remarks(SCENE_RULES, scene)]
+    remarks = [*_find_remarks(SCENE_REMARK_RULES, scene)]
     if structure is not None:
-        remarks += _find_remarks(STRUCTURE_RULES, scene, structure)
+        remarks += _find_remarks(STRUCTURE_REMARK_RULES, scene, structure)
     if figures is not None and not any(
-        remark.key.startswith(KEY_PREFIXES_OF_FIGURES) for remark in remarks
+        remark.key.startswith(SCENE_KEY_PREFIXES_OF_KEY_FIGURES) for remark in remarks
     ):
-        remarks += _find_remarks(FIGURE_RULES, scene, figures)
+        remarks += _find_remarks(KEY_FIGURE_REMARK_RULES, scene, figures)
     if structure is not None:
-        remarks += _find_remarks(MODEL_RULES, scene, structure)
+        remarks += _find_remarks(METHOD_REMARK_RULES, scene, structure)
     return remarks
 
 
@@ -664,7 +674,7 @@ def _find_remarks(
     geometry = scene.geometry
     body_kind = "structure" if geometry is None else geometry.kind
     for rule in rules:
-        for key, value in _given_keys_and_values(scene, rule.keys_text):
+        for key, value in _entries_of_first_given_key(scene, rule.keys_text):
             number_and_values = rule.compute_number(value, scene, *rule_arguments)
             number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
@@ -681,7 +691,7 @@ def _find_remarks(
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
-def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
+def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first given key with a nonzero value, and the value.
 
     If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
@@ -712,13 +722,13 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
 # --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _longest_side(value: float, scene: Scene) -> float | None:
+def _side_if_longest(value: float, scene: Scene) -> float | None:
     """Return a plate's side [m] if it is the longest one, else None."""
     geometry = scene.geometry
     return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
 
 
-def _length_ratio(length: float, side: float | None) -> float | None:
+def _length_over_side(length: float, side: float | None) -> float | None:
     """Return a crack's length over a side; None without a side."""
     return None if side is None else length / side
 
@@ -729,7 +739,7 @@ def _shorter_side(scene: Scene) -> float:
     return min((side for side in sides if side is not None), default=math.inf)
 
 
-def _thickness_ratio(value: float, scene: Scene) -> float | None:
+def _thickness_over_shorter_side(value: float, scene: Scene) -> float | None:
     """Return a thickness over the shorter side, or None.
 
     It is None for plane problems of 1 m, which is usual, and for disks.
@@ -738,7 +748,7 @@ def _thickness_ratio(value: float, scene: Scene) -> float | None:
     return None if is_unscaled else value / _shorter_side(scene)
 
 
-def _distance_to_node(
+def _relative_distance_and_node_text(
     load_point: object, scene: Scene, structure: Structure
 ) -> tuple[float, str] | None:
     """Return relative distance and position of the node nearest to a load.
@@ -786,7 +796,9 @@ def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None
     return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
 
 
-def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, float] | None:
+def _clamp_height_ratio_and_height(
+    _: float, scene: Scene, structure: Structure
+) -> tuple[float, float] | None:
     """Return a clamp's offset from y = 0: over the mesh's size, and y [m]."""
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
@@ -799,7 +811,7 @@ def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, 
     return abs(clamp_height) / float(np.ptp(points, axis=0).max()), clamp_height
 
 
-def _clamp_bending_stress(
+def _clamp_bending_ratio_and_stress(
     _: object, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
     """Return the bending stress in a solid's clamp by an eccentric axis.
@@ -832,12 +844,12 @@ def _clamp_bending_stress(
     )
 
 
-def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
+def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
     """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
     angular_velocity = structure.rotation.speed * scene.axis[1]
-    modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
+    modes = solve_modes(structure, min(N_KEY_FIGURE_MODES, structure.n_modes))
     return float(np.abs(coriolis_shifts(modes, angular_velocity)).max())
 
 
@@ -854,7 +866,7 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
     )
 
 
-def _count_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
+def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
     """Return the number of rigid contact pairs with mass, or None."""
     reduction, contact = reduction_of(scene, structure), scene.contact
     is_massless = reduction is not None and reduction.method == "massless"
@@ -863,7 +875,7 @@ def _count_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float 
     )
 
 
-def _make_unit_check(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
+def _make_frequency_unit_check(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
     """Return a function that detects a load frequency in another unit.
 
     It applies if the load frequency is near no natural frequency, but ``unit_factor`` times the
@@ -894,7 +906,7 @@ def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
-def _missed_first_frequency(
+def _missed_first_omega_and_text(
     _: float, scene: Scene, figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the first natural frequency [rad/s] if a curve meets no resonance.
@@ -904,10 +916,10 @@ def _missed_first_frequency(
     range.
     """
     curve = scene.curve
-    if curve is None or curve.parameter not in CURVE_UNIT_BY_PARAMETER:
+    if curve is None or curve.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
     find_crossing_parameters = np.vectorize(
-        partial(_crossing_parameter, scene, curve.parameter, slope=figures.speed_slopes[0])
+        partial(_curve_parameter_at_crossing, scene, curve.parameter, slope=figures.speed_slopes[0])
     )
     curve_start, curve_end = sorted(curve.continuation_range[1:])
     natural_omegas = figures.omega_open, figures.omega_tied
@@ -920,8 +932,8 @@ def _missed_first_frequency(
     # Modes above the last one are not computed.
     if curve_end >= find_crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
         return None
-    curve_proposal = propose_curve(scene, figures)
-    unit = CURVE_UNIT_BY_PARAMETER[curve.parameter][1]
+    curve_proposal = propose_curve_or_none(scene, figures)
+    unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve.parameter][1]
     first_range = figures.omega_open[0], figures.omega_tied[0]
     range_text = format_in_unit(frequency_axis(True), *first_range)
     text = f"{curve.stop:g} {unit}: the first is between {range_text}"
@@ -941,7 +953,7 @@ def _peak_rotation_and_displacement(
     return None if is_unbounded else (figures.peak_rotation, figures.peak_displacement)
 
 
-def _elements_along_faces(_: object, scene: Scene, figures: KeyFigures) -> int | None:
+def _n_face_elements_if_chosen(_: object, scene: Scene, figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face.
 
     None for grids, which choose it, and for contact at the mouth alone.
@@ -951,7 +963,7 @@ def _elements_along_faces(_: object, scene: Scene, figures: KeyFigures) -> int |
     return None if has_mouth_pair or is_grid else figures.n_face_elements
 
 
-def _motion_without_contact_change(
+def _linear_gap_motion_and_verb(
     _: object, scene: Scene, figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the motion of the crack faces [m] if no pair opens or closes.
@@ -965,15 +977,15 @@ def _motion_without_contact_change(
 
 # --- tables of remarks ----------------------------------------------------------------------------
 
-MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
+FACTOR_BY_MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
 ROTOR_SIZE_TEXT = "larger than any rotor"
 METAL_DAMPING_TEXT = "of critical damping, metals have 0.0001 to 0.01"
 LOAD_KEYS = "excitation.force_sin excitation.force_cos"
-STIFFNESS_KEYS = "contact.stiffness contact.stiffness_per_area"
-FIRST_FREQUENCY_TEMPLATE = (
+STIFFNESS_KEYS_TEXT = "contact.stiffness contact.stiffness_per_area"
+FIRST_FREQUENCY_TEXT_TEMPLATE = (
     "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
 )
-SCENE_RULES = (
+SCENE_REMARK_RULES = (
     RemarkRule(
         "material.young",
         1e7,
@@ -995,8 +1007,8 @@ SCENE_RULES = (
             0.0,
             MAX_PLAUSIBLE_SIDE,
             "a {kind} of {:g} m",
-            _longest_side,
-            MILLIMETRE_UNIT,
+            _side_if_longest,
+            FACTOR_BY_MILLIMETRE_UNIT,
         )
         for side in ("width", "height")
     ),
@@ -1005,22 +1017,22 @@ SCENE_RULES = (
         0.0,
         1.0,
         "thicker than the {kind} is wide or high",
-        _thickness_ratio,
-        MILLIMETRE_UNIT,
+        _thickness_over_shorter_side,
+        FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "crack.length",
         0.01,
         0.9,
         "{:.3g} of the {kind}'s width; 0.01 to 0.9 are usual",
-        lambda length, scene: _length_ratio(length, scene.geometry.width),
+        lambda length, scene: _length_over_side(length, scene.geometry.width),
     ),
     RemarkRule(
         "crack.depth",
         0.01,
         0.9,
         "{:.3g} of the {kind}'s thickness; 0.01 to 0.9 are usual",
-        lambda depth, scene: _length_ratio(depth, scene.geometry.thickness),
+        lambda depth, scene: _length_over_side(depth, scene.geometry.thickness),
     ),
     RemarkRule(
         "mesh.size",
@@ -1028,21 +1040,21 @@ SCENE_RULES = (
         1.0,
         "longer than the {kind}'s shorter side",
         lambda size, scene: size / _shorter_side(scene),
-        MILLIMETRE_UNIT,
+        FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "rotation.hub_radius",
         0.0,
         MAX_PLAUSIBLE_SIDE,
         ROTOR_SIZE_TEXT,
-        factor_by_unit=MILLIMETRE_UNIT,
+        factor_by_unit=FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "tip_timing.tip_radius",
         0.0,
         MAX_PLAUSIBLE_SIDE,
         ROTOR_SIZE_TEXT,
-        factor_by_unit=MILLIMETRE_UNIT,
+        factor_by_unit=FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "tip_timing.probes",
@@ -1083,7 +1095,7 @@ SCENE_RULES = (
         lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key),
     ),
 )
-STRUCTURE_RULES = (
+STRUCTURE_REMARK_RULES = (
     RemarkRule(
         "structure.model mesh.file",
         0.0,
@@ -1096,7 +1108,7 @@ STRUCTURE_RULES = (
         0.0,
         POSITION_TOLERANCE,
         "no node is there: the force acts on the nearest one, at {1}",
-        _distance_to_node,
+        _relative_distance_and_node_text,
     ),
     RemarkRule(
         "rotation.speed",
@@ -1112,7 +1124,7 @@ STRUCTURE_RULES = (
         0.0,
         0.01,
         "counted from a clamp at y = 0; that of the mesh is at y = {1:.4g} m",
-        _clamp_offset,
+        _clamp_height_ratio_and_height,
     ),
     RemarkRule(
         "rotation.hub_radius rotation.center",
@@ -1121,25 +1133,27 @@ STRUCTURE_RULES = (
         "the axis is not below the middle of "
         "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
         "{0:.2g} of its direct stress",
-        _clamp_bending_stress,
+        _clamp_bending_ratio_and_stress,
     ),
 )
-FIGURE_RULES = (
+KEY_FIGURE_REMARK_RULES = (
     RemarkRule(
         "excitation.omega",
         1.0,
         0.0,
-        FIRST_FREQUENCY_TEMPLATE + "Hz? then use excitation.frequency",
-        _make_unit_check(RAD_PER_TURN),
+        FIRST_FREQUENCY_TEXT_TEMPLATE + "Hz? then use excitation.frequency",
+        _make_frequency_unit_check(RAD_PER_TURN),
     ),
     RemarkRule(
         "excitation.frequency",
         1.0,
         0.0,
-        FIRST_FREQUENCY_TEMPLATE + "rad/s? then use excitation.omega",
-        _make_unit_check(1.0 / RAD_PER_TURN),
+        FIRST_FREQUENCY_TEXT_TEMPLATE + "rad/s? then use excitation.omega",
+        _make_frequency_unit_check(1.0 / RAD_PER_TURN),
     ),
-    RemarkRule("curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_frequency),
+    RemarkRule(
+        "curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_omega_and_text
+    ),
     RemarkRule(
         LOAD_KEYS,
         0.0,
@@ -1153,10 +1167,10 @@ FIGURE_RULES = (
         4,
         math.inf,
         "elements or patches longer than a quarter of the crack; 4 to 20 along each face are usual",
-        _elements_along_faces,
+        _n_face_elements_if_chosen,
     ),
     RemarkRule(
-        STIFFNESS_KEYS,
+        STIFFNESS_KEYS_TEXT,
         1.0,
         math.inf,
         "at most {:.2g} of the {faces}' static stiffness: they "
@@ -1164,7 +1178,7 @@ FIGURE_RULES = (
         lambda _, __, figures: np.max(figures.stiffness_ratio),
     ),
     RemarkRule(
-        STIFFNESS_KEYS,
+        STIFFNESS_KEYS_TEXT,
         0.0,
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "
@@ -1185,7 +1199,7 @@ FIGURE_RULES = (
         0.0,
         "the crack never {1}: the load moves open crack faces by {0:.2g} m at most; the response "
         "is linear",
-        _motion_without_contact_change,
+        _linear_gap_motion_and_verb,
     ),
     RemarkRule(
         "damping.mass damping.stiffness",
@@ -1200,20 +1214,20 @@ FIGURE_RULES = (
         0,
         "harmonics up to H w reach {1} modes, and {2} are kept: raise {3}",
         lambda _, scene, figures: (
-            max(figures.n_modes_below - figures.n_kept_modes, 0),
-            figures.n_modes_below,
+            max(figures.n_modes_below_highest_harmonic - figures.n_kept_modes, 0),
+            figures.n_modes_below_highest_harmonic,
             figures.n_kept_modes,
             scene.modes_key,
         ),
     ),
 )
-MODEL_RULES = (
+METHOD_REMARK_RULES = (
     RemarkRule(
         "rotation.rpm rotation.speed",
         0.0,
         MIN_REPORTED_CORIOLIS_CHANGE,
         CORIOLIS_TEXT_TEMPLATE,
-        _coriolis_change,
+        _largest_coriolis_change,
     ),
     RemarkRule(
         "contact.law",
@@ -1222,6 +1236,6 @@ MODEL_RULES = (
         "rigid contact of pairs that keep their mass: solve gives no "
         "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
         "'massless'",
-        _count_pairs_with_mass,
+        _count_rigid_pairs_with_mass,
     ),
 )

@@ -33,7 +33,7 @@ from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Contact, Reduction
-from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse
+from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse_structure
 
 REFUSAL_EXCEPTIONS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Exceptions that fail a single run while other runs continue."""
@@ -144,9 +144,11 @@ def prepare(
         from fenics_crack.fem.build import with_crack_length  # DOLFINx
 
         scene = with_crack_length(scene, comm)
-    reused_structure = None if like is None else _structure_from_reference_study(scene, like)
+    reused_structure = None if like is None else _find_structure_in_reference_study(scene, like)
     structure = (
-        assemble_or_reuse(scene, comm, last) if reused_structure is None else reused_structure
+        assemble_or_reuse_structure(scene, comm, last)
+        if reused_structure is None
+        else reused_structure
     )
     structure = structure.with_tangents() if scene.has_friction else structure
     watched_displacements = _find_watched_displacements(scene, structure)
@@ -188,7 +190,7 @@ def _find_watched_displacements(
     return tuple(displacements)
 
 
-def _structure_from_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
+def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
     """Return a scene's structure from a reference study; None if they differ (collective).
 
     Rotor speed and load frequency may differ; for a bladed disk mistuning and load frequency.
@@ -224,13 +226,13 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
     Raises
     ------
     InputError
-        As :func:`estimate_checked_memory` and :func:`reduce_structure`.
+        As :func:`estimate_and_check_memory` and :func:`reduce_structure`.
     """
     scene, whole_structure = study.scene, study.structure
     if whole_structure.whole is not whole_structure:
         return study
     if whole_structure.has_matrices:
-        estimate_checked_memory(scene, whole_structure)
+        estimate_and_check_memory(scene, whole_structure)
     if (disk := scene.disk) is not None:
         wheel = study.structure.whole
         structure = reduce_wheel(wheel, disk.families, more=disk.modes, reference=with_reference)
@@ -284,7 +286,7 @@ def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
     )
 
 
-def estimate_checked_memory(
+def estimate_and_check_memory(
     scene: Scene, structure: Structure, *, is_run_up: bool = False
 ) -> float:
     """Estimate the memory to solve a scene, or its run-up [byte] (collective).
@@ -484,7 +486,7 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     """
     if not isinstance(contact, Contact):
         raise InputError("contact", contact, "the contact table of a scene")
-    law = _normal_law(contact, structure)
+    law = _make_normal_contact_law(contact, structure)
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
@@ -514,7 +516,7 @@ def _required_pair_areas(
     return structure.pair_areas
 
 
-def _normal_law(contact: Contact, structure: Structure | None) -> ContactLaw:
+def _make_normal_contact_law(contact: Contact, structure: Structure | None) -> ContactLaw:
     """Make the normal contact law of a contact table, without friction."""
     if contact.law == "unilateral":
         return UnilateralConstraint()

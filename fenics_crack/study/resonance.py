@@ -165,7 +165,12 @@ def find_study_resonance(
                 crossing_speed,
             )
             return find_load_resonance(
-                scene, law, run_up_structure, engine_order * crossing_speed, "speed", with_rest=True
+                scene,
+                law,
+                run_up_structure,
+                engine_order * crossing_speed,
+                "speed",
+                with_small_load_resonance=True,
             )
         if scene.disk is not None or (reduction is None and is_small(whole_structure)):
             structure = reduce_study(study, with_reference=False).structure
@@ -173,7 +178,9 @@ def find_study_resonance(
             structure = reduce_structure(
                 whole_structure, modes=n_modes, method="massless", reference=False
             )
-        return find_load_resonance(scene, law, structure, estimated_omega, with_rest=True)
+        return find_load_resonance(
+            scene, law, structure, estimated_omega, with_small_load_resonance=True
+        )
     except REFUSAL_EXCEPTIONS as error:
         return LoadResonance(unknown=str(error))
 
@@ -185,7 +192,7 @@ def find_load_resonance(
     start_omega: float,
     parameter: str = "omega",
     *,
-    with_rest: bool = False,
+    with_small_load_resonance: bool = False,
 ) -> LoadResonance:
     """Find the resonance of a small structure under a scene's load, without friction.
 
@@ -195,7 +202,7 @@ def find_load_resonance(
         Load frequency at which the search begins.
     parameter : "omega" or "speed"
         Quantity that follows the resonance, as in :func:`fenics_crack.resonance_at`.
-    with_rest : bool
+    with_small_load_resonance : bool
         Find the resonance under a small load, too.
 
     Raises
@@ -209,9 +216,9 @@ def find_load_resonance(
     law = law if friction is None else friction.law
     problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
     resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
-    rest_value = resonance.value if with_rest else math.nan
+    rest_value = resonance.value if with_small_load_resonance else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
-    if with_rest and (np.any(structure.force[0]) or np.any(structure.clearance)):
+    if with_small_load_resonance and (np.any(structure.force[0]) or np.any(structure.clearance)):
         rest_value = resonance_at(at_small_load(problem), resonance.omega, parameter).value
     if resonance.several:
         return LoadResonance(

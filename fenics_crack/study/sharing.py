@@ -44,7 +44,7 @@ LAST_STRUCTURES: list[SharedStructure] = []
 """The last structure made in this process: at most one entry."""
 
 
-def coarser_structure_cache(structure: Structure) -> list[SharedStructure]:
+def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStructure]:
     """Return an empty list for the structure of the coarser mesh.
 
     :meth:`Structure.compute_once` keeps the list with the finer structure.
@@ -57,7 +57,7 @@ STRUCTURE_FILES: list[Any] = []
 (:class:`fenics_crack.study.shelf.StructureFile`)."""
 
 
-def assemble_or_reuse(
+def assemble_or_reuse_structure(
     scene: Scene, comm: MPI.Comm, last_entries: list[SharedStructure] = LAST_STRUCTURES
 ) -> Structure:
     """Return a scene's structure, reused if possible (collective).
@@ -148,8 +148,8 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
     cracks = [*scene.all_cracks.values()]
     pair_kind = scene.contact is not None and scene.contact.pairs
     mesh_dependencies = (
-        scene.geometry, scene.material, _values_without_keys(scene.mesh, "error", "coarser"),
-        pair_kind, [_values_without_keys(crack, "clearance") for crack in cracks],
+        scene.geometry, scene.material, _value_by_key_without(scene.mesh, "error", "coarser"),
+        pair_kind, [_value_by_key_without(crack, "clearance") for crack in cracks],
         scene.rotation, scene.disk, scene.structure,
         on_root(comm, lambda: scene_file_digests(scene)),
     )  # fmt: skip
@@ -162,10 +162,10 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
 
 def load_dependencies(scene: Scene) -> tuple[Any, ...]:
     """Return the scene's tables for the load: excitation, other loads, base."""
-    return _values_without_keys(scene.excitation, "omega", "frequency"), scene.loads, scene.base
+    return _value_by_key_without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 
 
-def _values_without_keys(table: Any, *omitted_keys: str) -> Any:
+def _value_by_key_without(table: Any, *omitted_keys: str) -> Any:
     """Return a table's values by key, without some keys; None without a table."""
     return table and {
         field.name: getattr(table, field.name)

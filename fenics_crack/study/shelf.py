@@ -1,8 +1,8 @@
 """The structure of a command in a file beside its results, for later commands.
 
 The file has the matrices and modes of a mesh at rest, and of its coarser mesh. A scene with the
-same :func:`dependencies_key` can use the file. Frequency, load amplitude, damping, clearance, law
-and tolerance may differ; the mesh may not.
+same :func:`digest_of_dependencies` can use the file. Frequency, load amplitude, damping, clearance,
+law and tolerance may differ; the mesh may not.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fenics_crack.study.artefact import (
 )
 from fenics_crack.study.sharing import (
     SharedStructure,
-    coarser_structure_cache,
+    make_empty_coarser_structure_list,
     structure_dependencies,
 )
 
@@ -39,7 +39,7 @@ MAX_DATASET_BYTES = 500 * 10**6
 """Maximum size of the arrays in a file [byte]; a larger structure is not kept."""
 
 
-def dependencies_key(dependencies: tuple[Any, ...]) -> str:
+def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
     """Return the SHA-256 digest of a structure's dependencies, without load amplitudes.
 
     ``dependencies`` come from :func:`structure_dependencies`. Clearances and damping do not count;
@@ -80,11 +80,11 @@ class StructureFile:
                 with stored_file.checked_datasets() as datasets:
                     self._cached_files.append(unpack_dataclass(PreparedFile, datasets))
             prepared_file = self._cached_files[0]
-            if prepared_file is None or prepared_file.structure.key != dependencies_key(
+            if prepared_file is None or prepared_file.structure.key != digest_of_dependencies(
                 structure_dependencies(scene, comm)
             ):
                 return None
-            entry = prepared_file.make_structures(
+            entry = prepared_file.make_shared_structure(
                 scene, load_weights_from_rows(prepared_file.structure.excitation, scene), comm
             )
         except (InputError, *DATASET_ERRORS) as error:
@@ -113,7 +113,7 @@ class StructureFile:
             if entry.comm.size < comm.size and comm.rank:
                 return  # each rank has a structure for itself
             coarser_entries = entry.structure.compute_once(
-                coarser_structure_cache, from_matrices=True
+                make_empty_coarser_structure_list, from_matrices=True
             )
             coarser_entries = [
                 coarser_entry
@@ -123,7 +123,7 @@ class StructureFile:
             datasets = pack_dataclass(
                 PreparedFile(
                     *(
-                        _gather_datasets(stored_entry, scene)
+                        _gather_prepared_structure(stored_entry, scene)
                         for stored_entry in (entry, *coarser_entries)
                     )
                 )
@@ -142,12 +142,12 @@ class StructureFile:
                 self._print_line(f"the structure is not kept: {error}")
 
 
-def _gather_datasets(entry: SharedStructure, scene: Scene) -> PreparedStructure:
+def _gather_prepared_structure(entry: SharedStructure, scene: Scene) -> PreparedStructure:
     """Gather the datasets of a structure with its matrices (collective)."""
     return PreparedStructure.gather(
         entry.structure, entry.structure.nodes.vtk_type,  # type: ignore[union-attr]
         mass=SparseRows.gather(local_rows(entry.structure.mass), entry.comm),
-        key=dependencies_key(entry.dependencies),
+        key=digest_of_dependencies(entry.dependencies),
         stiffness=SparseRows.gather(local_rows(entry.structure.stiffness), entry.comm),
         excitation=np.array(force_vector_by_part(scene), dtype=float),
     )  # fmt: skip

@@ -27,7 +27,7 @@ from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,
     Study,
@@ -44,7 +44,7 @@ class SolvedStudy(Study):
     result: PeriodicSolution
 
 
-def _solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
+def _make_solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
     """Return a study together with its solution."""
     return SolvedStudy(study.scene, study.structure, study.contact, study.watched, solution)
 
@@ -58,13 +58,13 @@ def solve_study(
     Newton's method starts from ``initial_solution`` (same structure), and ``omega`` [rad/s]
     replaces the scene's load frequency.
     """
-    make_requested_rows(study)  # before anything is solved: this may raise InputError
+    make_requested_extra_rows(study)  # before anything is solved: this may raise InputError
     scene, law = study.scene, study.contact
     omega, balance_table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
         reduced_study = reduce_study(study)
         solution = solve_linear(reduced_study.structure, omega, harmonics=balance_table.harmonics)
-        return _solved_study(reduced_study, solution)
+        return _make_solved_study(reduced_study, solution)
     if balance_table.tolerance is None:
         reduced_study = with_friction_lines(reduce_study(study), omega)
         law = reduced_study.contact
@@ -76,7 +76,7 @@ def solve_study(
         solution = solver.solve(initial_solution)
         solution = solution if balance_table.error else solution.reported(UNESTIMATED_REPORT)
     else:
-        smallest_structure = next(reduce_with_more_modes(study)).structure  # reused below
+        smallest_structure = next(iterate_studies_with_more_modes(study)).structure  # reused below
         study = replace(study, contact=slide_along_lines(smallest_structure, omega, law))
         reduced_study, solution = _solve_to_tolerance(study)
     structure = reduced_study.structure
@@ -87,7 +87,7 @@ def solve_study(
     if solution.converged and is_stability_quick and is_small(structure) and balance_table.error:
         begin_stage("stability")
         solution = replace(solution, stability=floquet(structure, solution))
-    return _solved_study(reduced_study, solution)
+    return _make_solved_study(reduced_study, solution)
 
 
 def prepare_unreduced_study(source: Scene | Study, comm: MPI.Comm) -> Study:
@@ -127,7 +127,7 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
     assert law is not None
 
     def iterate_structures() -> Iterator[Structure]:
-        for study in reduce_with_more_modes(unreduced_study):
+        for study in iterate_studies_with_more_modes(unreduced_study):
             reduced_studies.append(study)
             yield study.structure
 
@@ -189,7 +189,7 @@ def reduce_to_modes(study: Study, n_modes: int) -> Study:
     return reduce_study(replace(study, scene=study.scene.replace(changes)))
 
 
-def reduce_with_more_modes(
+def iterate_studies_with_more_modes(
     study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
 ) -> Iterator[Study]:
     """Yield a study reduced with more and more modes, on demand (collective).

@@ -33,7 +33,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
@@ -127,7 +127,7 @@ class SweepGeometry:
         return replace(
             self,
             study=study_with_more_modes,
-            watched_row_by_name=_find_watched_rows(study_with_more_modes),
+            watched_row_by_name=_find_watched_row_by_name(study_with_more_modes),
             mode_counts=self.mode_counts[1:],
         )
 
@@ -188,12 +188,12 @@ def build_geometry(
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
         requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", reduction_method, requirement)
-    make_requested_rows(many_mode_study)
+    make_requested_extra_rows(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.all_cracks.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
     study = reduce_to_modes(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
-    watched_row_by_name = _find_watched_rows(study)
+    watched_row_by_name = _find_watched_row_by_name(study)
     return SweepGeometry(
         study,
         request.has_unit_loads,
@@ -205,7 +205,9 @@ def build_geometry(
     )
 
 
-def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[SweepGeometry]:
+def iterate_geometries_with_more_modes(
+    scene: Scene, request: CaseRequest
+) -> Iterator[SweepGeometry]:
     """Build geometries with each number of modes that may have solved a case."""
     first_geometry = build_geometry(scene, MPI.COMM_SELF, request)
     geometry: SweepGeometry | None = first_geometry
@@ -216,17 +218,17 @@ def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[Sw
         yield build_geometry(scene, MPI.COMM_SELF, replace(request, with_reduction_error=False))
 
 
-def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
+def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
     """Return rows for displacements at the load and named points, by name (collective)."""
     named_watches = [watch for watch in study.watched if watch.name]
     displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
     row_by_name = {
         watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
     }
-    return _find_watched_load_rows(study.scene, study.structure) | row_by_name
+    return _find_load_point_row_by_name(study.scene, study.structure) | row_by_name
 
 
-def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
+def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     """Return the row for the displacement at the load, with the key "" (collective).
 
     For matrices it is the dof with the largest load. The dictionary is empty if the structure
@@ -291,8 +293,10 @@ def solve_chunk(
             "crack_length": geometry.crack_length,
             "harmonics": n_harmonics,
         }
-        value_by_column |= _frequency_values(case.excitation.omega, geometry.bilinear_frequencies)
-        value_by_column |= _natural_frequency_values(geometry.bilinear_frequencies)
+        value_by_column |= _load_and_nearest_frequency_by_column(
+            case.excitation.omega, geometry.bilinear_frequencies
+        )
+        value_by_column |= _natural_frequency_by_column(geometry.bilinear_frequencies)
         if request.frequencies_only_by_position[
             case_number % len(request.frequencies_only_by_position)
         ]:
@@ -310,9 +314,9 @@ def solve_chunk(
                 geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
                 solver = CaseSolver(geometry)
                 solution = solver.solve_as_requested(case, request)
-            value_by_column |= _observe_values(solution, case, geometry)
+            value_by_column |= _observe_value_by_column(solution, case, geometry)
             value_by_column |= (
-                _frequency_values(solution.omega, geometry.bilinear_frequencies)
+                _load_and_nearest_frequency_by_column(solution.omega, geometry.bilinear_frequencies)
                 | solution.to_dict()
             )
             if not request.with_reduction_error:
@@ -388,12 +392,12 @@ class CaseSolver:
             bilinear_frequency = float(nearest_mode["omega_bilinear"])
             resonance = resonance_at(problem, bilinear_frequency, tolerance=balance_table.tolerance)
         if resonance is None or resonance.several:
-            omega, self._last_solution = self._find_response_peak(problem)
+            omega, self._last_solution = self._find_peak_omega_and_solution(problem)
         else:
             omega, self._last_solution = resonance.omega, resonance.solution
         return self.solve(case.replace({"excitation.omega": omega}))
 
-    def _find_response_peak(self, problem: Problem) -> tuple[float, PeriodicSolution]:
+    def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Return frequency and solution at the peak of the response curve.
 
         The curve covers the nearest mode, from below the open to above the bonded frequency.
@@ -451,12 +455,14 @@ class CaseSolver:
         }
 
 
-def _frequency_values(omega: float, natural_frequencies: BilinearFrequencies) -> CaseValues:
+def _load_and_nearest_frequency_by_column(
+    omega: float, natural_frequencies: BilinearFrequencies
+) -> CaseValues:
     """Return the load frequency and the nearest natural frequencies by column name."""
     return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
-def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseValues:
+def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Return natural frequencies by column name; there may be fewer than columns."""
     frequency_rows = (
         natural_frequencies.omega_open,
@@ -471,15 +477,17 @@ def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseV
     }
 
 
-def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeometry) -> CaseValues:
+def _observe_value_by_column(
+    solution: PeriodicSolution, case: Scene, geometry: SweepGeometry
+) -> CaseValues:
     """Return all quantities of a solution by column name.
 
     They are indicators at the load, at named points, and quantities on request.
     """
-    row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
+    row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
     observed_displacements, value_by_column = solution.observe_rows(
-        row_matrix, make_requested_rows(geometry.study)
+        row_matrix, make_requested_extra_rows(geometry.study)
     )
     for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
         value_by_quantity = {
@@ -498,7 +506,9 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
     return value_by_column
 
 
-def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
+def _find_load_direction_row_by_name(
+    solution: PeriodicSolution, case: Scene
+) -> dict[str, np.ndarray]:
     """Return the row for the displacement in the load's direction, with the key "".
 
     The direction follows the largest sine or cosine part, or the mean if both are zero. A force F

@@ -71,7 +71,7 @@ def load_column_name(quantity: str) -> str:
 
 MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
 """Numbers of the modes whose natural frequencies each case keeps."""
-FREQUENCY_COLUMN_LABELS_AND_UNITS = {
+LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
         ("open", "natural frequency {}, crack open"),
@@ -106,7 +106,7 @@ UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
         name: (UNIT_BY_NAME[name], "f8")
         for name in observable_names(Place.FACES, Place.MODES, excluded_flags=REQUIRES_FRICTION)
     },
-    **{name: (unit, "f8") for name, (_, unit) in FREQUENCY_COLUMN_LABELS_AND_UNITS.items()},
+    **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
     **{f"{by}_error": ("1", "f8") for by in ("residual", "truncation", "sampling", "reduction")},
@@ -205,14 +205,14 @@ class SweepFile:
             new_header = (
                 None
                 if os.path.lexists(path)
-                else _make_file(
+                else _make_file_and_header_or_none(
                     path, scene, harmonics_upper_bound, gap_rows_upper_bound, omitted_options
                 )
             )
             regular_file_size(path, None, follows_links=False)  # nothing is written elsewhere
             self._file_descriptor = os.open(path, os.O_RDWR)
             try:
-                lock_error = _lock_file(self._file_descriptor)
+                lock_error = _lock_file_or_return_error(self._file_descriptor)
                 self.sweep_header = new_header or _read_matching_header(path, scene)
                 self.case_states = _read_intact_states(self.sweep_header, scene)
                 if np.any(self.case_states == State.PENDING):  # else nothing is written
@@ -322,7 +322,7 @@ class SweepFile:
             return False
 
 
-def _lock_file(descriptor: int) -> OSError | None:
+def _lock_file_or_return_error(descriptor: int) -> OSError | None:
     """Lock an open file; return the error if another program holds the lock."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -346,7 +346,7 @@ def _encode_value(value: Any, max_bytes: int) -> Any:
     return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
 
 
-def _make_file(
+def _make_file_and_header_or_none(
     path: Path,
     scene: Scene,
     harmonics_upper_bound: int,
@@ -376,7 +376,7 @@ def _make_file(
             )
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
             new_file.truncate(sum(dataset_bytes))
-            sweep_header = _write_image(
+            sweep_header = _write_datasets_and_make_header(
                 image, path, scene, unit_type_shape_by_dataset, omitted_options
             )
             _copy_written_parts(image.fileno(), new_file.fileno())
@@ -384,7 +384,7 @@ def _make_file(
     return None
 
 
-def _write_image(
+def _write_datasets_and_make_header(
     memory_file: BinaryIO,
     path: Path,
     scene: Scene,
@@ -451,7 +451,8 @@ def _describe_column(column_name: str) -> str:
         column_name: observable.words for column_name, observable in OBSERVABLES_BY_NAME.items()
     }
     return (
-        words_by_quantity.get(quantity) or FREQUENCY_COLUMN_LABELS_AND_UNITS.get(quantity, ("",))[0]
+        words_by_quantity.get(quantity)
+        or LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.get(quantity, ("",))[0]
     )
 
 
@@ -559,7 +560,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     return scene
 
 
-def _read_cases(
+def _read_columns_and_find_damage(
     sweep_header: store.StoredFile, scene: Scene
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Read all cases, as flat columns, and find damaged ones.
@@ -573,9 +574,13 @@ def _read_cases(
     is_damaged : (n_cases,) bool
         True for cases whose stored state does not match the checksum.
     """
-    column_by_name, is_damaged = _confirm_states(_read_flat_columns(sweep_header, scene))
+    column_by_name, is_damaged = _replace_unconfirmed_states(
+        _read_flat_columns(sweep_header, scene)
+    )
     if is_damaged.any():  # or is being written at this moment
-        column_by_name, is_damaged_again = _confirm_states(_read_flat_columns(sweep_header, scene))
+        column_by_name, is_damaged_again = _replace_unconfirmed_states(
+            _read_flat_columns(sweep_header, scene)
+        )
         is_damaged &= is_damaged_again
     return column_by_name, is_damaged
 
@@ -596,7 +601,7 @@ def _read_flat_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str
         raise sweep_header.refusal("a whole sweep") from None
 
 
-def _confirm_states(
+def _replace_unconfirmed_states(
     column_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Replace stored states by states that match the checksums.
@@ -629,9 +634,9 @@ def _confirm_states(
 
 def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndarray:
     """Return states in the shape of the axes; State.PENDING for damaged cases."""
-    case_states: np.ndarray = _read_cases(sweep_header, scene)[0]["state"].reshape(
-        scene.given("sweep").shape
-    )
+    case_states: np.ndarray = _read_columns_and_find_damage(sweep_header, scene)[0][
+        "state"
+    ].reshape(scene.given("sweep").shape)
     for index in np.argwhere(case_states == State.CONVERGED):
         if _read_intact_waves(sweep_header, tuple(map(int, index))) is None:
             case_states[tuple(index)] = State.PENDING
@@ -643,7 +648,7 @@ def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.n
 
     Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
     """
-    flat_column_by_name, is_damaged = _read_cases(sweep_header, scene)
+    flat_column_by_name, is_damaged = _read_columns_and_find_damage(sweep_header, scene)
     axes_shape, column_by_name = scene.given("sweep").shape, {}
     if is_damaged.any():
         first_damaged_index = tuple(

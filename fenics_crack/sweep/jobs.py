@@ -85,7 +85,7 @@ class Worker:
         gc.collect()  # structures and their rotations know each other
         collect_garbage(MPI.COMM_SELF, was_stopped=is_stopped)
 
-    def run_job(
+    def iterate_chunk_outcomes(
         self, job: Job, may_continue: Callable[[], bool]
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
         """Solve a job's chunks, and yield case numbers and outcome of each.
@@ -176,7 +176,8 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
         job = _receive_message(comm, message_status)
         if message_status.tag == Tag.JOB:
             send_requests += [
-                comm.isend(outcome, 0) for outcome in worker.run_job(job, may_continue)
+                comm.isend(outcome, 0)
+                for outcome in worker.iterate_chunk_outcomes(job, may_continue)
             ]
             send_requests.append(comm.isend(None, 0))
     MPI.Request.waitall(send_requests)
@@ -206,22 +207,24 @@ class Manager:
     def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
         self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
-        chunks_by_geometry = {
+        chunk_case_numbers_by_geometry = {
             geometry_number: [
                 case_numbers
                 for case_numbers in chunks
                 if np.any(sweep_file.case_states.flat[case_numbers] == State.PENDING)
             ]
-            for geometry_number, chunks in enumerate(plan.chunks_by_geometry)
+            for geometry_number, chunks in enumerate(plan.chunk_case_numbers_by_geometry)
         }
         # The longest jobs first: the last ones are what ranks wait for.
         ordered_geometry_numbers = sorted(
-            chunks_by_geometry, key=plan.pair_bounds_and_lengths.__getitem__, reverse=True
+            chunk_case_numbers_by_geometry,
+            key=plan.pair_bounds_and_crack_lengths.__getitem__,
+            reverse=True,
         )
-        self._remaining_chunks_by_geometry = {
-            geometry_number: chunks_by_geometry[geometry_number]
+        self._remaining_case_numbers_by_geometry = {
+            geometry_number: chunk_case_numbers_by_geometry[geometry_number]
             for geometry_number in ordered_geometry_numbers
-            if chunks_by_geometry[geometry_number]
+            if chunk_case_numbers_by_geometry[geometry_number]
         }
         self._geometry_by_rank: dict[int, int] = {}
         """Number of the present or next geometry, by rank."""
@@ -262,20 +265,20 @@ class Manager:
         def may_continue() -> bool:
             while self._n_jobs_sent and comm.iprobe():
                 if stop_request.is_requested(MPI.COMM_SELF):
-                    self._remaining_chunks_by_geometry.clear()  # no job is handed out any more
+                    self._remaining_case_numbers_by_geometry.clear()  # no further job
                 self._receive_outcome(comm)
             return self._error is None and not stop_request.is_requested(MPI.COMM_SELF)
 
         try:
             for rank in other_ranks:
                 self._send_job(comm, rank)
-            job = self._next_job(0)
+            job = self._take_next_job(0)
             for rank in other_ranks:  # a second job, to go on with
                 self._send_job(comm, rank)
             while job is not None and may_continue():
-                for case_numbers, outcome in worker.run_job(job, may_continue):
+                for case_numbers, outcome in worker.iterate_chunk_outcomes(job, may_continue):
                     self._record_outcome(case_numbers, outcome)
-                job = self._next_job(0)
+                job = self._take_next_job(0)
             while may_continue() and self._n_jobs_sent:
                 self._receive_outcome(comm)
         except BaseException as error:
@@ -284,7 +287,7 @@ class Manager:
             ) and stop_request.is_requested(MPI.COMM_SELF)
             if not is_second_interrupt:  # else what is written is all
                 self._end_with_error(error)
-        self._remaining_chunks_by_geometry.clear()
+        self._remaining_case_numbers_by_geometry.clear()
         for rank in other_ranks:
             comm.send(None, rank, tag=Tag.END)
         while self._n_jobs_sent:
@@ -300,7 +303,7 @@ class Manager:
 
     def _send_job(self, comm: MPI.Comm, rank: int) -> None:
         """Send a job to a rank if one remains."""
-        job = self._next_job(rank)
+        job = self._take_next_job(rank)
         if job is not None:
             comm.send(job, rank, tag=Tag.JOB)
             self._n_jobs_sent += 1
@@ -315,33 +318,33 @@ class Manager:
         self._n_jobs_sent -= 1
         self._send_job(comm, message_status.source)
 
-    def _next_job(self, rank: int) -> Job | None:
+    def _take_next_job(self, rank: int) -> Job | None:
         """Choose the next job for a rank; None if no chunk remains.
 
         First comes the rank's geometry, then a geometry without a rank, then the geometry with most
         chunks. A geometry is a single job with one rank, or while more geometries than ranks are
         unassigned. Otherwise jobs shrink so that ranks finish together.
         """
-        if not self._remaining_chunks_by_geometry:
+        if not self._remaining_case_numbers_by_geometry:
             return None
         unassigned_geometry_numbers = [
             geometry_number
-            for geometry_number in self._remaining_chunks_by_geometry
+            for geometry_number in self._remaining_case_numbers_by_geometry
             if geometry_number not in self._geometry_by_rank.values()
         ]
         geometry_number = self._geometry_by_rank.get(rank, -1)
-        if geometry_number not in self._remaining_chunks_by_geometry:
+        if geometry_number not in self._remaining_case_numbers_by_geometry:
             geometry_number = max(
-                unassigned_geometry_numbers[:1] or self._remaining_chunks_by_geometry,
-                key=lambda number: len(self._remaining_chunks_by_geometry[number]),
+                unassigned_geometry_numbers[:1] or self._remaining_case_numbers_by_geometry,
+                key=lambda number: len(self._remaining_case_numbers_by_geometry[number]),
             )
         self._geometry_by_rank[rank] = geometry_number
-        chunks = self._remaining_chunks_by_geometry[geometry_number]
+        chunks = self._remaining_case_numbers_by_geometry[geometry_number]
         is_one_job = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
         n_job_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
-        self._remaining_chunks_by_geometry[geometry_number] = chunks[n_job_chunks:]
-        if not self._remaining_chunks_by_geometry[geometry_number]:
-            del self._remaining_chunks_by_geometry[geometry_number]
+        self._remaining_case_numbers_by_geometry[geometry_number] = chunks[n_job_chunks:]
+        if not self._remaining_case_numbers_by_geometry[geometry_number]:
+            del self._remaining_case_numbers_by_geometry[geometry_number]
         return Job(geometry_number, tuple(chunks[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
@@ -369,4 +372,4 @@ class Manager:
     def _end_with_error(self, error: BaseException) -> None:
         """Discard all remaining jobs and keep the first error."""
         self._error = self._error or error
-        self._remaining_chunks_by_geometry.clear()
+        self._remaining_case_numbers_by_geometry.clear()

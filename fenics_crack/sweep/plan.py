@@ -58,7 +58,7 @@ class Plan:
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
         True if geometries are built with unit loads, since the sweep changes the force.
-    chunks_by_geometry : list of list of (n,) int
+    chunk_case_numbers_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
     harmonics_upper_bound : int
         Upper bound for the harmonics in all cases.
@@ -75,12 +75,12 @@ class Plan:
         self._gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
         self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
-        free_keys = _find_free_keys(scene, self._swept_values_by_key)
+        free_keys = _find_keys_sharing_geometry(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
         self.has_unit_loads = not free_keys.isdisjoint(
             FULL_FORCE_KEYS & self._swept_values_by_key.keys()
         )
-        self.chunks_by_geometry = self._split_into_chunks(free_keys)
+        self.chunk_case_numbers_by_geometry = self._split_into_chunks(free_keys)
         """Case numbers (n,) of each chunk, by geometry."""
         balance_table = scene.harmonic_balance
         self.harmonics_upper_bound = max(
@@ -93,10 +93,10 @@ class Plan:
         ):
             self.harmonics_upper_bound = max(self.harmonics_upper_bound, MAX_HARMONIC_ORDER)
         if not any(
-            isinstance(self._case_by_number(case_number), Scene)
+            isinstance(self._scene_or_reason_by_number(case_number), Scene)
             for case_number in range(math.prod(self.shape))
         ):
-            reason = self._case_by_number(0)
+            reason = self._scene_or_reason_by_number(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
     def _split_into_chunks(self, free_keys: set[str]) -> list[list[np.ndarray]]:
@@ -130,18 +130,20 @@ class Plan:
     @property
     def gap_rows_upper_bound(self) -> int:
         """Upper bound for the gap rows in all geometries; friction doubles them."""
-        return self._gap_rows_per_pair * max(n_pairs for n_pairs, _ in self.pair_bounds_and_lengths)
+        return self._gap_rows_per_pair * max(
+            n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
+        )
 
     @cached_property
-    def pair_bounds_and_lengths(self) -> list[tuple[int, float]]:
+    def pair_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs and length of the first crack [m], by geometry.
 
         Solids are meshed for the bound and mesh files read. Both are 0 if all cases are refused.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         bounds_and_lengths: list[tuple[int, float]] = []
-        for chunks in self.chunks_by_geometry:
-            scenes_and_reasons = map(self._case_by_number, itertools.chain(*chunks))
+        for chunks in self.chunk_case_numbers_by_geometry:
+            scenes_and_reasons = map(self._scene_or_reason_by_number, itertools.chain(*chunks))
             scene = next(
                 (scene for scene in scenes_and_reasons if not isinstance(scene, str)), None
             )
@@ -158,7 +160,7 @@ class Plan:
             )
         return bounds_and_lengths
 
-    def case_at(self, index: Sequence[int]) -> Scene | str:
+    def scene_or_reason_at(self, index: Sequence[int]) -> Scene | str:
         """Return the scene at an index, or the reason why it is refused."""
         axes_and_positions = zip(self._swept_values_by_key.items(), index, strict=True)
         changes = {
@@ -170,13 +172,13 @@ class Plan:
         except InputError as error:
             return str(error)
 
-    def _case_by_number(self, case_number: int) -> Scene | str:
+    def _scene_or_reason_by_number(self, case_number: int) -> Scene | str:
         """Return the scene of a case, or the reason why it is refused."""
-        return self.case_at(np.unravel_index(case_number, self.shape))
+        return self.scene_or_reason_at(np.unravel_index(case_number, self.shape))
 
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
         """Return the chunk with the given case numbers (n,)."""
-        return Chunk(case_numbers, tuple(map(self._case_by_number, case_numbers)))
+        return Chunk(case_numbers, tuple(map(self._scene_or_reason_by_number, case_numbers)))
 
 
 def _find_pair_upper_bound(scene: Scene) -> int:
@@ -204,7 +206,7 @@ def _find_pair_upper_bound(scene: Scene) -> int:
     return int(min(max_pairs_per_crack * n_cracks, n_face_nodes)) if n_cracks else 0
 
 
-def _find_free_keys(scene: Scene, swept_keys: Collection[str]) -> set[str]:
+def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
     """Return the keys whose values can share a geometry.
 
     Forces are not among them if a geometry contains other loads, harmonics or rotation.

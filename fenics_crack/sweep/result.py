@@ -60,12 +60,12 @@ from fenics_crack.basics.tables import (
 from fenics_crack.files.results import rebuild_solution
 from fenics_crack.files.store import StoredFile, read_header
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.conclusion import describe_linearity
+from fenics_crack.runs.conclusion import list_linearity_sentences
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import scene_contact_law
-from fenics_crack.sweep.case import CaseRequest, build_possible_geometries
+from fenics_crack.sweep.case import CaseRequest, iterate_geometries_with_more_modes
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
     KIND,
@@ -354,7 +354,10 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         case_index = self._find_converged_index(index)
-        gap_rows, case = read_waves(self.path, case_index)[0], Plan(self.scene).case_at(case_index)
+        gap_rows, case = (
+            read_waves(self.path, case_index)[0],
+            Plan(self.scene).scene_or_reason_at(case_index),
+        )
         assert isinstance(case, Scene)
         return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
 
@@ -369,12 +372,12 @@ class SweepResult(Tabular):
         case_index = self._find_converged_index(index)
         read_header(self.path).check_files(self.scene)
         plan = Plan(self.scene)
-        case = plan.case_at(case_index)
+        case = plan.scene_or_reason_at(case_index)
         assert isinstance(case, Scene)
         crack_length = float(self["crack_length"][case_index])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
-        for geometry in build_possible_geometries(case, CaseRequest(plan.has_unit_loads)):
+        for geometry in iterate_geometries_with_more_modes(case, CaseRequest(plan.has_unit_loads)):
             try:
                 return self._restore_solution(geometry.structure_of_case(case), case, case_index)
             except InputError as error:  # the file's waves may be of other modes
@@ -544,7 +547,10 @@ class SweepResult(Tabular):
             f"it could not be estimated in {format_count(n_unknown_errors, 'case')}"
             if n_unknown_errors
             else "",
-            [*describe_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
+            [
+                *list_linearity_sentences(self["closed_share"][is_converged]),
+                ", ".join(verdict_texts),
+            ],
         )
 
     def _title(self) -> str:
@@ -565,7 +571,7 @@ class SweepResult(Tabular):
         )
 
 
-def is_partial_sweep(sweep_header: StoredFile) -> bool:
+def has_omitted_options(sweep_header: StoredFile) -> bool:
     """Return True for a sweep with omitted options, made by another computation."""
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
@@ -573,7 +579,7 @@ def is_partial_sweep(sweep_header: StoredFile) -> bool:
 # --- cases in words -------------------------------------------------------------------------------
 
 
-def describe_by_reason(
+def iterate_texts_by_reason(
     sweep: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], outcome_text: str
 ) -> Iterator[str]:
     """Describe cases with reasons, grouped; reasons that differ only in numbers are equal."""
