@@ -663,7 +663,7 @@ def run_chosen(arguments: common.Arguments) -> None:
         true, status = (exact.orbit or exact).indicators(run.watched_dof), run.result.status
         met = run.result.report.total <= scene.harmonic_balance.given("tolerance")
         for quantity in ("amplitude", "opening"):
-            key = run.watched[0].column(quantity) if quantity == "amplitude" else quantity
+            key = run.watched[0].column_name(quantity) if quantity == "amplitude" else quantity
             if key not in run.errors.values:  # a crack that never opens
                 continue
             value, (stated, cause) = run.errors.values[key], run.errors.stated(key)

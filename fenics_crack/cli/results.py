@@ -785,7 +785,7 @@ def _interpolate_peak_columns(
         for name, column in columns_by_heading.items()
     }
     return row_by_heading | {
-        heading_with_unit(run.watched[0].column("amplitude"), "m"): np.array([peak.amplitude])
+        heading_with_unit(run.watched[0].column_name("amplitude"), "m"): np.array([peak.amplitude])
     }
 
 

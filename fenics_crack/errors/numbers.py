@@ -259,7 +259,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
         "mean_shift": changes[2],
     }
     return _sizes_of_face_changes(record, other_record) | {
-        point.column(name): float(size[index])
+        point.column_name(name): float(size[index])
         for name, size in sizes.items()
         for index, point in enumerate(study.watched)
     }

@@ -291,7 +291,7 @@ def error_by_modes(study: Study, solution: PeriodicSolution) -> float:
     unknown.
     """
     errors = stated_errors(study, solution, causes=["modes"])
-    names = [*(point.column("amplitude") for point in study.watched), "opening"]
+    names = [*(point.column_name("amplitude") for point in study.watched), "opening"]
     if errors.unknown:
         return math.inf
     stated_names = [name for name in names if errors.parts and errors.values.get(name)]

@@ -60,10 +60,10 @@ class StudyWithResult(Study):
     def remarks(self) -> tuple[Remark, ...]:
         """Remarks on scene and structure, as ``fenics-crack check`` gives them (collective)."""
         try:
-            figures = find_key_figures(self)
+            key_figures = find_key_figures(self)
         except REFUSAL_EXCEPTIONS:  # figures that cannot be found are no reason to lose the result
-            figures = None
-        return tuple(remarks_on_scene(self.scene, self.structure.whole, figures))
+            key_figures = None
+        return tuple(remarks_on_scene(self.scene, self.structure.whole, key_figures))
 
     @property
     def watched_dof(self) -> int:
@@ -95,7 +95,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     """
     if run.stated is None:
         return ""
-    quantity_name = quantity_name or run.watched[0].column("amplitude")
+    quantity_name = quantity_name or run.watched[0].column_name("amplitude")
     relative_error, main_cause = run.stated.stated(quantity_name)
     if not 0.0 < relative_error < np.inf:  # zero at rest or without a cause; nan if unknown
         return ""
@@ -111,7 +111,7 @@ def explain_unknown_error(run: StudyWithResult) -> str:
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
-    return run.stated.doubt(run.watched[0].column("amplitude"))
+    return run.stated.doubt(run.watched[0].column_name("amplitude"))
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
@@ -127,11 +127,11 @@ def frequency_in_words(scene: Scene, omega: float) -> str:
 
 def make_conclusion(run: StudyWithResult) -> Conclusion:
     """Return the parts of the last sentence on a run (collective)."""
-    kind: str = run.result.KIND
+    result_kind: str = run.result.KIND
     return (
-        _MAKE_CONCLUSION_BY_KIND[kind](run)
-        if kind in _MAKE_CONCLUSION_BY_KIND
-        else Conclusion(kind)
+        _MAKE_CONCLUSION_BY_KIND[result_kind](run)
+        if result_kind in _MAKE_CONCLUSION_BY_KIND
+        else Conclusion(result_kind)
     )
 
 
@@ -207,11 +207,19 @@ def _list_crack_and_verdict_sentences(
             else LINEAR_VIBRATION_TEXT
         )
     tolerance = run.scene.harmonic_balance.tolerance or 0.0
-    min_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
-    friction_error_by_name = {} if run.stated is None else run.stated.parts.get("friction", {})
-    friction_error = friction_error_by_name.get(run.watched[0].column("amplitude"))
-    if friction_error is not None and friction_error.gci > min_error and not run.scene.has_friction:
-        sentences.append(f"friction left out: about {format_percent(friction_error.gci)}")
+    min_reported_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
+    friction_error_estimate_by_name = (
+        {} if run.stated is None else run.stated.parts.get("friction", {})
+    )
+    friction_error_estimate = friction_error_estimate_by_name.get(
+        run.watched[0].column_name("amplitude")
+    )
+    if (
+        friction_error_estimate is not None
+        and friction_error_estimate.gci > min_reported_error
+        and not run.scene.has_friction
+    ):
+        sentences.append(f"friction left out: about {format_percent(friction_error_estimate.gci)}")
     return [
         *sentences,
         *list_stability_sentences(solution.stability, solution.amplitude(run.watched_dof)),
@@ -220,20 +228,20 @@ def _list_crack_and_verdict_sentences(
 
 def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a curve: its largest response, errors and verdicts."""
-    curve: ResponseCurve = run.result
-    largest_response = curve.top(run.watched_dof)
-    curve_axis = parameter_axis(curve.parameter, run.scene.in_hertz)
-    amplitude_text = format_quantity(largest_response.amplitude, "m")
-    location_text = format_in_unit(curve_axis, largest_response.value)
+    response_curve: ResponseCurve = run.result
+    peak = response_curve.top(run.watched_dof)
+    curve_axis = parameter_axis(response_curve.parameter, run.scene.in_hertz)
+    amplitude_text = format_quantity(peak.amplitude, "m")
+    location_text = format_in_unit(curve_axis, peak.value)
     unknown_error_reason, fallback_text = explain_unknown_error(run), ", its error is not estimated"
     error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=fallback_text)
     answer_text = (
         f"the largest response of the {run.watched_name} is {amplitude_text} half peak-to-peak"
     )
-    if largest_response.at_end and largest_response.index == len(curve) - 1 and not curve.complete:
+    if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
         answer_text = f"the response of the {run.watched_name} grows up to where the curve ended, "
         answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
-    elif largest_response.at_end:
+    elif peak.at_end:
         answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
     else:
         location_error = (
@@ -243,18 +251,18 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
             f" within {format_error(location_error)}" if 0.0 < location_error < np.inf else ""
         )
         answer_text += f" at {location_text}{location_error_text}{error_text}"
-    sentences = list_linearity_sentences(curve.indicators(run.watched_dof).closed_share)
-    if curve.multipliers is not None:
-        verdict_names, verdict_counts = np.unique(curve.verdicts, return_counts=True)
+    sentences = list_linearity_sentences(response_curve.indicators(run.watched_dof).closed_share)
+    if response_curve.multipliers is not None:
+        verdict_names, verdict_counts = np.unique(response_curve.verdicts, return_counts=True)
         count_texts = (
-            f"{count} {verdict}"
-            for count, verdict in zip(verdict_counts, verdict_names, strict=True)
+            f"{verdict_count} {verdict}"
+            for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
         )
-        sentences.append(f"{', '.join(count_texts)} of {len(curve)} points")
+        sentences.append(f"{', '.join(count_texts)} of {len(response_curve)} points")
     else:
         sentences.append("stability not examined")
-    outcome_text = "curve complete" if curve.complete else "the curve ended early"
-    if curve.status == INTERRUPTED_STATUS:
+    outcome_text = "curve complete" if response_curve.complete else "the curve ended early"
+    if response_curve.status == INTERRUPTED_STATUS:
         outcome_text = "curve interrupted"
     return Conclusion(outcome_text, answer_text, unknown_error_reason, sentences)
 

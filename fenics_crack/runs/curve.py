@@ -192,7 +192,7 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
 
 
 def _find_study_with_enough_modes(
-    study: Study, studies: Iterator[Study], start: float, stop: float
+    study: Study, studies: Iterator[Study], start_omega: float, stop_omega: float
 ) -> Study:
     """Return the first study with enough modes for a curve over the frequency (collective).
 
@@ -202,7 +202,7 @@ def _find_study_with_enough_modes(
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
-        resonance_omega = _lowest_bilinear_omega(study, start, stop)
+        resonance_omega = _lowest_bilinear_omega(study, start_omega, stop_omega)
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
         with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
@@ -212,12 +212,12 @@ def _find_study_with_enough_modes(
     return study
 
 
-def _lowest_bilinear_omega(study: Study, start: float, stop: float) -> float:
+def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) -> float:
     """Return the lowest bilinear frequency in a range [rad/s], else its start (collective)."""
-    lower_bound, upper_bound = sorted((start, stop))
+    lower_bound, upper_bound = sorted((start_omega, stop_omega))
     bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear
     is_between = (bilinear_omegas > lower_bound) & (bilinear_omegas < upper_bound)
-    return float(min(bilinear_omegas[is_between], default=start))
+    return float(min(bilinear_omegas[is_between], default=start_omega))
 
 
 def _describe_mode_choice(study: Study, mode_error: float) -> str:

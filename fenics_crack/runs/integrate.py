@@ -69,7 +69,7 @@ def integrate(
     integration_table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
-    earlier_file = (
+    earlier_motion_file = (
         None
         if integration_table.initial is None
         else _read_initial_motion_file(integration_table.initial, comm)
@@ -86,9 +86,9 @@ def integrate(
         initial_motion = solve_harmonic_balance(
             static_structure, omega, law, harmonics=min_harmonics
         )
-    elif earlier_file is not None:
+    elif earlier_motion_file is not None:
         start_state = _start_state(
-            make_run_from_file(earlier_file, comm, with_reference=False),
+            make_run_from_file(earlier_motion_file, comm, with_reference=False),
             structure,
             integration_table,
         )
@@ -170,22 +170,26 @@ def _start_state(
         state = motion.final_state
     else:
         state = initial_state(motion.structure, motion.contact, motion)
-    local_states = motion.structure.expand(np.array(state[:2]))
+    local_displacement_and_velocity = motion.structure.expand(np.array(state[:2]))
     mesh_points = [
-        np.zeros((mesh.n_local, 1)) if mesh.nodes is None else mesh.nodes.points
-        for mesh in (whole_structure, motion.structure.whole)
+        np.zeros((meshed_structure.n_local, 1))
+        if meshed_structure.nodes is None
+        else meshed_structure.nodes.points
+        for meshed_structure in (whole_structure, motion.structure.whole)
     ]
-    has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
-        *mesh_points
-    )
+    has_same_mesh = local_displacement_and_velocity.shape[
+        1
+    ] == whole_structure.n_local and np.array_equal(*mesh_points)
     if not all(whole_structure.comm.allgather(has_same_mesh)):
         integration_table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
-        momentum = multiply(whole_structure.mass, local_states.T).T
-        modal_states = whole_structure.sum_over_ranks(momentum @ structure.basis)
-        n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
-        local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
-    return local_states[0], local_states[1], *state[2:]
+        momentum = multiply(whole_structure.mass, local_displacement_and_velocity.T).T
+        modal_displacement_and_velocity = whole_structure.sum_over_ranks(momentum @ structure.basis)
+        n_missing_coordinates = structure.n_dofs - modal_displacement_and_velocity.shape[1]
+        local_displacement_and_velocity = np.pad(
+            modal_displacement_and_velocity, ((0, 0), (0, n_missing_coordinates))
+        )
+    return local_displacement_and_velocity[0], local_displacement_and_velocity[1], *state[2:]
 
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:

@@ -46,24 +46,24 @@ class Reaction(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return time, forces and moments as columns, a row for every instant."""
-        values_by_name = {"time": self.time.tolist()}
+        values_by_column = {"time": self.time.tolist()}
         force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
         column_names = [f"force_{axis}" for axis in force_axes] + [
             f"moment_{axis}" for axis in moment_axes
         ]
         column_values = np.hstack([self.force, self.moment]).T.tolist()
-        return values_by_name | dict(zip(column_names, column_values, strict=True))
+        return values_by_column | dict(zip(column_names, column_values, strict=True))
 
     def _units(self) -> Mapping[str, str]:
         unit_by_prefix = {"time": "s", "force": "N", "moment": "N m"}
         return {name: unit_by_prefix[name.partition("_")[0]] for name in self.to_dict()}
 
     def _title(self) -> str:
-        force, moment = self.numbers.values()
+        largest_force, largest_moment = self.numbers.values()
         center_text = ", ".join(f"{coordinate:.4g}" for coordinate in self.center)
         return (
-            f"up to {format_quantity(force, 'N')} and {format_quantity(moment, 'N m')} "
-            f"about ({center_text}) m"
+            f"up to {format_quantity(largest_force, 'N')} and "
+            f"{format_quantity(largest_moment, 'N m')} about ({center_text}) m"
         )
 
 

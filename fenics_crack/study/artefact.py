@@ -142,12 +142,14 @@ class PreparedStructure:
         pairs = structure.pairs
         clamp = structure.clamp
         watched_row = structure.watched
-        tangential_structures = (
+        structures_with_tangents = (
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
-        source_structures = [structure, *tangential_structures]
-        array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: gather_rows(comm, getattr(nodes, name)) for name in array_names}
+        source_structures = [structure, *structures_with_tangents]
+        node_array_names = NODE_ARRAY_NAMES if nodes else ()
+        node_array_by_name = {
+            name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
+        }
         return cls(
             gap=SparseRows.gather(structure.gap, comm),
             tangential=SparseRows.gather(structure.tangential, comm),
@@ -166,7 +168,9 @@ class PreparedStructure:
             **datasets,
         )  # fmt: skip
 
-    def make_structure(self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm) -> Structure:
+    def make_structure(
+        self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
+    ) -> Structure:
         """Make the structure with a scene's damping and clearance (collective).
 
         Rank 0 has all rows. Datasets that are no structure raise an error of
@@ -196,8 +200,8 @@ class PreparedStructure:
             pressure_matrix=self.shares
             and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
-        array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in array_names}
+        node_array_names = NODE_ARRAY_NAMES if nodes else ()
+        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in node_array_names}
         structure = Structure(Body(
             mass, stiffness, gap=local_matrix(self.gap, n_pairs), force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
@@ -211,20 +215,20 @@ class PreparedStructure:
             source_structures = structure, structure.with_tangents()
             n_sources = len(stored_receptance.modal)
             source_structure = next(
-                candidate
-                for candidate in source_structures
-                if sources_of(candidate).shape[1] == n_sources
+                candidate_structure
+                for candidate_structure in source_structures
+                if sources_of(candidate_structure).shape[1] == n_sources
             )
-            loaded_receptance = replace(stored_receptance, force=source_structure.force)
-            source_structure.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
+            receptance_with_load = replace(stored_receptance, force=source_structure.force)
+            source_structure.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
             shared_receptances = structure.compute_once(
                 make_empty_shared_receptance_list, from_matrices=True
             )
-            shared_receptances[:] = [loaded_receptance]
-        if not np.array_equal(load_weights, np.eye(len(structure.force))):
-            clamp = structure.clamp and structure.clamp.with_weights(load_weights)
-            force = load_weights @ structure.force
-            structure = structure._in_setting(DEFAULT_SETTING, force=force, clamp=clamp)
+            shared_receptances[:] = [receptance_with_load]
+        if not np.array_equal(load_weight_matrix, np.eye(len(structure.force))):
+            clamp = structure.clamp and structure.clamp.with_weights(load_weight_matrix)
+            weighted_force = load_weight_matrix @ structure.force
+            structure = structure._in_setting(DEFAULT_SETTING, force=weighted_force, clamp=clamp)
         if self.mass is None:
             receptance(structure, 1)
         return structure
@@ -264,8 +268,11 @@ class PreparedStructure:
                 "compliance": (n_sources,) * 2,
                 "inertia": (n_pairs,),
             }
-            for dof in stored_receptance.rows:
-                shape_by_field |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
+            for watched_dof in stored_receptance.rows:
+                shape_by_field |= {
+                    f"rows.{watched_dof}.0": (n_modes,),
+                    f"rows.{watched_dof}.1": (n_sources,),
+                }
             shape_by_name |= {
                 f"{receptance_prefix}.{name}": shape for name, shape in shape_by_field.items()
             }
@@ -292,23 +299,25 @@ class PreparedFile:
     coarser_structure: PreparedStructure | None = None
 
     def make_shared_structure(
-        self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm
+        self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
     ) -> SharedStructure:
         """Make a scene's structure with its coarser structure, if any (collective).
 
         ``load_weights`` are as in :meth:`PreparedStructure.make_structure`.
         """
-        structure = self.structure.make_structure(scene, load_weights, comm)
-        scene_or_reason, single_rank_comm = make_coarser_scene_or_reason(scene), MPI.COMM_SELF
-        if self.coarser_structure is not None and isinstance(scene_or_reason, Scene):
+        structure = self.structure.make_structure(scene, load_weight_matrix, comm)
+        coarser_scene_or_reason = make_coarser_scene_or_reason(scene)
+        single_rank_comm = MPI.COMM_SELF
+        if self.coarser_structure is not None and isinstance(coarser_scene_or_reason, Scene):
             # As of a reduced structure.
-            coarser_entries = structure.compute_once(
+            coarser_shared_structures = structure.compute_once(
                 make_empty_coarser_structure_list, from_matrices=True
             )
-            coarser_entries.append(SharedStructure(
+            coarser_shared_structures.append(SharedStructure(
                 self.coarser_structure.make_structure(
-                    scene_or_reason, load_weights, single_rank_comm
-                ), single_rank_comm, structure_dependencies(scene_or_reason, single_rank_comm),
+                    coarser_scene_or_reason, load_weight_matrix, single_rank_comm
+                ),
+                single_rank_comm, structure_dependencies(coarser_scene_or_reason, single_rank_comm),
             ))  # fmt: skip
         return SharedStructure(structure, comm, structure_dependencies(scene, comm))
 
@@ -355,8 +364,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
         prepared,
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
-    datasets = pack_dataclass(PreparedFile(*map(_gather_prepared_structure, studies)))
-    write_result_file(datasets, path, FILE_KIND, scene, structure.whole.comm)
+    dataset_by_name = pack_dataclass(PreparedFile(*map(_gather_prepared_structure, studies)))
+    write_result_file(dataset_by_name, path, FILE_KIND, scene, structure.whole.comm)
 
 
 def _gather_prepared_structure(study: Study) -> PreparedStructure:
@@ -366,7 +375,7 @@ def _gather_prepared_structure(study: Study) -> PreparedStructure:
     displacement_rows(
         study.structure.whole,
         n_modes,
-        np.array([displacement.dof for displacement in study.watched]),
+        np.array([watched_displacement.dof for watched_displacement in study.watched]),
     )
     return PreparedStructure.gather(study.structure.whole)
 
@@ -440,12 +449,12 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         )
 
     if needs_mesh(scene):
-        for changed_key, scene_value in changes.items():
+        for changed_key, changed_value in changes.items():
             with suppress(InputError):  # keys that cannot change without another key
-                if needs_mesh(file_scene.replace({changed_key: scene_value})):
+                if needs_mesh(file_scene.replace({changed_key: changed_value})):
                     break
         raise InputError(
-            changed_key, scene_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
+            changed_key, changed_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
         )
     unavailable_quantities = [
         quantity_name
@@ -461,12 +470,12 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
 def loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return the values of :func:`load_dependencies` without the excitation's amplitudes."""
-    excitation, *other_loads = loads
+    excitation_value_by_key, *other_loads = loads
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
-    excitation_values = excitation and {
-        key: value for key, value in excitation.items() if key not in amplitude_keys
+    kept_value_by_key = excitation_value_by_key and {
+        key: value for key, value in excitation_value_by_key.items() if key not in amplitude_keys
     }
-    return excitation_values, *other_loads
+    return kept_value_by_key, *other_loads
 
 
 def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
@@ -500,13 +509,13 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
     """
     scene_load_rows = np.array(force_vector_by_part(scene), dtype=float)
     has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
-    weights = (
+    weight_matrix = (
         np.eye(len(scene_load_rows))
         if has_same_load_rows
         else scene_load_rows @ np.linalg.pinv(file_load_rows)
     )
     is_not_representable = (
-        np.abs(weights @ file_load_rows - scene_load_rows).max()
+        np.abs(weight_matrix @ file_load_rows - scene_load_rows).max()
         > ROUNDING * np.abs(scene_load_rows).max()
     )
     if is_not_representable or (scene.has_other_loads and not has_same_load_rows):
@@ -514,7 +523,7 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
             f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
         )
         raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement)
-    return weights
+    return weight_matrix
 
 
 def _make_shared_structure_from_file(
@@ -529,7 +538,7 @@ def _make_shared_structure_from_file(
     """
     file_scene = stored_file.scene()
     assert file_scene is not None
-    load_weights = _load_weights_between_scenes(file_scene, scene)
+    load_weight_matrix = _load_weights_between_scenes(file_scene, scene)
     with stored_file.checked_datasets() as datasets:
         prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
-        return prepared_file.make_shared_structure(scene, load_weights, comm)
+        return prepared_file.make_shared_structure(scene, load_weight_matrix, comm)

@@ -222,8 +222,8 @@ class Campbell(SavedResult):
         ]
         for mode, speed, _ in self.changes:
             omega_below, omega_above = (
-                self._omega_of_kind(mode, speed, state)
-                for state in self._kinds_before_and_after(mode, speed)
+                self._omega_of_kind(mode, speed, state_kind)
+                for state_kind in self._kinds_before_and_after(mode, speed)
             )
             if omega_below > order * speed > omega_above:
                 crossings.append((mode, speed))
@@ -231,13 +231,15 @@ class Campbell(SavedResult):
 
     def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
         """Return the kinds of a mode's frequency just below and from a speed on."""
-        kinds_at_speeds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
-        changed_kinds = [
-            (start, kind) for changed_mode, start, kind in self.changes if changed_mode == mode
+        speeds_and_kinds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
+        change_speeds_and_kinds = [
+            (start_speed, kind)
+            for changed_mode, start_speed, kind in self.changes
+            if changed_mode == mode
         ]
-        starts_and_kinds = sorted([*kinds_at_speeds, *changed_kinds])
-        kinds_below = [kind for start, kind in starts_and_kinds if start < speed]
-        kinds_from = [kind for start, kind in starts_and_kinds if start <= speed]
+        starts_and_kinds = sorted([*speeds_and_kinds, *change_speeds_and_kinds])
+        kinds_below = [kind for start_speed, kind in starts_and_kinds if start_speed < speed]
+        kinds_from = [kind for start_speed, kind in starts_and_kinds if start_speed <= speed]
         return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
 
     def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
@@ -255,12 +257,12 @@ class Campbell(SavedResult):
         """
         speeds = {
             *self.speed.tolist(),
-            *(line_speed for changed_mode, line_speed, _ in self.changes if changed_mode == mode),
+            *(speed for changed_mode, speed, _ in self.changes if changed_mode == mode),
         }
         return [
-            (line_speed, self._omega_of_kind(mode, line_speed, kind), kind)
-            for line_speed in sorted(speeds)
-            for kind in dict.fromkeys(self._kinds_before_and_after(mode, line_speed))
+            (speed, self._omega_of_kind(mode, speed, kind), kind)
+            for speed in sorted(speeds)
+            for kind in dict.fromkeys(self._kinds_before_and_after(mode, speed))
         ]
 
     def _list_crossings_with_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
@@ -315,10 +317,10 @@ class Campbell(SavedResult):
         """
         nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
-        state_omega = np.select(
+        omega_of_nearest_kind = np.select(
             [nearest_kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds
         )
-        squares, slopes = self._interpolate_squares_and_slopes(speed, state_omega)
+        squares, slopes = self._interpolate_squares_and_slopes(speed, omega_of_nearest_kind)
         mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
         return float(slopes[mode_index] * speed**2 / squares[mode_index])
 
@@ -331,7 +333,9 @@ class Campbell(SavedResult):
             self._interpolate_squares_and_slopes(speed, omega)[0]
             for omega in (self.omega_open, self.omega_tied)
         )
-        omega_open, omega_tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares_of_states)
+        omega_open, omega_tied = (
+            np.sqrt(np.maximum(squares, 0.0)) for squares in squares_of_states
+        )
         return omega_open, omega_tied
 
     def _interpolate_squares_and_slopes(
@@ -356,16 +360,16 @@ class Campbell(SavedResult):
         """Return the columns of a table with a row for every speed and mode."""
         n_speeds, n_modes = self.omega_open.shape
         repeated_speeds = np.repeat(self.speed, n_modes)
-        columns = {
+        values_by_column = {
             "speed": repeated_speeds.tolist(),
             "mode": np.tile(np.arange(1, n_modes + 1), n_speeds).tolist(),
         }
         if self.cracked:
-            columns["crack"] = [STATE_TEXT_BY_KIND[kind] for kind in self.kind.ravel()]
+            values_by_column["crack"] = [STATE_TEXT_BY_KIND[kind] for kind in self.kind.ravel()]
         for kind in self.kinds:
-            for name in (f"omega_{kind}", f"frequency_{kind}"):
-                columns[name] = getattr(self, name).ravel().tolist()
-        return add_frequency_entries(columns)
+            for column_name in (f"omega_{kind}", f"frequency_{kind}"):
+                values_by_column[column_name] = getattr(self, column_name).ravel().tolist()
+        return add_frequency_entries(values_by_column)
 
     def said(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
@@ -436,7 +440,7 @@ def campbell(
         requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
         raise InputError("disk", "a table", requirement)
     scene.given("rotation")
-    _, axis = scene.axis
+    _, rotation_axis = scene.axis
     check_count("count", few if count is None else count, 1)
     speed_array = np.atleast_1d(numbers(speeds))
     is_rising = (
@@ -455,8 +459,8 @@ def campbell(
     n_bonded = min(count + 2, max_modes) if top_structure.n_pairs else 0
     start, stop = speed_array[[0, -1]]
     projection = RitzProjection.of_range(top_structure.damped(None), start, stop, count, n_bonded)
-    load_amplitude = projection.force[1] - 1j * projection.force[2]
-    peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, top_structure)
+    complex_load = projection.force[1] - 1j * projection.force[2]
+    peak_amplitude_function = partial(_find_peak_amplitudes, complex_load, top_structure)
 
     @cache
     def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -472,14 +476,12 @@ def campbell(
         (mode_index + 1, speed, kind)
         for mode_index in range(count)
         for interval in pairwise(speed_array.tolist())
-        for speed, kind in _iterate_state_changes(
-            find_frequencies_and_margins, *interval, mode_index
-        )
+        for speed, kind in _yield_state_changes(find_frequencies_and_margins, *interval, mode_index)
     )
     frequency_kinds = np.array([_kinds_from_margins(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
-    coriolis = coriolis_shifts(modes, speed_array[-1] * axis)
+    coriolis = coriolis_shifts(modes, speed_array[-1] * rotation_axis)
     diagram = Campbell(
         requested_scene,
         speed_array,
@@ -531,22 +533,22 @@ def report_of_campbell(diagram: Campbell) -> Report:
     """
     scene = diagram.scene
     load_order = scene.excitation.order
-    frequency_name = "frequency" if scene.in_hertz or scene.in_rpm else "omega"
+    frequency_prefix = "frequency" if scene.in_hertz or scene.in_rpm else "omega"
     orders = [load_order] if load_order else [*range(1, MAX_REPORTED_ORDER + 1)]
     notes = [text for order in orders for text in diagram.meetings(order)]
     if not notes and load_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
         notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), diagram.speed[-1])} {text}")
-    columns = ["rpm" if scene.in_rpm else "speed", "mode"]
-    columns += [
-        *(f"{frequency_name}_{kind}" for kind in diagram.kinds),
+    column_names = ["rpm" if scene.in_rpm else "speed", "mode"]
+    column_names += [
+        *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
         *(["crack"] if diagram.cracked else []),
     ]
     return Report(
         diagram.table(),
         diagram.said(),
-        printed_table=diagram.table(*columns),
+        printed_table=diagram.table(*column_names),
         notes=notes,
         remarks=remarks_on_scene(scene),
     )
@@ -560,7 +562,7 @@ def _kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
     return np.select([*(hold_margins > 0.0)], HELD_KINDS, "bilinear")
 
 
-def _iterate_state_changes(
+def _yield_state_changes(
     find_frequencies_and_margins: StateFrequencyFunction,
     lower_speed: float,
     upper_speed: float,
@@ -588,10 +590,10 @@ def _iterate_state_changes(
         yield upper_speed, upper_kind
     elif lower_kind != upper_kind:
         middle_speed = 0.5 * (lower_speed + upper_speed)
-        yield from _iterate_state_changes(
+        yield from _yield_state_changes(
             find_frequencies_and_margins, lower_speed, middle_speed, mode_index
         )
-        yield from _iterate_state_changes(
+        yield from _yield_state_changes(
             find_frequencies_and_margins, middle_speed, upper_speed, mode_index
         )
 
@@ -649,18 +651,20 @@ def _find_frequencies_and_margins(
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
     static_displacement, pair_forces = static_state(structure, structure.force[0], clearance)
     is_pressed = pair_forces > 0.0
-    openings = np.where(
+    pair_openings = np.where(
         is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]
     )
-    rest_states = np.where(np.array([no_pairs, all_pairs, is_pressed]), pair_forces, openings)
+    rest_states = np.where(np.array([no_pairs, all_pairs, is_pressed]), pair_forces, pair_openings)
     held_states = zip(rest_states, (no_pairs, all_pairs, is_pressed), strict=True)
-    state_results = [
+    frequencies_and_margins = [
         _find_held_frequencies_and_margins(
             open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
         )
         for rest_state, is_bonded in held_states
     ]
-    omega, hold_margins = (np.array(results) for results in zip(*state_results, strict=True))
+    omega, hold_margins = (
+        np.array(state_rows) for state_rows in zip(*frequencies_and_margins, strict=True)
+    )
     if is_pressed.all() or not is_pressed.any():
         hold_margins[2] = -1.0  # not partly
     return omega, hold_margins
@@ -705,19 +709,20 @@ def _find_held_frequencies_and_margins(
         modes = Modes(
             bonded_modes.omega[mode_indices], bonded_modes.shapes[:, mode_indices], structure
         )
-    pair_changes = np.abs(structure.apply_bt(modes.shapes.T)).T
+    pair_amplitudes_per_mode = np.abs(structure.apply_bt(modes.shapes.T)).T
     if is_bonded.any():
         stiffness_products, mass_products = (
-            multiply(matrix, modes.shapes) for matrix in (structure.stiffness, structure.mass)
+            multiply(stiffness_or_mass, modes.shapes)
+            for stiffness_or_mass in (structure.stiffness, structure.mass)
         )
         unbalanced_forces = bonded_gap_rows.T @ (
             mass_products * modes.omega**2 - stiffness_products
         )
-        pair_changes[is_bonded] = np.abs(
+        pair_amplitudes_per_mode[is_bonded] = np.abs(
             np.linalg.lstsq(
                 (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
             )[0]
         )
-    return modes.omega, (rest_state[:, None] - peak_amplitude_function(modes) * pair_changes).min(
-        axis=0
-    )
+    return modes.omega, (
+        rest_state[:, None] - peak_amplitude_function(modes) * pair_amplitudes_per_mode
+    ).min(axis=0)

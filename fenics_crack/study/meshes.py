@@ -42,11 +42,15 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     scene = study.scene
     with prefix_stages("a coarser mesh"):
         is_unreduced = structure.whole is structure
-        coarser_entries = structure.whole.compute_once(
+        coarser_shared_structures = structure.whole.compute_once(
             make_empty_coarser_structure_list, from_matrices=True
         )
         coarser_study = prepare(
-            coarser_scene, structure.comm, whole=is_unreduced, judged=False, last=coarser_entries
+            coarser_scene,
+            structure.comm,
+            whole=is_unreduced,
+            judged=False,
+            last=coarser_shared_structures,
         )
     element_counts = count_elements(structure), count_elements(coarser_study.structure)
     if not element_counts[1] < element_counts[0]:
@@ -55,9 +59,11 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     fine_extents, coarser_extents = (
         np.array(mesh_extents(meshed_structure.whole)) for meshed_structure in structures
     )
-    element_length = (coarser_extents.prod() / element_counts[1]) ** (1.0 / len(coarser_extents))
+    coarser_element_length = (coarser_extents.prod() / element_counts[1]) ** (
+        1.0 / len(coarser_extents)
+    )
     # Curved sides differ by less than an element.
-    if np.any(np.abs(coarser_extents - fine_extents) > element_length):
+    if np.any(np.abs(coarser_extents - fine_extents) > coarser_element_length):
         extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
         return f"mesh.coarser is another part, of {extents_text} m"
     if scene.mesh.layout == "file" and (mismatch_text := _describe_crack_mismatch(*structures)):
@@ -109,25 +115,31 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
     Area and centroid of the faces may differ by an element of the coarser mesh.
     """
-    crack_pairs = _pair_areas_and_points_of_cracks(structure)
-    coarser_crack_pairs = _pair_areas_and_points_of_cracks(coarser_structure)
-    if len(crack_pairs) != len(coarser_crack_pairs):
-        counts_text = f"{len(coarser_crack_pairs)} instead of {len(crack_pairs)}"
+    areas_and_points_of_cracks = _pair_areas_and_points_of_cracks(structure)
+    coarser_areas_and_points = _pair_areas_and_points_of_cracks(coarser_structure)
+    if len(areas_and_points_of_cracks) != len(coarser_areas_and_points):
+        counts_text = (
+            f"{len(coarser_areas_and_points)} instead of {len(areas_and_points_of_cracks)}"
+        )
         return f"mesh.coarser has another number of cracks, {counts_text}"
-    for crack_number, ((areas, points), (coarser_areas, coarser_points)) in enumerate(
-        zip(crack_pairs, coarser_crack_pairs, strict=True), 1
-    ):
-        area, coarser_area = areas.sum(), coarser_areas.sum()
-        centroid_shift = areas @ points / area - coarser_areas @ coarser_points / coarser_area
+    for crack_number, (
+        (pair_areas, pair_points),
+        (coarser_pair_areas, coarser_pair_points),
+    ) in enumerate(zip(areas_and_points_of_cracks, coarser_areas_and_points, strict=True), 1):
+        crack_area, coarser_crack_area = pair_areas.sum(), coarser_pair_areas.sum()
+        centroid_shift = (
+            pair_areas @ pair_points / crack_area
+            - coarser_pair_areas @ coarser_pair_points / coarser_crack_area
+        )
         centroid_distance = float(np.linalg.norm(centroid_shift))
         # Elements at the front have no pairs.
-        relative_tolerance = len(coarser_areas) ** (-1.0 / (points.shape[1] - 1))
-        crack_size = np.linalg.norm(np.ptp(points, axis=0))
+        relative_tolerance = len(coarser_pair_areas) ** (-1.0 / (pair_points.shape[1] - 1))
+        crack_size = np.linalg.norm(np.ptp(pair_points, axis=0))
         if (
-            abs(coarser_area - area) > relative_tolerance * area
+            abs(coarser_crack_area - crack_area) > relative_tolerance * crack_area
             or centroid_distance > relative_tolerance * crack_size
         ):
-            area_text = f"crack faces of {coarser_area:.3g} m^2 instead of {area:.3g}"
+            area_text = f"crack faces of {coarser_crack_area:.3g} m^2 instead of {crack_area:.3g}"
             crack_text = f"mesh.coarser has another crack {crack_number}"
             return f"{crack_text}: {area_text}, their middle {centroid_distance:.2g} m away"
     return ""
@@ -138,7 +150,7 @@ def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndar
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
         return []
-    pair_masks = (pairs.cracks == crack for crack in np.unique(pairs.cracks))
+    pair_masks = (pairs.cracks == crack_index for crack_index in np.unique(pairs.cracks))
     return [(pairs.areas[pair_mask], pairs.points[pair_mask]) for pair_mask in pair_masks]
 
 
@@ -160,28 +172,30 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
     if scene.has_element_lengths and element_size is not None and refinement_factor > 1.0:
         element_size = min([element_size, *scene.geometry.sides])
     if scene.has_element_lengths and n_face_elements is not None and n_face_elements > 2:
-        n_new_elements, grading, refinement_factor = _refine_graded_elements(
+        n_new_face_elements, grading, refinement_factor = _refine_graded_elements(
             n_face_elements, mesh_table.grading, refinement_factor
         )
-        key_changes |= {"mesh.lip_elements": n_new_elements, "mesh.grading": grading}
+        key_changes |= {"mesh.lip_elements": n_new_face_elements, "mesh.grading": grading}
     elif n_face_elements is not None:
-        n_new_elements = key_changes["mesh.lip_elements"] = math.ceil(
+        n_new_face_elements = key_changes["mesh.lip_elements"] = math.ceil(
             refinement_factor * n_face_elements
         )
         refinement_factor = (
             refinement_factor
-            if n_new_elements == n_face_elements
-            else n_new_elements / n_face_elements
+            if n_new_face_elements == n_face_elements
+            else n_new_face_elements / n_face_elements
         )
     if element_size is not None:
         key_changes["mesh.size"] = element_size / refinement_factor
     for key in ("columns", "rows"):
-        n_cells = getattr(mesh_table, key)
-        if n_cells is not None:
+        n_columns_or_rows = getattr(mesh_table, key)
+        if n_columns_or_rows is not None:
             key_changes[f"mesh.{key}"] = (
-                math.ceil(refinement_factor) * n_cells if refinement_factor > 1.0 else n_cells // 2
+                math.ceil(refinement_factor) * n_columns_or_rows
+                if refinement_factor > 1.0
+                else n_columns_or_rows // 2
             )
-            if refinement_factor < 1.0 and n_cells % 2:
+            if refinement_factor < 1.0 and n_columns_or_rows % 2:
                 return None
     return scene.replace(key_changes | _patch_key_changes(scene, refinement_factor))
 

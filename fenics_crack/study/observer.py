@@ -88,24 +88,32 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
 
     Requested are quantities of crack tips and the clamp.
     """
-    dofs = [displacement.dof for displacement in study.watched]
-    observed_displacements, extra_value_by_name = motion.observe(
-        dofs, make_requested_extra_rows(study)
+    watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
+    observed_displacements, requested_value_by_name = motion.observe(
+        watched_dofs, make_requested_extra_rows(study)
     )
     quantities = []
-    for displacement, (indicators, _) in zip(study.watched, observed_displacements, strict=True):
-        for name in observable_names(Place.POINT):
-            observable = OBSERVABLES_BY_NAME[name]
-            needs_words = displacement.name or name == "amplitude"
-            words = observable.words + (f", {displacement.words}" if needs_words else "")
-            column, value = displacement.column(name), getattr(indicators, name)
-            quantities.append(ObservedQuantity(column, words, value, observable.unit, name))
+    for watched_displacement, (indicators, _) in zip(
+        study.watched, observed_displacements, strict=True
+    ):
+        for quantity_name in observable_names(Place.POINT):
+            observable = OBSERVABLES_BY_NAME[quantity_name]
+            needs_words = watched_displacement.name or quantity_name == "amplitude"
+            words = observable.words + (f", {watched_displacement.words}" if needs_words else "")
+            column_name = watched_displacement.column_name(quantity_name)
+            value = getattr(indicators, quantity_name)
+            quantities.append(
+                ObservedQuantity(column_name, words, value, observable.unit, quantity_name)
+            )
     value_by_name = motion.faces | {
-        name: extra_value_by_name[name] for name in quantities_on_request(study.scene)
+        quantity_name: requested_value_by_name[quantity_name]
+        for quantity_name in quantities_on_request(study.scene)
     }
-    for name, value in value_by_name.items():
-        observable = OBSERVABLES_BY_NAME[name]
-        quantities.append(ObservedQuantity(name, observable.words, value, observable.unit, name))
+    for quantity_name, value in value_by_name.items():
+        observable = OBSERVABLES_BY_NAME[quantity_name]
+        quantities.append(
+            ObservedQuantity(quantity_name, observable.words, value, observable.unit, quantity_name)
+        )
     return quantities
 
 
@@ -124,26 +132,28 @@ class ClampReactions(NamedTuple):
 
 def compute_clamp_reactions(record: Record) -> ClampReactions:
     """Compute clamp reactions over time from a record of :func:`clamp_inertia_rows`."""
-    whole_structure, omega = record.structure.whole, record.omega
-    clamp, drag_factor = _clamp_and_rayleigh_mass_factor(whole_structure)
+    whole_structure, load_omega = record.structure.whole, record.omega
+    clamp, rayleigh_mass_factor = _clamp_and_rayleigh_mass_factor(whole_structure)
     if record.instants_per_load_period:
         return ClampReactions(
-            *clamp.reaction_of_record(record.time, record.row_products, omega, drag_factor)
+            *clamp.reaction_of_record(
+                record.time, record.row_products, load_omega, rayleigh_mass_factor
+            )
         )
-    subharmonic, base_omega = record.subharmonic, omega / record.subharmonic
+    subharmonic, base_omega = record.subharmonic, load_omega / record.subharmonic
     phases = base_omega * record.time
-    reactions = clamp.reaction_of_waves(
-        record.coefficients, base_omega, subharmonic, drag_factor, phases
+    forces_and_moments = clamp.reaction_of_waves(
+        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, phases
     )
-    return ClampReactions(*reactions)
+    return ClampReactions(*forces_and_moments)
 
 
 def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, float]:
     """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
     check_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
-    clamp, damping = whole_structure.clamp, whole_structure.damping
-    return clamp, damping.mass if isinstance(damping, RayleighDamping) else 0.0
+    clamp, damping_rule = whole_structure.clamp, whole_structure.damping
+    return clamp, damping_rule.mass if isinstance(damping_rule, RayleighDamping) else 0.0
 
 
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
@@ -152,18 +162,20 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     The columns are the structure's coordinates. Coordinates without mass have no inertia, since
     truncated modes respond quasi-statically.
     """
-    whole_structure, inertia = (
-        structure.whole,
-        _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia,
-    )
+    whole_structure = structure.whole
+    inertia_rows = _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia
     if structure is whole_structure:
-        return inertia
+        return inertia_rows
     # These modes have mass, even if some coordinates have none.
-    known_modes = structure.known_omega_and_shapes(is_bonded=False)
-    mode_shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
-    modal_inertia = whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
-    mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
-    return np.asarray(modal_inertia @ mode_shapes.T @ mass)
+    known_omega_and_shapes = structure.known_omega_and_shapes(is_bonded=False)
+    mode_shapes = (
+        np.eye(structure.n_dofs) if known_omega_and_shapes is None else known_omega_and_shapes[1]
+    )
+    inertia_rows_of_shapes = whole_structure.sum_over_ranks(
+        structure.expand(mode_shapes.T) @ inertia_rows.T
+    ).T
+    mass_matrix = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
+    return np.asarray(inertia_rows_of_shapes @ mode_shapes.T @ mass_matrix)
 
 
 # --- the tips -------------------------------------------------------------------------------------
@@ -220,11 +232,11 @@ class TipHistory(NamedTuple):
 
     def values_by_name(self) -> dict[str, float]:
         """Return the tip's quantities by name; the equivalent range only with a growth law."""
-        missing_requirements = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
+        excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
             Place.TIPS,
             self,
-            missing_requirements | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
+            excluded_flags | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
         )
 
 
@@ -243,20 +255,20 @@ def compute_tip_histories(
     force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
         Factors of the contact forces.
     """
-    tip_intensities = (record.row_products + record.forces[:, : record.n_pairs] @ force_rows.T).T
+    stress_intensities = (record.row_products + record.forces[:, : record.n_pairs] @ force_rows.T).T
     is_without_clearance = not np.any(record.structure.clearance)
     tip_histories = []
     for tip, (K_I, K_II, *K_III) in zip(
-        tips, tip_intensities.reshape(len(tips), -1, tip_intensities.shape[1]), strict=True
+        tips, stress_intensities.reshape(len(tips), -1, stress_intensities.shape[1]), strict=True
     ):
-        stated_K_I, adjacent_pair_indices = K_I, tip.adjacent_pairs
+        corrected_K_I, adjacent_pair_indices = K_I, tip.adjacent_pairs
         if is_without_clearance and len(adjacent_pair_indices):
             is_closed = np.all(record.forces[:, adjacent_pair_indices] > 0.0, axis=1)
-            stated_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
-        closed_front_error = float(np.abs(K_I - stated_K_I).max())
+            corrected_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
+        closed_front_error = float(np.abs(K_I - corrected_K_I).max())
         tip_histories.append(
             TipHistory(
-                stated_K_I,
+                corrected_K_I,
                 K_II,
                 record.periods,
                 growth_law,
@@ -298,24 +310,32 @@ def estimate_closed_front_and_mesh_errors(
         return {}, {}
     if not requested_names.intersection(quantities_on_request(coarser_study.scene)):
         return {}, dict.fromkeys(quantity_names, math.inf)
-    fronts = _collect_intensities_by_front(study, motion)
-    coarser_fronts = _collect_intensities_by_front(coarser_study, coarser_motion)
-    if min(len(positions) for positions, *_ in coarser_fronts.values()) < MIN_FRONT_STATIONS:
+    intensities_by_front = _collect_intensities_by_front(study, motion)
+    coarser_intensities_by_front = _collect_intensities_by_front(coarser_study, coarser_motion)
+    if (
+        min(
+            len(relative_positions)
+            for relative_positions, *_ in coarser_intensities_by_front.values()
+        )
+        < MIN_FRONT_STATIONS
+    ):
         return {}, dict.fromkeys(quantity_names, math.inf)
     difference_by_name = {}
     for quantity_name in quantity_names:
-        base_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
+        station_quantity_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
         differences = [
             np.interp(
-                positions, coarser_fronts[front_name][0], coarser_fronts[front_name][1][base_name]
+                relative_positions,
+                coarser_intensities_by_front[front_name][0],
+                coarser_intensities_by_front[front_name][1][station_quantity_name],
             )
-            - values_by_name[base_name]
-            for front_name, (positions, values_by_name, _) in fronts.items()
+            - values_by_name[station_quantity_name]
+            for front_name, (relative_positions, values_by_name, _) in intensities_by_front.items()
         ]
         difference_by_name[quantity_name] = max(
             float(np.abs(difference).max()) for difference in differences
         )
-    closed_error = max(front_error for _, _, front_error in fronts.values())
+    closed_error = max(front_error for _, _, front_error in intensities_by_front.values())
     return dict.fromkeys(quantity_names, closed_error), difference_by_name
 
 
@@ -333,19 +353,21 @@ def _collect_intensities_by_front(
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.records(displacement_rows)
     tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
-    front_by_name, station_names = {}, [station.name for station in stations]
+    intensities_by_front, station_names = {}, [station.name for station in stations]
     for front_name, station_indices in station_indices_by_front(station_names).items():
-        arc_lengths = np.array([stations[index].arc_length for index in station_indices])
-        histories = [tip_histories[index] for index in station_indices]
-        station_values = [history.values_by_name() for history in histories]
+        arc_lengths = np.array(
+            [stations[station_index].arc_length for station_index in station_indices]
+        )
+        station_histories = [tip_histories[station_index] for station_index in station_indices]
+        value_by_name_of_stations = [history.values_by_name() for history in station_histories]
         values_by_name = {
-            name: np.array([value_by_name[name] for value_by_name in station_values])
-            for name in station_values[0]
+            name: np.array([value_by_name[name] for value_by_name in value_by_name_of_stations])
+            for name in value_by_name_of_stations[0]
         }
-        closed_error = max(history.closed_front_error for history in histories)
+        closed_error = max(history.closed_front_error for history in station_histories)
         front_length = arc_lengths[-1] or 1.0
-        front_by_name[front_name] = arc_lengths / front_length, values_by_name, closed_error
-    return front_by_name
+        intensities_by_front[front_name] = arc_lengths / front_length, values_by_name, closed_error
+    return intensities_by_front
 
 
 def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int]]:
@@ -427,10 +449,10 @@ class _TipsAndIntensityRowsMaker:
             unit_vectors[start_index : start_index + block_size]
             for start_index in range(0, len(unit_vectors), block_size)
         ]
-        row_products = np.vstack(
+        products_with_unit_vectors = np.vstack(
             [structure.expand(unit_block) @ displacement_rows.T for unit_block in unit_blocks]
         )
-        return tips, structure.whole.sum_over_ranks(row_products).T, force_rows
+        return tips, structure.whole.sum_over_ranks(products_with_unit_vectors).T, force_rows
 
 
 def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
@@ -443,17 +465,19 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     start_index = int(values.argmax())
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
     periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
-    turning_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
-    pending_points: list[float] = []
-    cycles = []
-    for value in periodic_values[[0, *turning_indices, -1]].tolist():
-        pending_points.append(value)
-        while len(pending_points) > 2 and abs(pending_points[-1] - pending_points[-2]) >= abs(
-            pending_points[-2] - pending_points[-3]
-        ):
-            cycles.append((max(pending_points[-3:-1]), min(pending_points[-3:-1])))
-            del pending_points[-3:-1]
-    return np.array(cycles).reshape(-1, 2)
+    turning_point_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
+    pending_turning_values: list[float] = []
+    maxima_and_minima = []
+    for value in periodic_values[[0, *turning_point_indices, -1]].tolist():
+        pending_turning_values.append(value)
+        while len(pending_turning_values) > 2 and abs(
+            pending_turning_values[-1] - pending_turning_values[-2]
+        ) >= abs(pending_turning_values[-2] - pending_turning_values[-3]):
+            maxima_and_minima.append(
+                (max(pending_turning_values[-3:-1]), min(pending_turning_values[-3:-1]))
+            )
+            del pending_turning_values[-3:-1]
+    return np.array(maxima_and_minima).reshape(-1, 2)
 
 
 def _make_tip_extra_rows(study: Study) -> ExtraRows:

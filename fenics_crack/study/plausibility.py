@@ -152,67 +152,62 @@ def find_key_figures(study: Study) -> KeyFigures:
     static_gaps = structure.apply_bt(static_displacements)
     modal_gaps = structure.apply_bt(modes.shapes.T)
     modal_loads = structure.sum_over_ranks(structure.force @ modes.shapes)
-    harmonic_amplitudes = [
+    static_complex_amplitudes = [
         to_complex(fourier_rows)[1:]
         for fourier_rows in (static_displacements, static_gaps, modal_loads)
     ]
-    resting_gaps = static_gaps[0] - structure.clearance  # of an open crack
+    mean_load_gaps = static_gaps[0] - structure.clearance  # of an open crack
     pressing_forces = (
-        solve_complementarity(face_compliance, resting_gaps) if structure.n_pairs else np.zeros(0)
+        solve_complementarity(face_compliance, mean_load_gaps) if structure.n_pairs else np.zeros(0)
     )
     is_closed = pressing_forces > 0.0
-    watched_dofs = [watched.dof for watched in study.watched]
+    watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
     clamp_distances = distances_from_clamp(structure.whole, watched_dofs)
     peak_displacement, peak_rotation, peak_gap_motion, breathes = 0.0, 0.0, 0.0, False
     for omega in _list_requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
-        watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = (
-            _amplitude_bounds(
-                structure, modes, modal_damping_ratios, harmonic_amplitudes, face_compliance,
-                modal_gaps, is_closed, watched_dofs, omega,
-            )
+        (
+            watched_amplitudes, open_crack_gap_amplitudes, closed_pairs_gap_amplitudes,
+            contact_force_amplitudes,
+        ) = _amplitude_bounds(
+            structure, modes, modal_damping_ratios, static_complex_amplitudes, face_compliance,
+            modal_gaps, is_closed, watched_dofs, omega,
         )  # fmt: skip
         peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
         rotation_amplitudes = watched_amplitudes / clamp_distances
         peak_rotation = max(peak_rotation, float(rotation_amplitudes.max(initial=0.0)))
         if structure.n_pairs:
-            peak_gap_motion = max(peak_gap_motion, float(gap_amplitudes.max()))
+            peak_gap_motion = max(peak_gap_motion, float(open_crack_gap_amplitudes.max()))
             is_closing = (
-                resting_gaps - face_compliance @ pressing_forces + open_gap_amplitudes >= 0.0
+                mean_load_gaps - face_compliance @ pressing_forces + closed_pairs_gap_amplitudes
+                >= 0.0
             )
             breathes = breathes or bool(
-                np.any(np.where(is_closed, pressing_forces <= force_amplitudes, is_closing))
+                np.any(np.where(is_closed, pressing_forces <= contact_force_amplitudes, is_closing))
             )
     face_stiffness = 1.0 / np.maximum(np.diagonal(face_compliance), 1e-300)
-    contact_stiffness = (
+    pair_stiffness = (
         None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     )
     reduction = reduction_of(scene, structure)
     return KeyFigures(
         extents=mesh_extents(structure.whole),
         n_face_elements=_count_elements_along_face(scene, structure),
-        omega_open=modes.omega,
-        omega_tied=bonded_modes.omega,
+        omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
-        damping_ratios=modal_damping_ratios,
-        speed_slopes=_speed_slopes(modes),
+        damping_ratios=modal_damping_ratios, speed_slopes=_slopes_of_squared_omegas(modes),
         face_stiffness=face_stiffness,
-        stiffness_ratio=None if contact_stiffness is None else contact_stiffness / face_stiffness,
-        opening_under_mean_load=float(np.max(-resting_gaps, initial=0.0)) + 0.0,
+        stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
+        opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
         largest_static_gap_motion=float(
-            np.abs(harmonic_amplitudes[1]).sum(axis=0).max(initial=0.0)
+            np.abs(static_complex_amplitudes[1]).sum(axis=0).max(initial=0.0)
         ),
-        peak_displacement=peak_displacement,
-        peak_rotation=peak_rotation,
-        peak_gap_motion=peak_gap_motion,
-        n_closed_pairs=int(is_closed.sum()),
-        breathes=breathes,
+        peak_displacement=peak_displacement, peak_rotation=peak_rotation,
+        peak_gap_motion=peak_gap_motion, n_closed_pairs=int(is_closed.sum()), breathes=breathes,
         n_modes_below_highest_harmonic=_count_modes_below(
             structure, search_modes, highest_harmonic_omega(scene)
-        )
-        if structure.n_pairs
-        else 0,
+        ) if structure.n_pairs else 0,
         n_kept_modes=structure.n_dofs if reduction is None else reduction.n_modes,
-    )
+    )  # fmt: skip
 
 
 def _solve_modes_and_static_responses(
@@ -231,9 +226,12 @@ def _solve_modes_and_static_responses(
     face_compliance : (n_pairs, n_pairs) [m/N]
         B^T K^-1 B.
     """
-    known_modes = structure.known_omega_and_shapes(is_bonded=False)
-    max_modes = structure.n_dofs if known_modes is None else len(known_modes[0])
-    n_modes, n_search_modes = min(N_KEY_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
+    known_omega_and_shapes = structure.known_omega_and_shapes(is_bonded=False)
+    n_available_modes = (
+        structure.n_dofs if known_omega_and_shapes is None else len(known_omega_and_shapes[0])
+    )
+    n_modes = min(N_KEY_FIGURE_MODES, n_available_modes)
+    n_search_modes = min(N_SEARCH_MODES, n_available_modes)
     with Factor(structure.stiffness, definite=True) as factor:
         search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
@@ -251,12 +249,12 @@ def _amplitude_bounds(
     structure: Structure,
     modes: Modes,
     modal_damping_ratios: np.ndarray,
-    harmonic_amplitudes: Sequence[np.ndarray],
+    static_complex_amplitudes: Sequence[np.ndarray],
     face_compliance: np.ndarray,
     modal_gaps: np.ndarray,
     is_closed: np.ndarray,
     watched_dofs: Sequence[int],
-    omega: float,
+    load_omega: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return upper bounds of amplitudes at a frequency: sums over all harmonics (collective).
 
@@ -279,29 +277,43 @@ def _amplitude_bounds(
     gap_amplitudes, open_gap_amplitudes, force_amplitudes : (n_pairs,) [m], [m], [N]
         Gaps with open crack; gaps and forces with some pairs closed. Without pairs (1,), zero.
     """
-    watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = np.zeros((4, 1))
+    (
+        watched_amplitudes,
+        open_crack_gap_amplitudes,
+        closed_pairs_gap_amplitudes,
+        contact_force_amplitudes,
+    ) = np.zeros((4, 1))
     for harmonic, (static_displacement, static_gap, modal_load) in enumerate(
-        zip(*harmonic_amplitudes, strict=True), 1
+        zip(*static_complex_amplitudes, strict=True), 1
     ):
         receptance_increase = _receptance_increase(
-            modes.omega, modal_damping_ratios, harmonic * omega
+            modes.omega, modal_damping_ratios, harmonic * load_omega
         )
         modal_amplitudes = receptance_increase * modal_load
         displacement = static_displacement + modal_amplitudes @ modes.shapes.T
-        watched_parts = structure.values_at(
+        real_and_imaginary_parts = structure.values_at(
             np.stack([displacement.real, displacement.imag]), watched_dofs
         )
-        watched_amplitudes = watched_amplitudes + np.hypot(*watched_parts)
+        watched_amplitudes = watched_amplitudes + np.hypot(*real_and_imaginary_parts)
         if structure.n_pairs:
-            gap = static_gap + modal_amplitudes @ modal_gaps
+            gaps = static_gap + modal_amplitudes @ modal_gaps
             compliance = face_compliance + (modal_gaps.T * receptance_increase) @ modal_gaps
-            force = np.zeros(structure.n_pairs, dtype=complex)
+            contact_forces = np.zeros(structure.n_pairs, dtype=complex)
             closed_compliance = compliance[np.ix_(is_closed, is_closed)]
-            force[is_closed] = np.linalg.lstsq(closed_compliance, gap[is_closed], rcond=None)[0]
-            gap_amplitudes = gap_amplitudes + np.abs(gap)
-            force_amplitudes = force_amplitudes + np.abs(force)
-            open_gap_amplitudes = open_gap_amplitudes + np.abs(gap - compliance @ force)
-    return watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes
+            contact_forces[is_closed] = np.linalg.lstsq(
+                closed_compliance, gaps[is_closed], rcond=None
+            )[0]
+            open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(gaps)
+            contact_force_amplitudes = contact_force_amplitudes + np.abs(contact_forces)
+            closed_pairs_gap_amplitudes = closed_pairs_gap_amplitudes + np.abs(
+                gaps - compliance @ contact_forces
+            )
+    return (
+        watched_amplitudes,
+        open_crack_gap_amplitudes,
+        closed_pairs_gap_amplitudes,
+        contact_force_amplitudes,
+    )
 
 
 def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
@@ -331,7 +343,7 @@ def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> n
     )
 
 
-def _speed_slopes(modes: Modes) -> np.ndarray:
+def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     """Return S = d(w^2) / d(W^2) of mass-normalised modes phi: (n,); 0 without rotation.
 
     S = phi^T (K_1 + K_2 + 2 W^2 K_3) phi
@@ -360,11 +372,12 @@ def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None
     if not structure.n_pairs:
         return None
     crack_indices = structure.pairs.cracks
-    min_pairs = (
+    n_pairs_of_smallest_crack = (
         structure.n_pairs if crack_indices is None else int(np.bincount(crack_indices).min())
     )
     return math.ceil(
-        min_pairs / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order)
+        n_pairs_of_smallest_crack
+        / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order)
     )
 
 
@@ -385,8 +398,8 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     if whole_structure.nodes is None:
         return np.full(len(dofs), np.inf)
     points, node_dofs = (
-        gather_rows(whole_structure.comm, rows)
-        for rows in (whole_structure.nodes.points, whole_structure.nodes.dofs)
+        gather_rows(whole_structure.comm, local_rows)
+        for local_rows in (whole_structure.nodes.points, whole_structure.nodes.dofs)
     )
     clamp_points, longest_side = points[np.all(node_dofs < 0, axis=1)], np.ptp(points, axis=0).max()
     offsets_of_dofs = [
@@ -461,11 +474,13 @@ def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[flo
 def load_omega_range(scene: Scene, command: str) -> tuple[float, float]:
     """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
-    curve = scene.curve if command == "curve" else None
-    if curve is not None and curve.continuation_range[0] == "omega":
-        omegas = [*curve.continuation_range[1:]]
-    elif curve is not None and curve.continuation_range[0] == "speed":
-        omegas = [(scene.excitation.order or 1) * speed for speed in curve.continuation_range[1:]]
+    curve_table = scene.curve if command == "curve" else None
+    if curve_table is not None and curve_table.continuation_range[0] == "omega":
+        omegas = [*curve_table.continuation_range[1:]]
+    elif curve_table is not None and curve_table.continuation_range[0] == "speed":
+        omegas = [
+            (scene.excitation.order or 1) * speed for speed in curve_table.continuation_range[1:]
+        ]
     if command == "sweep":
         omegas = [*scene.swept_omegas]
     return min(omegas), max(omegas)
@@ -478,8 +493,8 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
     """
     if not command:
         return max(
-            highest_harmonic_omega(scene, single_command)
-            for single_command in ("solve", "curve", "sweep")
+            highest_harmonic_omega(scene, command_name)
+            for command_name in ("solve", "curve", "sweep")
         )
     harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
@@ -506,13 +521,15 @@ def propose_curve_or_none(scene: Scene, figures: KeyFigures) -> Curve | None:
     If the resonance is not known, it extends so far beyond the open and bonded frequencies of the
     mode nearest to the load. Ends are rounded outwards to three digits.
     """
-    excitation, scene_curve, resonance = scene.excitation, scene.curve, figures.load_resonance
+    excitation = scene.excitation
+    scene_curve_table = scene.curve
+    load_resonance = figures.load_resonance
     is_speed_curve = excitation.order is not None and scene.disk is None
     parameter = "frequency" if scene.in_hertz else "omega"
     if is_speed_curve:
         parameter = "rpm" if scene.in_rpm else "speed"
-    if scene_curve is not None:
-        parameter = scene_curve.parameter
+    if scene_curve_table is not None:
+        parameter = scene_curve_table.parameter
     if parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
     mode_index = int(np.argmin(np.abs(figures.omega_bilinear - excitation.omega)))
@@ -526,18 +543,19 @@ def propose_curve_or_none(scene: Scene, figures: KeyFigures) -> Curve | None:
     find_crossing_parameter = partial(
         _curve_parameter_at_crossing, scene, parameter, slope=figures.speed_slopes[mode_index]
     )
-    lowest_resonance, highest_resonance, start, stop = map(
+    lowest_resonance_parameter, highest_resonance_parameter, start, stop = map(
         find_crossing_parameter,
         (open_omega, bonded_omega, open_omega / bandwidth_factor, bonded_omega * bandwidth_factor),
     )
-    if not resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
-        lowest_resonance = highest_resonance = resonance.value
-        start, stop = min(lowest_resonance, resonance.rest), max(highest_resonance, resonance.rest)
-        start, stop = start - 3.0 * resonance.width, stop + 3.0 * resonance.width
+    if not load_resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
+        lowest_resonance_parameter = highest_resonance_parameter = load_resonance.value
+        start = min(lowest_resonance_parameter, load_resonance.rest)
+        stop = max(highest_resonance_parameter, load_resonance.rest)
+        start, stop = start - 3.0 * load_resonance.width, stop + 3.0 * load_resonance.width
     if (
-        scene_curve is not None
-        and min(scene_curve.continuation_range[1:]) <= highest_resonance
-        and max(scene_curve.continuation_range[1:]) >= lowest_resonance
+        scene_curve_table is not None
+        and min(scene_curve_table.continuation_range[1:]) <= highest_resonance_parameter
+        and max(scene_curve_table.continuation_range[1:]) >= lowest_resonance_parameter
     ):
         return None
     if not 0.0 < start < stop < math.inf:
@@ -651,19 +669,19 @@ def remarks_on_scene(
     scene: Scene, structure: Structure | None = None, figures: KeyFigures | None = None
 ) -> list[Remark]:
     """Return the remarks on a scene, its unreduced structure and its key figures (collective)."""
-    remarks = [*_find_remarks(SCENE_REMARK_RULES, scene)]
+    remarks = [*_iterate_remarks(SCENE_REMARK_RULES, scene)]
     if structure is not None:
-        remarks += _find_remarks(STRUCTURE_REMARK_RULES, scene, structure)
+        remarks += _iterate_remarks(STRUCTURE_REMARK_RULES, scene, structure)
     if figures is not None and not any(
         remark.key.startswith(SCENE_KEY_PREFIXES_OF_KEY_FIGURES) for remark in remarks
     ):
-        remarks += _find_remarks(KEY_FIGURE_REMARK_RULES, scene, figures)
+        remarks += _iterate_remarks(KEY_FIGURE_REMARK_RULES, scene, figures)
     if structure is not None:
-        remarks += _find_remarks(METHOD_REMARK_RULES, scene, structure)
+        remarks += _iterate_remarks(METHOD_REMARK_RULES, scene, structure)
     return remarks
 
 
-def _find_remarks(
+def _iterate_remarks(
     rules: Iterable[RemarkRule], scene: Scene, *rule_arguments: object
 ) -> Iterator[Remark]:
     """Yield the remarks of some rules on a scene.
@@ -697,7 +715,7 @@ def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, obje
     If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
     that has it. The list is empty if no key is given.
     """
-    entry_lists: list[list[tuple[str, object]]] = []
+    keys_and_values_by_key: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
         table_name, field_name = dotted_key.split(".")
         table_by_name = (
@@ -707,25 +725,29 @@ def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, obje
             f"{path}.{field_name}": getattr(table, field_name, None)
             for path, table in table_by_name.items()
         }
-        entry_lists.append(
+        keys_and_values_by_key.append(
             [(path, value) for path, value in value_by_key.items() if value is not None]
         )
-    given_entry_lists = [entry_list for entry_list in entry_lists if entry_list]
-    nonzero_entry_lists = [
-        entry_list
-        for entry_list in given_entry_lists
-        if any(np.any(np.asarray(value) != 0) for _, value in entry_list)
+    given_keys_and_values = [
+        keys_and_values for keys_and_values in keys_and_values_by_key if keys_and_values
     ]
-    return (nonzero_entry_lists or given_entry_lists or [[]])[0]
+    nonzero_keys_and_values = [
+        keys_and_values
+        for keys_and_values in given_keys_and_values
+        if any(np.any(np.asarray(value) != 0) for _, value in keys_and_values)
+    ]
+    return (nonzero_keys_and_values or given_keys_and_values or [[]])[0]
 
 
 # --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _side_if_longest(value: float, scene: Scene) -> float | None:
+def _side_if_longest(side_length: float, scene: Scene) -> float | None:
     """Return a plate's side [m] if it is the longest one, else None."""
     geometry = scene.geometry
-    return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
+    return (
+        side_length if side_length == max(geometry.width or 0.0, geometry.height or 0.0) else None
+    )
 
 
 def _length_over_side(length: float, side: float | None) -> float | None:
@@ -739,13 +761,13 @@ def _shorter_side(scene: Scene) -> float:
     return min((side for side in sides if side is not None), default=math.inf)
 
 
-def _thickness_over_shorter_side(value: float, scene: Scene) -> float | None:
+def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None:
     """Return a thickness over the shorter side, or None.
 
     It is None for plane problems of 1 m, which is usual, and for disks.
     """
-    is_unscaled = scene.geometry.kind == "plate" and (value == 1.0 or scene.disk is not None)
-    return None if is_unscaled else value / _shorter_side(scene)
+    is_unscaled = scene.geometry.kind == "plate" and (thickness == 1.0 or scene.disk is not None)
+    return None if is_unscaled else thickness / _shorter_side(scene)
 
 
 def _relative_distance_and_node_text(
@@ -776,7 +798,7 @@ def _relative_distance_and_node_text(
     return distances[nearest_index] / mesh_size, format_point(nearest_point)
 
 
-def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None:
+def _tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
     """Return the speed of the node farthest from the axis [m/s] (collective).
 
     None if the value is not that of the key for the rotor's speed.
@@ -785,7 +807,7 @@ def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None
     if (
         rotation_table is None
         or structure.nodes is None
-        or value != (rotation_table.rpm or rotation_table.speed)
+        or speed_value != (rotation_table.rpm or rotation_table.speed)
     ):
         return None
     if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
@@ -875,7 +897,7 @@ def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> 
     )
 
 
-def _make_frequency_unit_check(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
+def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
     """Return a function that detects a load frequency in another unit.
 
     It applies if the load frequency is near no natural frequency, but ``unit_factor`` times the
@@ -890,7 +912,7 @@ def _make_frequency_unit_check(unit_factor: float) -> Callable[..., tuple[float,
         natural_omegas = np.concatenate([figures.omega_open, figures.omega_tied])
         first_omegas = natural_omegas[[0, len(figures.omega_open)]]
         is_other_unit = not _is_near(omega, natural_omegas) and _is_near(
-            unit_factor * omega, first_omegas
+            other_unit_factor * omega, first_omegas
         )
         return (
             (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
@@ -915,13 +937,18 @@ def _missed_first_omega_and_text(
     harmonics 1/2, 1, 2 and 3. The second output is a text with the curve's end and a proposed
     range.
     """
-    curve = scene.curve
-    if curve is None or curve.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
+    curve_table = scene.curve
+    if curve_table is None or curve_table.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
     find_crossing_parameters = np.vectorize(
-        partial(_curve_parameter_at_crossing, scene, curve.parameter, slope=figures.speed_slopes[0])
+        partial(
+            _curve_parameter_at_crossing,
+            scene,
+            curve_table.parameter,
+            slope=figures.speed_slopes[0],
+        )
     )
-    curve_start, curve_end = sorted(curve.continuation_range[1:])
+    curve_start, curve_end = sorted(curve_table.continuation_range[1:])
     natural_omegas = figures.omega_open, figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (
@@ -932,14 +959,17 @@ def _missed_first_omega_and_text(
     # Modes above the last one are not computed.
     if curve_end >= find_crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
         return None
-    curve_proposal = propose_curve_or_none(scene, figures)
-    unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve.parameter][1]
-    first_range = figures.omega_open[0], figures.omega_tied[0]
-    range_text = format_in_unit(frequency_axis(True), *first_range)
-    text = f"{curve.stop:g} {unit}: the first is between {range_text}"
-    if curve_proposal is not None:
-        text += f"; start = {curve_proposal.start:g} and stop = {curve_proposal.stop:g} hold one"
-    return float(first_range[0]), text
+    proposed_curve_table = propose_curve_or_none(scene, figures)
+    unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
+    first_omega_range = figures.omega_open[0], figures.omega_tied[0]
+    range_text = format_in_unit(frequency_axis(True), *first_omega_range)
+    text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
+    if proposed_curve_table is not None:
+        text += (
+            f"; start = {proposed_curve_table.start:g} and stop = {proposed_curve_table.stop:g} "
+            "hold one"
+        )
+    return float(first_omega_range[0]), text
 
 
 def _peak_rotation_and_displacement(
@@ -980,7 +1010,7 @@ def _linear_gap_motion_and_verb(
 FACTOR_BY_MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
 ROTOR_SIZE_TEXT = "larger than any rotor"
 METAL_DAMPING_TEXT = "of critical damping, metals have 0.0001 to 0.01"
-LOAD_KEYS = "excitation.force_sin excitation.force_cos"
+FORCE_KEYS_TEXT = "excitation.force_sin excitation.force_cos"
 STIFFNESS_KEYS_TEXT = "contact.stiffness contact.stiffness_per_area"
 FIRST_FREQUENCY_TEXT_TEMPLATE = (
     "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
@@ -1088,7 +1118,7 @@ SCENE_REMARK_RULES = (
         ),
     ),
     RemarkRule(
-        LOAD_KEYS,
+        FORCE_KEYS_TEXT,
         1.0,
         1.0,
         "no force at all: excitation.force_sin, force_cos and force_mean are zero",
@@ -1155,7 +1185,7 @@ KEY_FIGURE_REMARK_RULES = (
         "curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_omega_and_text
     ),
     RemarkRule(
-        LOAD_KEYS,
+        FORCE_KEYS_TEXT,
         0.0,
         MAX_SMALL_ROTATION,
         "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "

@@ -62,7 +62,7 @@ class WatchedDisplacement:
     dof: int
     distance: float = 0.0
 
-    def column(self, quantity: str) -> str:
+    def column_name(self, quantity: str) -> str:
         """Return the column name of a quantity: "tip.ux.ratio_2_1", or "ratio_2_1"."""
         return f"{self.name}.{quantity}" if self.name else quantity
 
@@ -89,8 +89,8 @@ class Study:
     watched: tuple[WatchedDisplacement, ...]
 
     def __repr__(self) -> str:
-        parts = (self.structure, self.contact, self.scene)
-        return f"{type(self).__name__}({', '.join(map(repr, parts))})"
+        shown_objects = (self.structure, self.contact, self.scene)
+        return f"{type(self).__name__}({', '.join(map(repr, shown_objects))})"
 
 
 def prepare(
@@ -174,18 +174,22 @@ def _find_watched_displacements(
     if not scene.points:
         dof = structure.watched_dof
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
-    displacements, sector = [], structure.sector_structure  # the points belong to a blade
+    displacements, sector_structure = [], structure.sector_structure  # the points belong to a blade
     for point in scene.points:
-        point_key = f"output.points.{point.key}"
-        if sector.nodes is None:
-            raise InputError(point_key, point.values, "left out: the structure has no positions")
-        node_position, node_dofs = sector.nodes.find_nearest(sector.comm, point_key, point.values)
+        full_point_key = f"output.points.{point.key}"
+        if sector_structure.nodes is None:
+            raise InputError(
+                full_point_key, point.values, "left out: the structure has no positions"
+            )
+        node_position, node_dofs = sector_structure.nodes.find_nearest(
+            sector_structure.comm, full_point_key, point.values
+        )
         distance = float(np.linalg.norm(node_position - point.values).round(12))
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
                 name = f"{point.key}.u{axis}"
-                words, watched_sector = scene.point_names[name], structure.watched_sector
-                global_dof = structure.dof_of(watched_sector + 1, int(dof))
+                words, watched_sector_index = scene.point_names[name], structure.watched_sector
+                global_dof = structure.dof_of(watched_sector_index + 1, int(dof))
                 displacements.append(WatchedDisplacement(name, words, global_dof, distance))
     return tuple(displacements)
 
@@ -233,9 +237,11 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
         return study
     if whole_structure.has_matrices:
         estimate_and_check_memory(scene, whole_structure)
-    if (disk := scene.disk) is not None:
+    if (disk_table := scene.disk) is not None:
         wheel = study.structure.whole
-        structure = reduce_wheel(wheel, disk.families, more=disk.modes, reference=with_reference)
+        structure = reduce_wheel(
+            wheel, disk_table.families, more=disk_table.modes, reference=with_reference
+        )
         return replace(study, structure=structure)
     reduction = reduction_of(scene, whole_structure)
     if reduction is None:
@@ -337,11 +343,11 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
 
     The estimate is a sum over all ranks and includes the memory held already.
     """
-    n_dofs, n_columns = structure.n_dofs, structure.n_pairs + 1
+    n_dofs, n_static_columns = structure.n_dofs, structure.n_pairs + 1
     n_reference_modes = n_modes + max(n_modes // 2, 10) if method == "massless" else n_modes
     # Blocks of static responses, or all static responses in a basis and its reference's basis.
     static_bytes = (
-        8.0 * n_dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * n_columns)
+        8.0 * n_dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * n_static_columns)
     )
     peak_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
     return (
@@ -364,13 +370,15 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     solver_bytes = 2.0 * factor_memory(
         n_real_dofs, solid=is_solid
     ) + 16.0 * n_real_dofs * krylov_size(n_families)
-    mode_bytes = 16.0 * len(sector.nodal_diameters) * n_dofs * n_families
+    bytes_of_modes = 16.0 * len(sector.nodal_diameters) * n_dofs * n_families
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
-    n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))
-    opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_columns
+    n_opening_columns = min(
+        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members)
+    )
+    opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_opening_columns
     return _measure_held_memory(wheel) + wheel.comm.size * (
-        solver_bytes + mode_bytes + opening_bytes
+        solver_bytes + bytes_of_modes + opening_bytes
     )
 
 
@@ -389,13 +397,13 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
     old basis, the addition, and their union. The memory held already is included.
     """
     basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
-    mode_bytes = (
+    bytes_of_modes = (
         _estimate_factor_memory(structure) + _estimate_mode_memory(structure, n_modes) + basis_bytes
     )
     return (
         _measure_held_memory(structure)
         + _estimate_matrix_memory(structure)
-        + max(mode_bytes, 3.0 * basis_bytes)
+        + max(bytes_of_modes, 3.0 * basis_bytes)
     )
 
 
@@ -412,9 +420,9 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
 
 def _estimate_matrix_memory(structure: Structure) -> float:
     """Return the memory of a matrix as sparse as the stiffness [byte] (collective)."""
-    entry_bytes = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
+    bytes_per_entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
     n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    return entry_bytes * n_entries
+    return bytes_per_entry * n_entries
 
 
 def _estimate_factor_memory(structure: Structure) -> float:

@@ -212,22 +212,22 @@ def find_load_resonance(
     """
     from fenics_crack.curves.resonance import at_small_load, resonance_at  # where one is sought
 
-    balance_table, friction = scene.harmonic_balance, friction_of(law)
-    law = law if friction is None else friction.law
+    balance_table, friction_law = scene.harmonic_balance, friction_of(law)
+    law = law if friction_law is None else friction_law.law
     problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
     resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
-    rest_value = resonance.value if with_small_load_resonance else math.nan
+    small_load_value = resonance.value if with_small_load_resonance else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
     if with_small_load_resonance and (np.any(structure.force[0]) or np.any(structure.clearance)):
-        rest_value = resonance_at(at_small_load(problem), resonance.omega, parameter).value
+        small_load_value = resonance_at(at_small_load(problem), resonance.omega, parameter).value
     if resonance.several:
         return LoadResonance(
-            resonance.value, resonance.width, rest_value, unknown=SEVERAL_MODES_TEXT
+            resonance.value, resonance.width, small_load_value, unknown=SEVERAL_MODES_TEXT
         )
     solution, verdict = resonance.solution, "undecided"
     with suppress(*REFUSAL_EXCEPTIONS):
         verdict = floquet(solution.structure, solution).verdict
     amplitude = solution.amplitude()
     return LoadResonance(
-        resonance.value, resonance.width, rest_value, amplitude, resonance.error, verdict
+        resonance.value, resonance.width, small_load_value, amplitude, resonance.error, verdict
     )

@@ -138,15 +138,15 @@ class SweepGeometry:
 
     def structure_of_case(self, scene: Scene) -> Structure:
         """Return the structure with the load and clearance of a case."""
-        load_factors: float | np.ndarray = 1.0
+        load_weight_matrix: float | np.ndarray = 1.0
         if self.has_unit_loads:
-            load_factors = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
+            load_weight_matrix = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
             force_vectors = np.array(
                 [getattr(scene.excitation, force_key) for force_key in FORCE_KEYS]
             )
-            load_factors[:, -scene.dimension :] = force_vectors[:, ::-1]
+            load_weight_matrix[:, -scene.dimension :] = force_vectors[:, ::-1]
         clearance = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
-        return self.structure.varied(load=load_factors, clearance=clearance)
+        return self.structure.varied(load=load_weight_matrix, clearance=clearance)
 
 
 def build_geometry(
@@ -160,7 +160,7 @@ def build_geometry(
     scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.all_cracks})
     if request.has_unit_loads:
         dimension = scene.dimension
-        unit_force_by_key = zip(
+        keys_and_unit_forces = zip(
             FORCE_KEYS,
             np.eye(len(FORCE_KEYS), dimension, dimension - len(FORCE_KEYS))[:, ::-1],
             strict=True,
@@ -168,7 +168,7 @@ def build_geometry(
         scene = scene.replace(
             {
                 f"excitation.{key_name}": tuple(unit_force)
-                for key_name, unit_force in unit_force_by_key
+                for key_name, unit_force in keys_and_unit_forces
             }
         )
     unreduced_study = prepare(
@@ -220,10 +220,15 @@ def iterate_geometries_with_more_modes(
 
 def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
     """Return rows for displacements at the load and named points, by name (collective)."""
-    named_watches = [watch for watch in study.watched if watch.name]
-    displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
+    named_displacements = [
+        watched_displacement for watched_displacement in study.watched if watched_displacement.name
+    ]
+    displacement_rows = rows_of(
+        study.structure, [watched_displacement.dof for watched_displacement in named_displacements]
+    )
     row_by_name = {
-        watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
+        watched_displacement.name: row
+        for watched_displacement, row in zip(named_displacements, displacement_rows, strict=True)
     }
     return _find_load_point_row_by_name(study.scene, study.structure) | row_by_name
 
@@ -322,7 +327,7 @@ def solve_chunk(
             if not request.with_reduction_error:
                 value_by_column.pop("reduction_error")
             if request.with_verdicts and case.harmonic_balance.error:
-                value_by_column |= solver.assess_stability(solution)
+                value_by_column |= solver.assess_stability_by_name(solution)
                 value_by_column["status"] += value_by_column.pop("remark", "")
             value_by_column |= {"gap": solution.gap_rows, "force": solution.force_rows}
         except REFUSAL_EXCEPTIONS as error:
@@ -358,9 +363,9 @@ class CaseSolver:
             return solve_linear(structure, omega, harmonics=balance_table.harmonics)
         check_memory(structure, balance_table.harmonics)
         problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
-        neighbour, self._last_solution = self._last_solution, None
+        neighbour_solution, self._last_solution = self._last_solution, None
         self._last_solution = solve_beside(
-            problem, neighbour, balance_table.tolerance, with_errors=balance_table.error
+            problem, neighbour_solution, balance_table.tolerance, with_errors=balance_table.error
         )
         return self._last_solution
 
@@ -388,9 +393,9 @@ class CaseSolver:
         )
         resonance = None
         if is_unilateral(law) and not problem.has_friction:
-            nearest_mode = self._geometry.bilinear_frequencies.nearest(omega)
-            bilinear_frequency = float(nearest_mode["omega_bilinear"])
-            resonance = resonance_at(problem, bilinear_frequency, tolerance=balance_table.tolerance)
+            nearest_value_by_name = self._geometry.bilinear_frequencies.nearest(omega)
+            bilinear_omega = float(nearest_value_by_name["omega_bilinear"])
+            resonance = resonance_at(problem, bilinear_omega, tolerance=balance_table.tolerance)
         if resonance is None or resonance.several:
             omega, self._last_solution = self._find_peak_omega_and_solution(problem)
         else:
@@ -410,16 +415,16 @@ class CaseSolver:
             Solution at the nearest curve point.
         """
         natural_frequencies = self._geometry.bilinear_frequencies
-        nearest_mode = natural_frequencies.nearest(problem.omega)
+        nearest_value_by_name = natural_frequencies.nearest(problem.omega)
         mode_damping_ratios = damping_ratios(
             self._geometry.structure.whole, natural_frequencies.omega_open
         )
-        damping_ratio = float(mode_damping_ratios[int(nearest_mode["mode"]) - 1])
+        damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
         if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
             requirement = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
             raise InputError("damping", damping_ratio, requirement)
-        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_mode["omega_open"])
-        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_mode["omega_tied"])
+        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])
+        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_value_by_name["omega_tied"])
         response_curve = continue_frequency(
             problem.structure, start_omega, stop_omega, problem.contact,
             harmonics=problem.harmonics, samples=problem.samples, stability=False,
@@ -427,13 +432,13 @@ class CaseSolver:
         peak = response_curve.top()
         return peak.value, response_curve.solution(peak.index)
 
-    def assess_stability(self, solution: PeriodicSolution) -> CaseValues:
+    def assess_stability_by_name(self, solution: PeriodicSolution) -> CaseValues:
         """Return "verdict", "multiplier" (largest modulus) and "remark" by name.
 
         The remark says why stability is undecided, or how more modes contradict the verdict. The
         dictionary is empty without a law, and for rigid contact between crack faces with mass.
         """
-        structure, law, remark = solution.structure, solution.contact, ""
+        structure, law, remark_text = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
@@ -444,14 +449,14 @@ class CaseSolver:
                 "remark": f"; {UNDECIDED_PREFIX}no multipliers were found",
             }
         if stability.reason:
-            remark = f"; {stability.verdict}: {stability.reason}"
-        elif structure.light_lips and (more_modes := solution.assessment.more_modes):
-            contradiction = more_modes.describe_contradiction(stability.verdict)
-            remark = CONTRADICTION_PREFIX + contradiction if contradiction else ""
+            remark_text = f"; {stability.verdict}: {stability.reason}"
+        elif structure.light_lips and (more_modes_assessment := solution.assessment.more_modes):
+            contradiction_text = more_modes_assessment.describe_contradiction(stability.verdict)
+            remark_text = CONTRADICTION_PREFIX + contradiction_text if contradiction_text else ""
         return {
             "verdict": stability.verdict,
             "multiplier": abs(stability.multipliers[0]),
-            "remark": remark,
+            "remark": remark_text,
         }
 
 
@@ -464,16 +469,16 @@ def _load_and_nearest_frequency_by_column(
 
 def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Return natural frequencies by column name; there may be fewer than columns."""
-    frequency_rows = (
+    omegas_of_kinds = (
         natural_frequencies.omega_open,
         np.sort(natural_frequencies.omega_tied),
         natural_frequencies.omega_bilinear,
     )
-    kinds_and_frequencies = zip(FREQUENCY_KIND_NAMES, frequency_rows, strict=True)
+    kinds_and_omegas = zip(FREQUENCY_KIND_NAMES, omegas_of_kinds, strict=True)
     return {
         f"omega_{kind}_{mode_number}": omega
-        for kind, frequencies in kinds_and_frequencies
-        for mode_number, omega in enumerate(frequencies, 1)
+        for kind, omegas in kinds_and_omegas
+        for mode_number, omega in enumerate(omegas, 1)
     }
 
 
@@ -515,8 +520,8 @@ def _find_load_direction_row_by_name(
     at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
     """
     force_norms = np.linalg.norm(force_vector_by_part(case), axis=1)
-    row_index = (
+    part_index = (
         len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if np.any(force_norms[1:]) else 0
     )
-    norm = force_norms[row_index]
-    return {"": solution.structure.force[row_index] / norm} if norm else {}
+    force_norm = force_norms[part_index]
+    return {"": solution.structure.force[part_index] / force_norm} if force_norm else {}

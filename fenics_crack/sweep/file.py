@@ -50,7 +50,7 @@ from fenics_crack.version import VERSION
 KIND = "sweep"
 
 
-class State(IntEnum):
+class CaseState(IntEnum):
     """State of a case."""
 
     PENDING = 0
@@ -144,7 +144,7 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
 
     Named points have columns such as "tip.ux.ratio_2_1".
     """
-    requested_quantities = (
+    requested_quantity_names = (
         *(observable_names(required_flags=REQUIRES_FRICTION) if scene.has_friction else ()),
         *quantities_on_request(scene),
     )
@@ -155,7 +155,10 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     }
     return (
         UNIT_AND_TYPE_BY_COLUMN
-        | {column_name: (UNIT_BY_NAME[column_name], "f8") for column_name in requested_quantities}
+        | {
+            column_name: (UNIT_BY_NAME[column_name], "f8")
+            for column_name in requested_quantity_names
+        }
         | unit_and_type_by_point_column
     )
 
@@ -215,7 +218,7 @@ class SweepFile:
                 lock_error = _lock_file_or_return_error(self._file_descriptor)
                 self.sweep_header = new_header or _read_matching_header(path, scene)
                 self.case_states = _read_intact_states(self.sweep_header, scene)
-                if np.any(self.case_states == State.PENDING):  # else nothing is written
+                if np.any(self.case_states == CaseState.PENDING):  # else nothing is written
                     if lock_error:
                         raise lock_error
                     _check_omitted(self.sweep_header, omitted_options)
@@ -224,7 +227,9 @@ class SweepFile:
                 raise
         self.is_new = new_header is not None
 
-    def record(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+    def write_pending_cases(
+        self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]
+    ) -> None:
         """Write the given cases that are still pending.
 
         Parameters
@@ -239,20 +244,20 @@ class SweepFile:
         InputError
             The disk is full, or the file was moved; earlier cases stay written.
         """
-        pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == State.PENDING)
+        pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == CaseState.PENDING)
         if len(pending_positions):
-            self.write(
+            self.write_cases(
                 case_numbers[pending_positions],
                 [cases[pending_position] for pending_position in pending_positions],
             )
 
-    def write(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+    def write_cases(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write cases by number (n,): all values first, then the states."""
         if not self._is_at_path():
             requirement = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement)
         case_states = np.array(
-            [State.CONVERGED if "gap" in case else State.FAILED for case in cases]
+            [CaseState.CONVERGED if "gap" in case else CaseState.FAILED for case in cases]
         )
         waves_by_name = {
             wave_name: [case.get(wave_name, np.zeros((0, 0))) for case in cases]
@@ -278,7 +283,7 @@ class SweepFile:
             column_by_name, case_states
         )
         with report_write_errors(self._path, "path"):
-            self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
+            self._write_column("state", case_numbers, np.full(len(case_states), CaseState.PENDING))
             for wave_name, waves in waves_by_name.items():
                 if wave_name in self.sweep_header.columns:
                     self._write_column(
@@ -322,10 +327,10 @@ class SweepFile:
             return False
 
 
-def _lock_file_or_return_error(descriptor: int) -> OSError | None:
+def _lock_file_or_return_error(file_descriptor: int) -> OSError | None:
     """Lock an open file; return the error if another program holds the lock."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file_descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         return error
     return None
@@ -368,7 +373,9 @@ def _make_file_and_header_or_none(
         with (
             partial_file(path, must_be_new=True) as hidden_path,
             open(hidden_path, "wb", buffering=0) as new_file,
-            open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
+            open(
+                os.memfd_create("sweep"), "w+b", buffering=0
+            ) as memory_file,  # zeros take no memory
         ):
             dataset_bytes = (
                 math.prod(dataset_shape) * np.dtype(type_name).itemsize
@@ -377,9 +384,9 @@ def _make_file_and_header_or_none(
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
             new_file.truncate(sum(dataset_bytes))
             sweep_header = _write_datasets_and_make_header(
-                image, path, scene, unit_type_shape_by_dataset, omitted_options
+                memory_file, path, scene, unit_type_shape_by_dataset, omitted_options
             )
-            _copy_written_parts(image.fileno(), new_file.fileno())
+            _copy_written_parts(memory_file.fileno(), new_file.fileno())
         return sweep_header
     return None
 
@@ -401,13 +408,13 @@ def _write_datasets_and_make_header(
         store.write_header(hdf5_file, KIND, scene)
         hdf5_file.attrs["omitted"] = " ".join(omitted_options)
         # Kept as written, since reading them takes longer.
-        attribute_by_path, column_by_name = store.attribute_texts(hdf5_file), {}
+        attribute_text_by_path, located_column_by_name = store.attribute_texts(hdf5_file), {}
         for dataset_name, (unit, type_name, dataset_shape) in unit_type_shape_by_dataset.items():
             creation_properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             creation_properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
             # A new file has zeros: State.PENDING.
             creation_properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-            column = hdf5_file.create_dataset(
+            hdf5_dataset = hdf5_file.create_dataset(
                 dataset_name, dataset_shape, type_name, dcpl=creation_properties
             )
             description_text = _describe_column(dataset_name)
@@ -415,14 +422,14 @@ def _write_datasets_and_make_header(
                 {"about": description_text} if description_text else {}
             )
             for attribute_name, attribute_text in attribute_text_by_name.items():
-                column.attrs[attribute_name] = attribute_text
-                attribute_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
-            column_by_name[dataset_name] = store.locate_column(column)
-        attribute_by_path["digest"] = store.content_digest(
-            attribute_by_path, store.column_texts(column_by_name)
+                hdf5_dataset.attrs[attribute_name] = attribute_text
+                attribute_text_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
+            located_column_by_name[dataset_name] = store.locate_column(hdf5_dataset)
+        attribute_text_by_path["digest"] = store.content_digest(
+            attribute_text_by_path, store.column_texts(located_column_by_name)
         )
-        hdf5_file.attrs["digest"] = attribute_by_path["digest"]
-        return store.StoredFile(path, attribute_by_path, {}, column_by_name)
+        hdf5_file.attrs["digest"] = attribute_text_by_path["digest"]
+        return store.StoredFile(path, attribute_text_by_path, {}, located_column_by_name)
 
 
 def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
@@ -531,10 +538,10 @@ def _check_omitted(sweep_header: store.StoredFile, omitted_options: Sequence[str
 
 def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return unit and type of all columns in a file, by name."""
-    checksum_formats = dict.fromkeys(
+    unit_and_type_by_checksum = dict.fromkeys(
         (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")
     )
-    return {"state": ("", "u1")} | unit_and_type_by_column(scene) | checksum_formats
+    return {"state": ("", "u1")} | unit_and_type_by_column(scene) | unit_and_type_by_checksum
 
 
 def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
@@ -543,7 +550,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refusal("a sweep with its scene")
-    n_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
+    n_column_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
     for column_name in sorted(
         unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
     ):
@@ -554,8 +561,8 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
             raise sweep_header.refusal("a whole sweep")
-        n_bytes += stored_column.size
-    if n_bytes > MAX_FILE_BYTES:
+        n_column_bytes += stored_column.size
+    if n_column_bytes > MAX_FILE_BYTES:
         raise sweep_header.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene
 
@@ -615,12 +622,12 @@ def _replace_unconfirmed_states(
     """
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
-    case_states = np.full(len(stored_states), State.PENDING, stored_states.dtype)
+    case_states = np.full(len(stored_states), CaseState.PENDING, stored_states.dtype)
     written_column_by_name = {
         column_name: column_values[written_case_numbers]
         for column_name, column_values in column_by_name.items()
     }
-    for candidate_state in (State.CONVERGED, State.FAILED):
+    for candidate_state in (CaseState.CONVERGED, CaseState.FAILED):
         is_confirmed = (
             _compute_case_checksums(
                 written_column_by_name, np.full(len(written_case_numbers), candidate_state)
@@ -628,7 +635,7 @@ def _replace_unconfirmed_states(
             == stored_checksums[written_case_numbers]
         )
         case_states[written_case_numbers[is_confirmed]] = candidate_state
-    is_damaged = (case_states == State.PENDING) & (stored_states != State.PENDING)
+    is_damaged = (case_states == CaseState.PENDING) & (stored_states != CaseState.PENDING)
     return {"state": case_states} | column_by_name, is_damaged
 
 
@@ -637,9 +644,9 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
     case_states: np.ndarray = _read_columns_and_find_damage(sweep_header, scene)[0][
         "state"
     ].reshape(scene.given("sweep").shape)
-    for index in np.argwhere(case_states == State.CONVERGED):
+    for index in np.argwhere(case_states == CaseState.CONVERGED):
         if _read_intact_waves(sweep_header, tuple(map(int, index))) is None:
-            case_states[tuple(index)] = State.PENDING
+            case_states[tuple(index)] = CaseState.PENDING
     return case_states
 
 
@@ -670,9 +677,9 @@ def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.n
             ),
         )
         if column_name != "state":
-            column_values[flat_column_by_name["state"] == State.PENDING] = BLANK_VALUE_BY_TYPE_KIND[
-                column_values.dtype.kind
-            ]
+            column_values[flat_column_by_name["state"] == CaseState.PENDING] = (
+                BLANK_VALUE_BY_TYPE_KIND[column_values.dtype.kind]
+            )
         is_text = column_values.dtype.kind == "S"
         column_by_name[column_name] = (
             np.char.decode(column_values, "utf-8", "replace") if is_text else column_values
@@ -704,7 +711,7 @@ def _read_intact_waves(
     stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:
         case_number = int(np.ravel_multi_index(index, stored_column_by_name["state"].shape))
-        n_rows = (
+        n_coefficients = (
             2 * int(stored_column_by_name["harmonics"].read_numbers(file_path, case_number, 1)[0])
             + 1
         )
@@ -712,22 +719,25 @@ def _read_intact_waves(
             file_path, case_number, 1
         )[0]
         for wave_name in UNIT_BY_WAVE:
-            max_rows, n_columns = (
+            n_stored_coefficients, n_gap_rows = (
                 stored_column_by_name[wave_name].shape[-2:]
                 if wave_name in stored_column_by_name
-                else (n_rows, 0)
+                else (n_coefficients, 0)
             )
-            wave_start = case_number * max_rows * n_columns
-            n_values = n_rows * n_columns
+            wave_start = case_number * n_stored_coefficients * n_gap_rows
+            n_values = n_coefficients * n_gap_rows
             wave = (
                 stored_column_by_name[wave_name].read_numbers(file_path, wave_start, n_values)
                 if n_values
                 else np.zeros(0)
             )
-            waves.append(wave.reshape(n_rows, n_columns))
+            waves.append(wave.reshape(n_coefficients, n_gap_rows))
     except (OSError, ValueError, KeyError):
         return None
-    is_finite_column = np.isfinite(waves[0][0])
-    gap, force = (np.ascontiguousarray(wave[:, is_finite_column]) for wave in waves)
-    is_intact = n_rows <= max_rows and _compute_waves_checksum(gap, force) == stored_checksum
+    is_used_gap_row = np.isfinite(waves[0][0])
+    gap, force = (np.ascontiguousarray(wave[:, is_used_gap_row]) for wave in waves)
+    is_intact = (
+        n_coefficients <= n_stored_coefficients
+        and _compute_waves_checksum(gap, force) == stored_checksum
+    )
     return (gap, force) if is_intact else None

@@ -32,7 +32,7 @@ from fenics_crack.sweep.case import (
     build_geometry,
     solve_chunk,
 )
-from fenics_crack.sweep.file import State, SweepFile
+from fenics_crack.sweep.file import CaseState, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
 
@@ -191,14 +191,14 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
     receive_request = comm.irecv(message_buffer, message_status.source, message_status.tag)
-    test_result = list[Any]()
+    arrival_and_message = list[Any]()
 
     def has_arrived() -> bool:
-        test_result[:] = receive_request.test()
-        return bool(test_result[0])
+        arrival_and_message[:] = receive_request.test()
+        return bool(arrival_and_message[0])
 
     wait_until(has_arrived)
-    return test_result[1]
+    return arrival_and_message[1]
 
 
 class Manager:
@@ -210,10 +210,12 @@ class Manager:
         chunk_case_numbers_by_geometry = {
             geometry_number: [
                 case_numbers
-                for case_numbers in chunks
-                if np.any(sweep_file.case_states.flat[case_numbers] == State.PENDING)
+                for case_numbers in chunk_case_numbers
+                if np.any(sweep_file.case_states.flat[case_numbers] == CaseState.PENDING)
             ]
-            for geometry_number, chunks in enumerate(plan.chunk_case_numbers_by_geometry)
+            for geometry_number, chunk_case_numbers in enumerate(
+                plan.chunk_case_numbers_by_geometry
+            )
         }
         # The longest jobs first: the last ones are what ranks wait for.
         ordered_geometry_numbers = sorted(
@@ -230,7 +232,7 @@ class Manager:
         """Number of the present or next geometry, by rank."""
         self._n_jobs_sent, self._n_recorded_chunks = 0, 0
         """Jobs at the other ranks, and chunks written."""
-        self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == State.FAILED))
+        self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == CaseState.FAILED))
         from tqdm import tqdm
 
         bar_options = {"desc": "sweep", "unit": "case", "disable": not progress}
@@ -241,7 +243,7 @@ class Manager:
     @property
     def _n_finished_cases(self) -> int:
         """Number of converged and failed cases."""
-        return int(np.count_nonzero(self._sweep_file.case_states != State.PENDING))
+        return int(np.count_nonzero(self._sweep_file.case_states != CaseState.PENDING))
 
     def progress_text(self) -> str:
         """Return how many cases are finished, as a text."""
@@ -311,9 +313,9 @@ class Manager:
     def _receive_outcome(self, comm: MPI.Comm) -> None:
         """Receive a rank's message: record an outcome, or answer a finished job."""
         message_status = MPI.Status()
-        numbers_and_outcome = _receive_message(comm, message_status)
-        if numbers_and_outcome is not None:
-            self._record_outcome(*numbers_and_outcome)
+        case_numbers_and_outcome = _receive_message(comm, message_status)
+        if case_numbers_and_outcome is not None:
+            self._record_outcome(*case_numbers_and_outcome)
             return
         self._n_jobs_sent -= 1
         self._send_job(comm, message_status.source)
@@ -339,13 +341,19 @@ class Manager:
                 key=lambda number: len(self._remaining_case_numbers_by_geometry[number]),
             )
         self._geometry_by_rank[rank] = geometry_number
-        chunks = self._remaining_case_numbers_by_geometry[geometry_number]
-        is_one_job = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
-        n_job_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
-        self._remaining_case_numbers_by_geometry[geometry_number] = chunks[n_job_chunks:]
+        chunk_case_numbers = self._remaining_case_numbers_by_geometry[geometry_number]
+        is_whole_geometry = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
+        n_job_chunks = (
+            len(chunk_case_numbers)
+            if is_whole_geometry
+            else -(-len(chunk_case_numbers) // (2 * self._n_ranks))
+        )
+        self._remaining_case_numbers_by_geometry[geometry_number] = chunk_case_numbers[
+            n_job_chunks:
+        ]
         if not self._remaining_case_numbers_by_geometry[geometry_number]:
             del self._remaining_case_numbers_by_geometry[geometry_number]
-        return Job(geometry_number, tuple(chunks[:n_job_chunks]))
+        return Job(geometry_number, tuple(chunk_case_numbers[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
         """Write a chunk's cases; an error ends the sweep."""
@@ -353,7 +361,7 @@ class Manager:
             self._end_with_error(outcome)
             return
         try:
-            self._sweep_file.record(case_numbers, outcome)
+            self._sweep_file.write_pending_cases(case_numbers, outcome)
         except InputError as error:
             self._end_with_error(error)
             return

@@ -70,7 +70,7 @@ from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
     KIND,
     UNDECIDED_PREFIX,
-    State,
+    CaseState,
     SweepFile,
     load_column_name,
     read_columns,
@@ -83,7 +83,7 @@ from fenics_crack.sweep.plan import Plan
 
 SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
 """Describes scenes for which no largest response over the frequency is sought."""
-STATE_NAMES = np.array([state.name.lower() for state in State])
+STATE_NAMES = np.array([state.name.lower() for state in CaseState])
 """Names of the states, by state."""
 
 
@@ -173,8 +173,9 @@ def run_sweep(
             ),
         )
 
-    request = on_root(comm, start)
-    worker, job_comm = Worker(request, managers[0].plan if managers else Plan(scene)), comm.Dup()
+    case_request = on_root(comm, start)
+    worker = Worker(case_request, managers[0].plan if managers else Plan(scene))
+    job_comm = comm.Dup()
     with StopRequest() as stop_request:
         if managers:
             with add_progress_text(managers[0].progress_text):
@@ -273,12 +274,12 @@ class SweepResult(Tabular):
     @property
     def complete(self) -> bool:
         """True if all cases were tried."""
-        return not np.any(self["state"] == State.PENDING)
+        return not np.any(self["state"] == CaseState.PENDING)
 
     @property
     def converged(self) -> np.ndarray:
         """True for cases that were solved: bool in the shape of the axes."""
-        return self["state"] == State.CONVERGED
+        return self["state"] == CaseState.CONVERGED
 
     @property
     def errors(self) -> np.ndarray:
@@ -286,7 +287,7 @@ class SweepResult(Tabular):
 
         The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`.
         """
-        return np.nan_to_num([self[f"{error_part}_error"] for error_part in ERROR_PARTS])
+        return np.nan_to_num([self[f"{error_part_name}_error"] for error_part_name in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
@@ -301,12 +302,12 @@ class SweepResult(Tabular):
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case that could not be solved."""
-        return self._find_cases_and_statuses(self["state"] == State.FAILED)
+        return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
     @property
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case with undecided stability."""
-        indices_and_statuses = self._find_cases_and_statuses(
+        indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] == "undecided")
         )
         return [
@@ -322,7 +323,7 @@ class SweepResult(Tabular):
         mass. This step finds two in three. :func:`fenics_crack.solve` finds the orbit of a single
         case.
         """
-        indices_and_statuses = self._find_cases_and_statuses(
+        indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
         )
         return [
@@ -331,7 +332,7 @@ class SweepResult(Tabular):
             if (contradiction := status.partition(CONTRADICTION_PREFIX)[2])
         ]
 
-    def _find_cases_and_statuses(
+    def _find_indices_and_statuses(
         self, is_selected: np.ndarray
     ) -> list[tuple[tuple[int, ...], str]]:
         """Return index and status of each selected case."""
@@ -354,10 +355,8 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         case_index = self._find_converged_index(index)
-        gap_rows, case = (
-            read_waves(self.path, case_index)[0],
-            Plan(self.scene).scene_or_reason_at(case_index),
-        )
+        gap_rows = read_waves(self.path, case_index)[0]
+        case = Plan(self.scene).scene_or_reason_at(case_index)
         assert isinstance(case, Scene)
         return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
 
@@ -407,8 +406,8 @@ class SweepResult(Tabular):
             "error_displacement": 0.0,
         }
         value_by_field |= {
-            f"error_{error_part}": float(self[f"{error_part}_error"][case_index])
-            for error_part in ERROR_PARTS
+            f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
+            for error_part_name in ERROR_PARTS
         }
         if problem.has_projected_constraint:
             value_by_field["weight"] = default_projection_weight(problem.compliance())
@@ -445,8 +444,8 @@ class SweepResult(Tabular):
                 label_and_unit_by_column[quantity_name] = label, unit
             elif label_by_point:
                 label_and_unit_by_column |= {
-                    f"{point}.{quantity_name}": (f"{label}, {point_label}", unit)
-                    for point, point_label in label_by_point.items()
+                    f"{point_name}.{quantity_name}": (f"{label}, {point_label}", unit)
+                    for point_name, point_label in label_by_point.items()
                 }
             else:
                 label_and_unit_by_column[load_column_name(quantity_name)] = (
@@ -512,7 +511,7 @@ class SweepResult(Tabular):
 
     def said(self) -> Conclusion:
         """Return what the last printed sentence says about the sweep."""
-        is_converged, clauses = self.converged, []
+        is_converged, clause_texts = self.converged, []
         total_errors = self.errors.sum(axis=0)[is_converged]
         cases_text = format_count(is_converged.size, "case")
         if np.any(
@@ -522,17 +521,17 @@ class SweepResult(Tabular):
                 int(np.nanargmax(converged_responses)), converged_responses.shape
             )
             response_text = format_quantity(float(converged_responses[peak_index]), "m")
-            clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
-            clauses[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
-        max_error = total_errors.max(initial=0.0)
+            clause_texts.append(f"the largest response is {response_text} half peak-to-peak at ")
+            clause_texts[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
+        largest_error = total_errors.max(initial=0.0)
         n_unknown_errors = int(np.sum(total_errors >= UNKNOWN_ERROR))
         if not self.scene.harmonic_balance.error:
-            clauses.append(
+            clause_texts.append(
                 "errors and stability are not estimated (harmonic_balance.error = false)"
             )
-        elif max_error > 0.0 and not n_unknown_errors:
-            error_text = format_error(max_error)
-            clauses.append(f"largest estimated error by modes and harmonics {error_text}")
+        elif largest_error > 0.0 and not n_unknown_errors:
+            error_text = format_error(largest_error)
+            clause_texts.append(f"largest estimated error by modes and harmonics {error_text}")
         verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
         verdict_texts = [
             f"{verdict_count} {verdict}"
@@ -543,7 +542,7 @@ class SweepResult(Tabular):
             "sweep complete"
             if is_converged.all()
             else f"{is_converged.sum()} of {cases_text} converged",
-            ", ".join(clauses),
+            ", ".join(clause_texts),
             f"it could not be estimated in {format_count(n_unknown_errors, 'case')}"
             if n_unknown_errors
             else "",
@@ -580,20 +579,25 @@ def has_omitted_options(sweep_header: StoredFile) -> bool:
 
 
 def iterate_texts_by_reason(
-    sweep: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], outcome_text: str
+    sweep: SweepResult,
+    indices_and_reasons: Sequence[tuple[tuple[int, ...], str]],
+    outcome_text: str,
 ) -> Iterator[str]:
     """Describe cases with reasons, grouped; reasons that differ only in numbers are equal."""
-    cases_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in reasons:
-        cases_by_pattern.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append(
-            (index, reason)
+    indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
+    for index, reason in indices_and_reasons:
+        indices_and_reasons_by_pattern.setdefault(
+            re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []
+        ).append((index, reason))
+    groups = sorted(indices_and_reasons_by_pattern.values(), key=len, reverse=True)
+    n_described_groups = 4
+    for group_indices_and_reasons in groups[:n_described_groups]:
+        index, reason = group_indices_and_reasons[0]
+        count_text = (
+            f"{format_count(len(group_indices_and_reasons), 'case')} {outcome_text}, the first at"
         )
-    case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
-    for group_cases in case_groups[:n_shown]:
-        index, reason = group_cases[0]
-        count_text = f"{format_count(len(group_cases), 'case')} {outcome_text}, the first at"
         yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
-    if further_groups := case_groups[n_shown:]:
+    if further_groups := groups[n_described_groups:]:
         n_further_cases = sum(map(len, further_groups))
         yield (
             f"{format_count(n_further_cases, 'case')} {outcome_text} for other reasons: "
