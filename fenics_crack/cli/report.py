@@ -201,7 +201,7 @@ def _draw_curves(
         )
     if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
         raise InputError("result", sorted(parameter_names), "curves in one parameter")
-    watched_names = {curve_run.watched_name for curve_run in curve_runs}
+    watched_names = {curve_run.watched_description for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
     [axes] = picture = Picture(
         size=(7.0, 4.6), path=picture_folder / f"overlay_curve.{picture_format}", title=title

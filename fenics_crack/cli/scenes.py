@@ -41,8 +41,8 @@ from fenics_crack.study.plausibility import (
 from fenics_crack.study.prepare import (
     Study,
     estimate_and_check_memory,
+    modal_reduction_or_none,
     prepare,
-    reduction_of,
     release_freed_memory,
 )
 from fenics_crack.study.resonance import find_study_resonance
@@ -308,7 +308,7 @@ def describe_harmonics(scene: Scene) -> int | str:
 def _describe_reduction(study: Study) -> str:
     """Describe the reduction of a structure in words."""
     scene = study.scene
-    scene_reduction = reduction_of(scene, study.structure)
+    scene_reduction = modal_reduction_or_none(scene, study.structure)
     mode_counts = candidate_mode_counts(study)
     if scene_reduction is None:
         return "none"
@@ -372,7 +372,7 @@ def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_o
     A massless reduction damps all further modes by the last ratio of the scene: if this is above
     zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
     """
-    scene_reduction = reduction_of(scene, structure)
+    scene_reduction = modal_reduction_or_none(scene, structure)
     damping_ratio = None if scene.damping is None else scene.damping.ratio
     if (
         scene_reduction is not None

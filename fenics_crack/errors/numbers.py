@@ -101,8 +101,8 @@ def numbers_of(
             number.unit, 0.0
         )
         if abs(value) > min_size or (place.on_request and value == 0.0):
-            values[number.column] = value
-            units[number.column] = number.unit.replace("1", "")
+            values[number.column_name] = value
+            units[number.column_name] = number.unit.replace("1", "")
     resonance, mode = _add_frequencies(study, motion.omega, mode, values, units)
     return Numbers(values, units, resonance, mode)
 

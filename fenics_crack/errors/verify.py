@@ -42,9 +42,9 @@ from fenics_crack.study.meshes import count_elements, has_similar_finer_mesh, re
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
+    modal_reduction_or_none,
     prepare,
     reduce_study,
-    reduction_of,
 )
 from fenics_crack.study.solve import SolvedStudy, solve_study
 
@@ -131,7 +131,7 @@ def _settled_scene(run: SolvedStudy) -> Scene:
         changes["harmonic_balance.harmonics"] = run.result.harmonics
     if scene.disk is not None:
         return scene.replace(changes)
-    reduction = reduction_of(scene, whole_structure)
+    reduction = modal_reduction_or_none(scene, whole_structure)
     if reduction is None or reduction.n_modes >= whole_structure.n_dofs:
         changes |= {"reduction.method": "off", "reduction.modes": None}
     else:
@@ -144,7 +144,7 @@ def _kept_modes(study: Study) -> tuple[int, int] | str:
 
     The numbers for a disk count modes per nodal diameter.
     """
-    disk, reduction = study.scene.disk, reduction_of(study.scene, study.structure)
+    disk, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
     if disk is not None:
         return disk.families, study.structure.n_dofs // disk.sectors
     if reduction is None:

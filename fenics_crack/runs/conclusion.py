@@ -52,7 +52,7 @@ class StudyWithResult(Study):
     stated: Verification | None
 
     @property
-    def watched_name(self) -> str:
+    def watched_description(self) -> str:
         """Name of the watched dof in words."""
         return self.watched[0].words
 
@@ -104,7 +104,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     return ", ".join(filter(None, (error_text, run.stated.left_out)))
 
 
-def explain_unknown_error(run: StudyWithResult) -> str:
+def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
     """Return why the watched amplitude's error is unknown, by the stated errors.
 
     Empty if the error is known or no errors are stated, and for large structures.
@@ -117,7 +117,11 @@ def explain_unknown_error(run: StudyWithResult) -> str:
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
     """Return why a solution's error is unknown, by its report or stated errors."""
     error_report = run.result.report
-    return not_estimated(error_report) if error_report.unknown else explain_unknown_error(run)
+    return (
+        not_estimated(error_report)
+        if error_report.unknown
+        else explain_unknown_amplitude_error(run)
+    )
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
@@ -177,7 +181,7 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
     misses_tolerance = tolerance is not None and error_report.total > tolerance
     return Conclusion(
         "solved, but the tolerance is missed" if misses_tolerance else "solved",
-        f"at {frequency_text} the {run.watched_name} is {amplitude_text} half "
+        f"at {frequency_text} the {run.watched_description} is {amplitude_text} half "
         f"peak-to-peak{error_text}",
         unknown_error_reason,
         ["nothing vibrates"]
@@ -233,13 +237,17 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     curve_axis = parameter_axis(response_curve.parameter, run.scene.in_hertz)
     amplitude_text = format_quantity(peak.amplitude, "m")
     location_text = format_in_unit(curve_axis, peak.value)
-    unknown_error_reason, fallback_text = explain_unknown_error(run), ", its error is not estimated"
+    unknown_error_reason = explain_unknown_amplitude_error(run)
+    fallback_text = ", its error is not estimated"
     error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=fallback_text)
     answer_text = (
-        f"the largest response of the {run.watched_name} is {amplitude_text} half peak-to-peak"
+        f"the largest response of the {run.watched_description} is {amplitude_text} "
+        "half peak-to-peak"
     )
     if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
-        answer_text = f"the response of the {run.watched_name} grows up to where the curve ended, "
+        answer_text = (
+            f"the response of the {run.watched_description} grows up to where the curve ended, "
+        )
         answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
     elif peak.at_end:
         answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
@@ -270,7 +278,8 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
 def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
     history: TimeHistory = run.result
-    integration_table, displacement_name = run.scene.integration or Integration(), run.watched_name
+    integration_table = run.scene.integration or Integration()
+    displacement_name = run.watched_description
     if integration_table.free:
         displacement = history.displacement([run.watched_dof])[:, 0]
         period_amplitudes = np.ptp(history.by_period(displacement), axis=1) / 2.0

@@ -29,13 +29,13 @@ from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
     estimate_and_check_memory,
-    reduction_of,
+    modal_reduction_or_none,
 )
 from fenics_crack.study.solve import (
     MAX_MODES_FOR_MANY_SOLUTIONS,
     candidate_mode_counts,
     iterate_studies_with_more_modes,
-    prepare_unreduced_study,
+    prepare_unreduced_if_scene,
     required_contact_law,
     with_friction_lines,
 )
@@ -167,7 +167,7 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
     """
     scene = source.scene if isinstance(source, Study) else source
     parameter, start, stop = scene.given("curve").continuation_range
-    unreduced_study = prepare_unreduced_study(source, comm)
+    unreduced_study = prepare_unreduced_if_scene(source, comm)
     if parameter != "speed":
         yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
@@ -184,7 +184,7 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
             next(candidate_studies), candidate_studies, engine_order * start, engine_order * stop
         )
         unreduced_study = replace(unreduced_study, scene=study.scene)
-    reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
+    reduction = modal_reduction_or_none(unreduced_study.scene, unreduced_study.structure)
     n_default_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, unreduced_study.structure.n_dofs)
     n_modes = n_default_modes if reduction is None else reduction.n_modes
     structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)

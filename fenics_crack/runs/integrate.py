@@ -87,7 +87,7 @@ def integrate(
             static_structure, omega, law, harmonics=min_harmonics
         )
     elif earlier_motion_file is not None:
-        start_state = _start_state(
+        start_state = _start_state_from_run(
             make_run_from_file(earlier_motion_file, comm, with_reference=False),
             structure,
             integration_table,
@@ -151,7 +151,7 @@ def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
     return motion_file
 
 
-def _start_state(
+def _start_state_from_run(
     earlier_run: Run[Any], structure: Structure, integration_table: Integration
 ) -> tuple[np.ndarray, ...]:
     """Return the state of an earlier motion of the same mesh for a structure (collective).

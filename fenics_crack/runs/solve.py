@@ -17,7 +17,7 @@ from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import prepare_unreduced_study, solve_study
+from fenics_crack.study.solve import prepare_unreduced_if_scene, solve_study
 
 N_DEFAULT_MODES = 6
 """Default number of modes that are found."""
@@ -83,7 +83,7 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved_study = solve_study(prepare_unreduced_study(scene, comm))
+    solved_study = solve_study(prepare_unreduced_if_scene(scene, comm))
     return _with_rest_motion_outcome(Run(**vars(solved_study)))
 
 

@@ -47,9 +47,9 @@ from fenics_crack.study.meshes import make_coarser_scene_or_reason, prepare_coar
 from fenics_crack.study.prepare import Study, prepare, reduce_study
 from fenics_crack.study.sharing import (
     SharedStructure,
-    load_dependencies,
+    dependencies_of_load,
+    dependencies_of_structure,
     make_empty_coarser_structure_list,
-    structure_dependencies,
 )
 from fenics_crack.study.solve import (
     MAX_MODES_FOR_MANY_SOLUTIONS,
@@ -178,10 +178,10 @@ class PreparedStructure:
 
         Parameters
         ----------
-        load_weights : (n, 2K+1)
+        load_weight_matrix : (n, 2K+1)
             Matrix from the load rows of the file to those of the scene.
         """
-        n_dofs, n_pairs = self._check_and_count_dofs(), len(self.clearance)
+        n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
 
         def local_matrix(sparse_rows: SparseRows | None, n_columns: int) -> Any:
@@ -233,7 +233,7 @@ class PreparedStructure:
             receptance(structure, 1)
         return structure
 
-    def _check_and_count_dofs(self) -> int:
+    def _check_arrays_and_count_dofs(self) -> int:
         """Return the number of dofs; ValueError unless all shapes and values are valid."""
         nodes, watched_pair_indices = self.nodes, np.array([*self.pairs.places.values()])
         array_by_name = {
@@ -303,7 +303,7 @@ class PreparedFile:
     ) -> SharedStructure:
         """Make a scene's structure with its coarser structure, if any (collective).
 
-        ``load_weights`` are as in :meth:`PreparedStructure.make_structure`.
+        ``load_weight_matrix`` is as in :meth:`PreparedStructure.make_structure`.
         """
         structure = self.structure.make_structure(scene, load_weight_matrix, comm)
         coarser_scene_or_reason = make_coarser_scene_or_reason(scene)
@@ -317,9 +317,10 @@ class PreparedFile:
                 self.coarser_structure.make_structure(
                     coarser_scene_or_reason, load_weight_matrix, single_rank_comm
                 ),
-                single_rank_comm, structure_dependencies(coarser_scene_or_reason, single_rank_comm),
+                single_rank_comm,
+                dependencies_of_structure(coarser_scene_or_reason, single_rank_comm),
             ))  # fmt: skip
-        return SharedStructure(structure, comm, structure_dependencies(scene, comm))
+        return SharedStructure(structure, comm, dependencies_of_structure(scene, comm))
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
@@ -435,13 +436,13 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         raise stored_file.refusal("one with its scene")
     stored_file.check_files(file_scene, is_required=False)
     scene = file_scene.replace(changes)
-    file_dependencies = structure_dependencies(file_scene, MPI.COMM_SELF)
+    file_dependencies = dependencies_of_structure(file_scene, MPI.COMM_SELF)
 
     def needs_mesh(changed_scene: Scene) -> bool:
-        changed_dependencies = structure_dependencies(changed_scene, MPI.COMM_SELF)
-        has_other_loads = loads_without_amplitudes(
+        changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
+        has_other_loads = excitation_and_loads_without_amplitudes(
             changed_dependencies[1]
-        ) != loads_without_amplitudes(file_dependencies[1])
+        ) != excitation_and_loads_without_amplitudes(file_dependencies[1])
         return (
             changed_dependencies[0] != file_dependencies[0]
             or has_other_loads
@@ -464,12 +465,12 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     if unavailable_quantities:
         requirement = "those of points and crack faces, for a file; else the scene itself is solved"
         raise InputError("output.quantities", unavailable_quantities, requirement)
-    _load_weights_between_scenes(file_scene, scene)
+    _weight_matrix_between_scene_loads(file_scene, scene)
     return scene
 
 
-def loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the values of :func:`load_dependencies` without the excitation's amplitudes."""
+def excitation_and_loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the values of :func:`dependencies_of_load` without the excitation's amplitudes."""
     excitation_value_by_key, *other_loads = loads
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
     kept_value_by_key = excitation_value_by_key and {
@@ -478,18 +479,20 @@ def loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
     return kept_value_by_key, *other_loads
 
 
-def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
+def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
     """Return the matrix from a file's load rows to a scene's load rows.
 
-    Raises as :func:`load_weights_from_rows`.
+    Raises as :func:`weight_matrix_of_load_rows`.
     """
     # Equal loads are not computed: the file of a wave may be gone.
-    if load_dependencies(file_scene) == load_dependencies(scene):
+    if dependencies_of_load(file_scene) == dependencies_of_load(scene):
         return np.eye(1 + 2 * file_scene.highest_order)
-    return load_weights_from_rows(np.array(force_vector_by_part(file_scene), dtype=float), scene)
+    return weight_matrix_of_load_rows(
+        np.array(force_vector_by_part(file_scene), dtype=float), scene
+    )
 
 
-def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
+def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
     """Return the matrix from a file's load rows to a scene's load rows.
 
     Parameters
@@ -538,7 +541,7 @@ def _make_shared_structure_from_file(
     """
     file_scene = stored_file.scene()
     assert file_scene is not None
-    load_weight_matrix = _load_weights_between_scenes(file_scene, scene)
+    load_weight_matrix = _weight_matrix_between_scene_loads(file_scene, scene)
     with stored_file.checked_datasets() as datasets:
         prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
         return prepared_file.make_shared_structure(scene, load_weight_matrix, comm)

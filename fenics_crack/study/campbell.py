@@ -74,20 +74,20 @@ from fenics_crack.study.resonance import (
 )
 from fenics_crack.study.sharing import assemble_or_reuse_structure
 
-HELD_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
+HELD_FREQUENCY_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
 """Kinds of frequencies of a held crack: "open", "tied", "partly"."""
 STATE_TEXT_BY_KIND = {
-    **dict(zip(HELD_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
+    **dict(zip(HELD_FREQUENCY_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
     "bilinear": "breathing",
 }
 """State of the crack, in words, for each kind of frequency."""
-SPEED_TOLERANCE = 1e-4
+RELATIVE_SPEED_TOLERANCE = 1e-4
 """Relative tolerance of a speed at which the state changes, or an order meets a mode."""
 MAX_REPORTED_ORDER = 8
 """Highest engine order that is drawn, and reported if the load has no order."""
-StateFrequencyFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Function of a speed [rad/s]: frequencies of the kinds in HELD_KINDS [rad/s], and margins by which
-the crack is held in these states: (3, count) each."""
+FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Function of a speed [rad/s]: frequencies of the kinds in HELD_FREQUENCY_KINDS [rad/s], and
+margins by which the crack is held in these states: (3, count) each."""
 PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of modes (n): amplitudes of the modes at their resonances under a load (n,)."""
 
@@ -134,7 +134,7 @@ class Campbell(SavedResult):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
-    at: StateFrequencyFunction | None = None
+    at: FrequenciesAndMarginsFunction | None = None
     met: tuple[tuple[int, LoadResonance], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
@@ -150,10 +150,15 @@ class Campbell(SavedResult):
         return diagram
 
     @cached_property
-    def _frequency_function(self) -> StateFrequencyFunction:
+    def _frequencies_and_margins_function(self) -> FrequenciesAndMarginsFunction:
         """The function :attr:`at`; made from the scene if there is none."""
         count = self.omega_open.shape[1]
-        return self.at or campbell(self.scene, self.speed, count, MPI.COMM_SELF)._frequency_function
+        return (
+            self.at
+            or campbell(
+                self.scene, self.speed, count, MPI.COMM_SELF
+            )._frequencies_and_margins_function
+        )
 
     @property
     def omega_bilinear(self) -> np.ndarray:
@@ -208,7 +213,9 @@ class Campbell(SavedResult):
         for speed_index, mode_index in np.argwhere(is_above[1:] != is_above[:-1]).tolist():
             speed_interval = self.speed[speed_index : speed_index + 2].tolist()
             mode = mode_index + 1
-            speed = brentq(frequency_difference, *speed_interval, (mode,), rtol=SPEED_TOLERANCE)
+            speed = brentq(
+                frequency_difference, *speed_interval, (mode,), rtol=RELATIVE_SPEED_TOLERANCE
+            )
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
@@ -244,10 +251,10 @@ class Campbell(SavedResult):
 
     def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
         """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
-        omega = self._frequency_function(speed)[0][:, mode - 1]
+        omega = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
-        return float(omega[HELD_KINDS.index(kind)])
+        return float(omega[HELD_FREQUENCY_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Return speeds, frequencies [rad/s] and kinds along a mode's line.
@@ -460,7 +467,7 @@ def campbell(
     start, stop = speed_array[[0, -1]]
     projection = RitzProjection.of_range(top_structure.damped(None), start, stop, count, n_bonded)
     complex_load = projection.force[1] - 1j * projection.force[2]
-    peak_amplitude_function = partial(_find_peak_amplitudes, complex_load, top_structure)
+    peak_amplitude_function = partial(_find_modal_peak_amplitudes, complex_load, top_structure)
 
     @cache
     def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -478,7 +485,7 @@ def campbell(
         for interval in pairwise(speed_array.tolist())
         for speed, kind in _yield_state_changes(find_frequencies_and_margins, *interval, mode_index)
     )
-    frequency_kinds = np.array([_kinds_from_margins(margins) for margins in hold_margins])
+    frequency_kinds = np.array([_frequency_kinds_from_margins(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
     coriolis = coriolis_shifts(modes, speed_array[-1] * rotation_axis)
@@ -554,16 +561,16 @@ def report_of_campbell(diagram: Campbell) -> Report:
     )
 
 
-def _kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
+def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
     """Return the kind of the crack's frequency in each mode: (count,) of str.
 
-    ``hold_margins`` (3, count) are the margins of the states in HELD_KINDS.
+    ``hold_margins`` (3, count) are the margins of the states in HELD_FREQUENCY_KINDS.
     """
-    return np.select([*(hold_margins > 0.0)], HELD_KINDS, "bilinear")
+    return np.select([*(hold_margins > 0.0)], HELD_FREQUENCY_KINDS, "bilinear")
 
 
 def _yield_state_changes(
-    find_frequencies_and_margins: StateFrequencyFunction,
+    find_frequencies_and_margins: FrequenciesAndMarginsFunction,
     lower_speed: float,
     upper_speed: float,
     mode_index: int,
@@ -575,18 +582,21 @@ def _yield_state_changes(
     however narrow. ``mode_index`` counts from 0.
     """
     lower_kind, upper_kind = (
-        str(_kinds_from_margins(find_frequencies_and_margins(speed)[1])[mode_index])
+        str(_frequency_kinds_from_margins(find_frequencies_and_margins(speed)[1])[mode_index])
         for speed in (lower_speed, upper_speed)
     )
     held_kinds = {lower_kind, upper_kind} - {"bilinear"}
     if lower_kind != upper_kind and len(held_kinds) == 1:
-        [kind_index] = map(HELD_KINDS.index, held_kinds)
+        [kind_index] = map(HELD_FREQUENCY_KINDS.index, held_kinds)
         change_speed = brentq(
             lambda speed: find_frequencies_and_margins(speed)[1][kind_index, mode_index],
-            lower_speed, upper_speed, rtol=SPEED_TOLERANCE,
+            lower_speed, upper_speed, rtol=RELATIVE_SPEED_TOLERANCE,
         )  # fmt: skip
         yield change_speed, upper_kind
-    elif lower_kind != upper_kind and upper_speed - lower_speed <= SPEED_TOLERANCE * upper_speed:
+    elif (
+        lower_kind != upper_kind
+        and upper_speed - lower_speed <= RELATIVE_SPEED_TOLERANCE * upper_speed
+    ):
         yield upper_speed, upper_kind
     elif lower_kind != upper_kind:
         middle_speed = 0.5 * (lower_speed + upper_speed)
@@ -603,7 +613,7 @@ def _speed_in_words(speed: float) -> str:
     return f"{speed:.5g} rad/s = {speed / RAD_PER_S_PER_RPM:.5g} rpm"
 
 
-def _find_peak_amplitudes(
+def _find_modal_peak_amplitudes(
     force: np.ndarray, damped_structure: Structure, modes: Modes
 ) -> np.ndarray:
     """Return amplitudes of modes at their own resonances: (n_modes,); inf without damping.
@@ -639,7 +649,7 @@ def _find_frequencies_and_margins(
     Returns
     -------
     omega : (3, n_modes) [rad/s]
-        Frequencies in the order of HELD_KINDS.
+        Frequencies in the order of HELD_FREQUENCY_KINDS.
     hold_margins : (3, n_modes) [m], [N]
         Margins at resonance under the load; positive if the crack is held.
     """

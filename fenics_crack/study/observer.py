@@ -69,14 +69,14 @@ class ObservedQuantity(NamedTuple):
 
     Attributes
     ----------
-    column, name : str
+    column_name, name : str
         Name of its column, "tip.ux.ratio_2_1", and of its observable, "ratio_2_1".
     words, unit : str
         Description, with the watched displacement, and unit.
     value : float or (n,)
     """
 
-    column: str
+    column_name: str
     words: str
     value: Any
     unit: str

@@ -56,7 +56,7 @@ from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import word_for_crack_faces
-from fenics_crack.study.prepare import Study, reduction_of
+from fenics_crack.study.prepare import Study, modal_reduction_or_none
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
@@ -188,7 +188,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     pair_stiffness = (
         None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     )
-    reduction = reduction_of(scene, structure)
+    reduction = modal_reduction_or_none(scene, structure)
     return KeyFigures(
         extents=mesh_extents(structure.whole),
         n_face_elements=_count_elements_along_face(scene, structure),
@@ -262,7 +262,7 @@ def _amplitude_bounds(
     ----------
     modal_damping_ratios : (n_modes,)
         Ratios of critical damping.
-    harmonic_amplitudes : three arrays of complex
+    static_complex_amplitudes : three arrays of complex
         Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads
         (K, n_modes) of the harmonics 1 to K.
     face_compliance, modal_gaps : (n_pairs, n_pairs) [m/N], (n_modes, n_pairs)
@@ -274,8 +274,10 @@ def _amplitude_bounds(
     -------
     watched_amplitudes : (n_watched,) [m]
         Watched displacements with open crack.
-    gap_amplitudes, open_gap_amplitudes, force_amplitudes : (n_pairs,) [m], [m], [N]
-        Gaps with open crack; gaps and forces with some pairs closed. Without pairs (1,), zero.
+    open_crack_gap_amplitudes : (n_pairs,) [m]
+        Gaps with all pairs open. Without pairs (1,), zero, as the arrays below.
+    closed_pairs_gap_amplitudes, contact_force_amplitudes : (n_pairs,) [m], [N]
+        Gaps and contact forces while the pairs in ``is_closed`` stay closed.
     """
     (
         watched_amplitudes,
@@ -286,10 +288,10 @@ def _amplitude_bounds(
     for harmonic, (static_displacement, static_gap, modal_load) in enumerate(
         zip(*static_complex_amplitudes, strict=True), 1
     ):
-        receptance_increase = _receptance_increase(
+        modal_receptance_increase = _modal_receptance_increase(
             modes.omega, modal_damping_ratios, harmonic * load_omega
         )
-        modal_amplitudes = receptance_increase * modal_load
+        modal_amplitudes = modal_receptance_increase * modal_load
         displacement = static_displacement + modal_amplitudes @ modes.shapes.T
         real_and_imaginary_parts = structure.values_at(
             np.stack([displacement.real, displacement.imag]), watched_dofs
@@ -297,7 +299,7 @@ def _amplitude_bounds(
         watched_amplitudes = watched_amplitudes + np.hypot(*real_and_imaginary_parts)
         if structure.n_pairs:
             gaps = static_gap + modal_amplitudes @ modal_gaps
-            compliance = face_compliance + (modal_gaps.T * receptance_increase) @ modal_gaps
+            compliance = face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
             contact_forces = np.zeros(structure.n_pairs, dtype=complex)
             closed_compliance = compliance[np.ix_(is_closed, is_closed)]
             contact_forces[is_closed] = np.linalg.lstsq(
@@ -432,7 +434,7 @@ def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
     return ratios
 
 
-def _receptance_increase(
+def _modal_receptance_increase(
     natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
 ) -> np.ndarray:
     """Return d_j(w) - 1 / w_j^2 of each mode: (n,) [s^2].
@@ -460,8 +462,8 @@ def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[flo
     """
     omegas = {scene.excitation.omega}
     for lowest_omega, highest_omega in (
-        load_omega_range(scene, "curve"),
-        load_omega_range(scene, "sweep"),
+        lowest_and_highest_load_omega(scene, "curve"),
+        lowest_and_highest_load_omega(scene, "sweep"),
     ):
         omegas |= {
             lowest_omega,
@@ -471,7 +473,7 @@ def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[flo
     return sorted(omegas)
 
 
-def load_omega_range(scene: Scene, command: str) -> tuple[float, float]:
+def lowest_and_highest_load_omega(scene: Scene, command: str) -> tuple[float, float]:
     """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
     curve_table = scene.curve if command == "curve" else None
@@ -499,7 +501,7 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
     harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
         harmonic_counts = [*scene.swept.get("harmonic_balance.harmonics", harmonic_counts)]
-    return load_omega_range(scene, command)[1] * max(harmonic_counts)
+    return lowest_and_highest_load_omega(scene, command)[1] * max(harmonic_counts)
 
 
 # --- resonances and curves ------------------------------------------------------------------------
@@ -511,7 +513,7 @@ FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
 """Factor from a curve's parameter to [rad/s], and the parameter's unit."""
 
 
-def propose_curve_or_none(scene: Scene, figures: KeyFigures) -> Curve | None:
+def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
     """Propose a curve through the resonance at the load, or return None.
 
     None is returned if the scene's curve meets the resonance or follows another kind of parameter,
@@ -523,7 +525,7 @@ def propose_curve_or_none(scene: Scene, figures: KeyFigures) -> Curve | None:
     """
     excitation = scene.excitation
     scene_curve_table = scene.curve
-    load_resonance = figures.load_resonance
+    load_resonance = key_figures.load_resonance
     is_speed_curve = excitation.order is not None and scene.disk is None
     parameter = "frequency" if scene.in_hertz else "omega"
     if is_speed_curve:
@@ -532,16 +534,16 @@ def propose_curve_or_none(scene: Scene, figures: KeyFigures) -> Curve | None:
         parameter = scene_curve_table.parameter
     if parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
-    mode_index = int(np.argmin(np.abs(figures.omega_bilinear - excitation.omega)))
-    open_omega = float(figures.omega_open[mode_index])
-    bilinear_omega = float(figures.omega_bilinear[mode_index])
+    mode_index = int(np.argmin(np.abs(key_figures.omega_bilinear - excitation.omega)))
+    open_omega = float(key_figures.omega_open[mode_index])
+    bilinear_omega = float(key_figures.omega_bilinear[mode_index])
     # Three half-power bandwidths from the resonance the response is a sixth of the peak.
-    bandwidth_factor = 1.0 + 3.0 * 2.0 * float(figures.damping_ratios[mode_index])
+    bandwidth_factor = 1.0 + 3.0 * 2.0 * float(key_figures.damping_ratios[mode_index])
     if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
     find_crossing_parameter = partial(
-        _curve_parameter_at_crossing, scene, parameter, slope=figures.speed_slopes[mode_index]
+        _curve_parameter_at_crossing, scene, parameter, slope=key_figures.speed_slopes[mode_index]
     )
     lowest_resonance_parameter, highest_resonance_parameter, start, stop = map(
         find_crossing_parameter,
@@ -666,16 +668,16 @@ class RemarkRule(NamedTuple):
 
 
 def remarks_on_scene(
-    scene: Scene, structure: Structure | None = None, figures: KeyFigures | None = None
+    scene: Scene, structure: Structure | None = None, key_figures: KeyFigures | None = None
 ) -> list[Remark]:
     """Return the remarks on a scene, its unreduced structure and its key figures (collective)."""
     remarks = [*_iterate_remarks(SCENE_REMARK_RULES, scene)]
     if structure is not None:
         remarks += _iterate_remarks(STRUCTURE_REMARK_RULES, scene, structure)
-    if figures is not None and not any(
+    if key_figures is not None and not any(
         remark.key.startswith(SCENE_KEY_PREFIXES_OF_KEY_FIGURES) for remark in remarks
     ):
-        remarks += _iterate_remarks(KEY_FIGURE_REMARK_RULES, scene, figures)
+        remarks += _iterate_remarks(KEY_FIGURE_REMARK_RULES, scene, key_figures)
     if structure is not None:
         remarks += _iterate_remarks(METHOD_REMARK_RULES, scene, structure)
     return remarks
@@ -890,7 +892,7 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
 
 def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
     """Return the number of rigid contact pairs with mass, or None."""
-    reduction, contact = reduction_of(scene, structure), scene.contact
+    reduction, contact = modal_reduction_or_none(scene, structure), scene.contact
     is_massless = reduction is not None and reduction.method == "massless"
     return (
         None if is_massless or contact is None or contact.law != "unilateral" else structure.n_pairs
@@ -906,11 +908,11 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
     """
 
     def compare_in_other_unit(
-        _: float, scene: Scene, figures: KeyFigures
+        _: float, scene: Scene, key_figures: KeyFigures
     ) -> tuple[float, ...] | None:
-        first_omega, omega = float(figures.omega_open[0]), scene.excitation.omega
-        natural_omegas = np.concatenate([figures.omega_open, figures.omega_tied])
-        first_omegas = natural_omegas[[0, len(figures.omega_open)]]
+        first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
+        natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
+        first_omegas = natural_omegas[[0, len(key_figures.omega_open)]]
         is_other_unit = not _is_near(omega, natural_omegas) and _is_near(
             other_unit_factor * omega, first_omegas
         )
@@ -929,7 +931,7 @@ def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
 
 
 def _missed_first_omega_and_text(
-    _: float, scene: Scene, figures: KeyFigures
+    _: float, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the first natural frequency [rad/s] if a curve meets no resonance.
 
@@ -945,11 +947,11 @@ def _missed_first_omega_and_text(
             _curve_parameter_at_crossing,
             scene,
             curve_table.parameter,
-            slope=figures.speed_slopes[0],
+            slope=key_figures.speed_slopes[0],
         )
     )
     curve_start, curve_end = sorted(curve_table.continuation_range[1:])
-    natural_omegas = figures.omega_open, figures.omega_tied
+    natural_omegas = key_figures.omega_open, key_figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (
             find_crossing_parameters(omega, harmonic=harmonic) for omega in natural_omegas
@@ -957,11 +959,11 @@ def _missed_first_omega_and_text(
         if np.any((curve_start <= bonded_parameters) & (curve_end >= open_parameters)):
             return None
     # Modes above the last one are not computed.
-    if curve_end >= find_crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
+    if curve_end >= find_crossing_parameters(key_figures.omega_tied[-1], harmonic=1.0):
         return None
-    proposed_curve_table = propose_curve_or_none(scene, figures)
+    proposed_curve_table = propose_curve_or_none(scene, key_figures)
     unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
-    first_omega_range = figures.omega_open[0], figures.omega_tied[0]
+    first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
     range_text = format_in_unit(frequency_axis(True), *first_omega_range)
     text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
     if proposed_curve_table is not None:
@@ -973,36 +975,36 @@ def _missed_first_omega_and_text(
 
 
 def _peak_rotation_and_displacement(
-    _: object, scene: Scene, figures: KeyFigures
+    _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, float] | None:
     """Return peak rotation [rad] and displacement [m] under the force of [excitation] alone.
 
     None with other loads, or without damping.
     """
-    is_unbounded = scene.has_other_loads or figures.damping_ratios.min() == 0.0
-    return None if is_unbounded else (figures.peak_rotation, figures.peak_displacement)
+    is_unbounded = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
+    return None if is_unbounded else (key_figures.peak_rotation, key_figures.peak_displacement)
 
 
-def _n_face_elements_if_chosen(_: object, scene: Scene, figures: KeyFigures) -> int | None:
+def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face.
 
     None for grids, which choose it, and for contact at the mouth alone.
     """
     has_mouth_pair = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
-    return None if has_mouth_pair or is_grid else figures.n_face_elements
+    return None if has_mouth_pair or is_grid else key_figures.n_face_elements
 
 
 def _linear_gap_motion_and_verb(
-    _: object, scene: Scene, figures: KeyFigures
+    _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the motion of the crack faces [m] if no pair opens or closes.
 
     The second output is the verb for the remark: "opens" or "closes". None if a pair breathes.
     """
-    if scene.contact is None or scene.structure is not None or figures.breathes:
+    if scene.contact is None or scene.structure is not None or key_figures.breathes:
         return None
-    return figures.peak_gap_motion, "opens" if figures.n_closed_pairs else "closes"
+    return key_figures.peak_gap_motion, "opens" if key_figures.n_closed_pairs else "closes"
 
 
 # --- tables of remarks ----------------------------------------------------------------------------

@@ -243,7 +243,7 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
             wheel, disk_table.families, more=disk_table.modes, reference=with_reference
         )
         return replace(study, structure=structure)
-    reduction = reduction_of(scene, whole_structure)
+    reduction = modal_reduction_or_none(scene, whole_structure)
     if reduction is None:
         return study
     scene_with_reduction = scene.replace(
@@ -262,7 +262,7 @@ class ModalReduction(NamedTuple):
     n_modes: int
 
 
-def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
+def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReduction | None:
     """Return the reduction of a scene's structure; None if it is not reduced.
 
     Without the table ``[reduction]``, a structure with at most 100 dofs is not reduced on one rank.
@@ -330,7 +330,7 @@ def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool)
         return estimate_wheel_memory(
             structure.whole, count_basis_families(disk.families, disk.modes)
         )
-    reduction = reduction_of(scene, structure)
+    reduction = modal_reduction_or_none(scene, structure)
     if reduction is None:
         return estimate_unreduced_memory(structure, scene.harmonic_balance.harmonics)
     if is_run_up:
@@ -453,7 +453,7 @@ def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
     """
     if structure.n_pairs == 0 or scene.contact is None:
         return None
-    contact, reduction = scene.contact, reduction_of(scene, structure)
+    contact, reduction = scene.contact, modal_reduction_or_none(scene, structure)
     is_massless = structure.light_lips or (reduction is not None and reduction.method == "massless")
     if contact.friction and not is_massless:  # pairs that stick must give a little
         condition_text = (

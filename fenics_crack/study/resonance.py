@@ -29,11 +29,16 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RitzProjection, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, reduce_study, reduction_of
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    modal_reduction_or_none,
+    reduce_study,
+)
 
 N_SEARCH_MODES = 10
 """Number of modes of the structure in which a resonance is sought."""
-AMPLITUDE_TOLERANCE = 0.1
+RELATIVE_AMPLITUDE_TOLERANCE = 0.1
 """Maximum relative error of a stated resonance amplitude."""
 SEVERAL_MODES_TEXT = "several modes answer together: see the curve"
 
@@ -147,7 +152,8 @@ def find_study_resonance(
     scene, whole_structure, law = study.scene, study.structure, study.contact
     if law is None:
         return LoadResonance(unknown="there is no crack")
-    engine_order, reduction = scene.excitation.order, reduction_of(scene, whole_structure)
+    engine_order = scene.excitation.order
+    reduction = modal_reduction_or_none(scene, whole_structure)
     n_modes = min(
         N_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
     )
@@ -215,7 +221,7 @@ def find_load_resonance(
     balance_table, friction_law = scene.harmonic_balance, friction_of(law)
     law = law if friction_law is None else friction_law.law
     problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
-    resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
+    resonance = resonance_at(problem, parameter=parameter, tolerance=RELATIVE_AMPLITUDE_TOLERANCE)
     small_load_value = resonance.value if with_small_load_resonance else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
     if with_small_load_resonance and (np.any(structure.force[0]) or np.any(structure.clearance)):

@@ -32,7 +32,7 @@ class SharedStructure(NamedTuple):
     comm : MPI.Comm
         Ranks that were asked to share the structure.
     dependencies : tuple of three
-        As :func:`structure_dependencies` returns them.
+        As :func:`dependencies_of_structure` returns them.
     """
 
     structure: Structure
@@ -66,7 +66,7 @@ def assemble_or_reuse_structure(
     ``last_shared_structures``, or in a file, is reused. The list then holds the result alone.
     Errors are as for :func:`fenics_crack.build_structure`.
     """
-    dependencies = structure_dependencies(scene, comm)
+    dependencies = dependencies_of_structure(scene, comm)
     needs_equal_dependencies = (
         scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
     )
@@ -143,7 +143,7 @@ def _can_reuse(
     )
 
 
-def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
+def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
     """Return the values in a scene on which a structure depends (collective).
 
     Returns
@@ -151,7 +151,7 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
     mesh_dependencies : tuple
         Tables for mesh and matrices, and digests of files.
     loads : tuple
-        As :func:`load_dependencies` returns them.
+        As :func:`dependencies_of_load` returns them.
     clearances_and_damping : tuple
         Clearance of each crack, and the table ``[damping]``.
     """
@@ -165,12 +165,12 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
     )  # fmt: skip
     return (
         mesh_dependencies,
-        load_dependencies(scene),
+        dependencies_of_load(scene),
         ([crack.clearance for crack in cracks], scene.damping),
     )
 
 
-def load_dependencies(scene: Scene) -> tuple[Any, ...]:
+def dependencies_of_load(scene: Scene) -> tuple[Any, ...]:
     """Return the scene's tables for the load: excitation, other loads, base."""
     return _value_by_key_without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 

@@ -25,13 +25,13 @@ from fenics_crack.study.artefact import (
     PreparedFile,
     PreparedStructure,
     SparseRows,
-    load_weights_from_rows,
-    loads_without_amplitudes,
+    excitation_and_loads_without_amplitudes,
+    weight_matrix_of_load_rows,
 )
 from fenics_crack.study.sharing import (
     SharedStructure,
+    dependencies_of_structure,
     make_empty_coarser_structure_list,
-    structure_dependencies,
 )
 
 FILE_KIND = "structure of a command"
@@ -42,12 +42,12 @@ MAX_DATASET_BYTES = 500 * 10**6
 def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
     """Return the SHA-256 digest of a structure's dependencies, without load amplitudes.
 
-    ``dependencies`` come from :func:`structure_dependencies`. Clearances and damping do not count;
-    the program's and the libraries' files do.
+    ``dependencies`` come from :func:`dependencies_of_structure`. Clearances and damping do not
+    count; the program's and the libraries' files do.
     """
     digested_values = (
         dependencies[0],
-        loads_without_amplitudes(dependencies[1]),
+        excitation_and_loads_without_amplitudes(dependencies[1]),
         program_fingerprint(),
     )
     return hashlib.sha256(repr(digested_values).encode()).hexdigest()
@@ -81,11 +81,11 @@ class StructureFile:
                     self._cached_prepared_files.append(unpack_dataclass(PreparedFile, datasets))
             prepared_file = self._cached_prepared_files[0]
             if prepared_file is None or prepared_file.structure.key != digest_of_dependencies(
-                structure_dependencies(scene, comm)
+                dependencies_of_structure(scene, comm)
             ):
                 return None
             shared_structure = prepared_file.make_shared_structure(
-                scene, load_weights_from_rows(prepared_file.structure.excitation, scene), comm
+                scene, weight_matrix_of_load_rows(prepared_file.structure.excitation, scene), comm
             )
         except (InputError, *DATASET_ERRORS) as error:
             self._cached_prepared_files[:] = [None]

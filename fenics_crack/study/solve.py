@@ -31,9 +31,9 @@ from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,
     Study,
+    modal_reduction_or_none,
     prepare,
     reduce_study,
-    reduction_of,
 )
 
 
@@ -90,7 +90,7 @@ def solve_study(
     return _make_solved_study(reduced_study, solution)
 
 
-def prepare_unreduced_study(source: Scene | Study, comm: MPI.Comm) -> Study:
+def prepare_unreduced_if_scene(source: Scene | Study, comm: MPI.Comm) -> Study:
     """Prepare a scene without reduction; return a study as it is (collective)."""
     return source if isinstance(source, Study) else prepare(source, comm, whole=True)
 
@@ -162,7 +162,7 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
     scene, structure = study.scene, study.structure
     if structure.whole is not structure:
         return []
-    reduction, reduction_table = reduction_of(scene, structure), scene.reduction
+    reduction, reduction_table = modal_reduction_or_none(scene, structure), scene.reduction
     has_given_modes = scene.disk is not None or (
         reduction_table is not None and reduction_table.modes is not None
     )
@@ -184,7 +184,7 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
 
 def reduce_to_modes(study: Study, n_modes: int) -> Study:
     """Reduce a study to a number of modes (collective)."""
-    reduction = reduction_of(study.scene, study.structure)
+    reduction = modal_reduction_or_none(study.scene, study.structure)
     changes = {"reduction.method": reduction and reduction.method, "reduction.modes": n_modes}
     return reduce_study(replace(study, scene=study.scene.replace(changes)))
 

@@ -52,7 +52,7 @@ from fenics_crack.sweep.file import (
     UNDECIDED_PREFIX,
     UNIT_BY_HARMONIC_PART,
     UNIT_BY_POINT_QUANTITY,
-    load_column_name,
+    column_name_at_load,
 )
 from fenics_crack.sweep.plan import Chunk
 
@@ -73,7 +73,7 @@ class CaseRequest:
         True if the stability of each case is assessed.
     with_reduction_error : bool
         True if the reduction error of each case is estimated.
-    frequencies_only_by_position : tuple of bool
+    has_only_frequencies_by_position : tuple of bool
         For each position on the last axis, True if only natural frequencies are computed.
     """
 
@@ -82,7 +82,7 @@ class CaseRequest:
     at_resonance: bool = False
     with_verdicts: bool = True
     with_reduction_error: bool = True
-    frequencies_only_by_position: tuple[bool, ...] = (False,)
+    has_only_frequencies_by_position: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
@@ -302,8 +302,8 @@ def solve_chunk(
             case.excitation.omega, geometry.bilinear_frequencies
         )
         value_by_column |= _natural_frequency_by_column(geometry.bilinear_frequencies)
-        if request.frequencies_only_by_position[
-            case_number % len(request.frequencies_only_by_position)
+        if request.has_only_frequencies_by_position[
+            case_number % len(request.has_only_frequencies_by_position)
         ]:
             chunk_case_values.append(
                 value_by_column
@@ -505,7 +505,9 @@ def _observe_value_by_column(
             strict=False,
         )
         value_by_column |= {
-            f"{point_name}.{quantity}" if point_name else load_column_name(quantity): quantity_value
+            f"{point_name}.{quantity}"
+            if point_name
+            else column_name_at_load(quantity): quantity_value
             for quantity, quantity_value in value_by_quantity.items()
         }
     return value_by_column

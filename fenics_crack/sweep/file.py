@@ -64,12 +64,12 @@ CONTRADICTION_PREFIX = "; yet "
 """Text in a case's status before the remark that more modes contradict the verdict."""
 
 
-def load_column_name(quantity: str) -> str:
+def column_name_at_load(quantity: str) -> str:
     """Return the column name for a quantity at the load, in the load's direction."""
     return "response" if quantity == "amplitude" else quantity
 
 
-MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
+KEPT_MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
 """Numbers of the modes whose natural frequencies each case keeps."""
 LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -78,7 +78,7 @@ LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
         ("tied", "natural frequency {}, crack bonded"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
-    for mode in MODE_NUMBERS
+    for mode in KEPT_MODE_NUMBERS
 }
 """Label and unit of natural frequencies, by column name."""
 UNIT_BY_POINT_QUANTITY = {
@@ -99,7 +99,7 @@ UNIT_BY_HARMONIC_PART = {
 """
 UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
-        load_column_name(name): (unit, "f8")
+        column_name_at_load(name): (unit, "f8")
         for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     },
     **{
@@ -172,7 +172,7 @@ class SweepFile:
         File.
     scene : Scene
         Scene with its sweep.
-    harmonics_upper_bound, gap_rows_upper_bound : int
+    n_harmonics_upper_bound, n_gap_rows_upper_bound : int
         Upper bounds for all cases; without gap rows no waves are kept.
     omitted_options : sequence of str
         Options that the cases lack.
@@ -197,8 +197,8 @@ class SweepFile:
         self,
         path: Path,
         scene: Scene,
-        harmonics_upper_bound: int,
-        gap_rows_upper_bound: int,
+        n_harmonics_upper_bound: int,
+        n_gap_rows_upper_bound: int,
         omitted_options: Sequence[str] = (),
     ) -> None:
         self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
@@ -209,7 +209,7 @@ class SweepFile:
                 None
                 if os.path.lexists(path)
                 else _make_file_and_header_or_none(
-                    path, scene, harmonics_upper_bound, gap_rows_upper_bound, omitted_options
+                    path, scene, n_harmonics_upper_bound, n_gap_rows_upper_bound, omitted_options
                 )
             )
             regular_file_size(path, None, follows_links=False)  # nothing is written elsewhere
@@ -221,7 +221,7 @@ class SweepFile:
                 if np.any(self.case_states == CaseState.PENDING):  # else nothing is written
                     if lock_error:
                         raise lock_error
-                    _check_omitted(self.sweep_header, omitted_options)
+                    _check_omitted_options_match(self.sweep_header, omitted_options)
             except BaseException:
                 os.close(self._file_descriptor)
                 raise
@@ -253,7 +253,7 @@ class SweepFile:
 
     def write_cases(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write cases by number (n,): all values first, then the states."""
-        if not self._is_at_path():
+        if not self._is_file_still_at_path():
             requirement = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement)
         case_states = np.array(
@@ -300,7 +300,7 @@ class SweepFile:
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it too; raise InputError on failure."""
         with report_write_errors(self._path, "path"):
-            if remove and self._is_at_path():
+            if remove and self._is_file_still_at_path():
                 self._path.unlink()
             os.close(self._file_descriptor)
 
@@ -319,7 +319,7 @@ class SweepFile:
                 stored_column.offset + int(case_number) * bytes_per_case,
             )
 
-    def _is_at_path(self) -> bool:
+    def _is_file_still_at_path(self) -> bool:
         """Return True if the path still leads to the open file."""
         try:
             return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
@@ -354,8 +354,8 @@ def _encode_value(value: Any, max_bytes: int) -> Any:
 def _make_file_and_header_or_none(
     path: Path,
     scene: Scene,
-    harmonics_upper_bound: int,
-    gap_rows_upper_bound: int,
+    n_harmonics_upper_bound: int,
+    n_gap_rows_upper_bound: int,
     omitted_options: Sequence[str],
 ) -> store.StoredFile | None:
     """Make a new file and return its header; None if another program made one first."""
@@ -364,8 +364,8 @@ def _make_file_and_header_or_none(
         dataset_name: (unit, type_name, axes_shape)
         for dataset_name, (unit, type_name) in _unit_and_type_by_dataset(scene).items()
     }
-    if gap_rows_upper_bound:
-        wave_shape = (*axes_shape, 2 * harmonics_upper_bound + 1, gap_rows_upper_bound)
+    if n_gap_rows_upper_bound:
+        wave_shape = (*axes_shape, 2 * n_harmonics_upper_bound + 1, n_gap_rows_upper_bound)
         unit_type_shape_by_dataset |= {
             dataset_name: (unit, "f8", wave_shape) for dataset_name, unit in UNIT_BY_WAVE.items()
         }
@@ -517,7 +517,9 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
     return sweep_header
 
 
-def _check_omitted(sweep_header: store.StoredFile, omitted_options: Sequence[str]) -> None:
+def _check_omitted_options_match(
+    sweep_header: store.StoredFile, omitted_options: Sequence[str]
+) -> None:
     """Raise InputError if a file was begun with other omitted options.
 
     Files from earlier versions do not state the options and are accepted.

@@ -126,7 +126,7 @@ class Worker:
         except REFUSAL_EXCEPTIONS as error:
             self._geometry_or_error = error
         except Exception:
-            self._geometry_or_error = _make_unforeseen_error()
+            self._geometry_or_error = _make_error_with_traceback()
         self._geometry_number = geometry_number
 
     def _solve_chunk(
@@ -141,7 +141,7 @@ class Worker:
                 )
                 return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
             except Exception:
-                return chunk.case_numbers, _make_unforeseen_error()
+                return chunk.case_numbers, _make_error_with_traceback()
         is_too_large = (
             isinstance(geometry_or_error, InputError)
             and geometry_or_error.key == "reduction.method"
@@ -158,7 +158,7 @@ class Worker:
         return chunk.case_numbers, geometry_or_error
 
 
-def _make_unforeseen_error() -> RuntimeError:
+def _make_error_with_traceback() -> RuntimeError:
     """Return an error with the traceback of the present exception."""
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
@@ -288,7 +288,7 @@ class Manager:
                 error, KeyboardInterrupt
             ) and stop_request.is_requested(MPI.COMM_SELF)
             if not is_second_interrupt:  # else what is written is all
-                self._end_with_error(error)
+                self._keep_error_and_discard_jobs(error)
         self._remaining_case_numbers_by_geometry.clear()
         for rank in other_ranks:
             comm.send(None, rank, tag=Tag.END)
@@ -301,7 +301,7 @@ class Manager:
         try:
             self._sweep_file.close(remove=is_useless_file)
         except InputError as error:
-            self._end_with_error(error)
+            self._keep_error_and_discard_jobs(error)
 
     def _send_job(self, comm: MPI.Comm, rank: int) -> None:
         """Send a job to a rank if one remains."""
@@ -358,12 +358,12 @@ class Manager:
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
         """Write a chunk's cases; an error ends the sweep."""
         if isinstance(outcome, Exception):
-            self._end_with_error(outcome)
+            self._keep_error_and_discard_jobs(outcome)
             return
         try:
             self._sweep_file.write_pending_cases(case_numbers, outcome)
         except InputError as error:
-            self._end_with_error(error)
+            self._keep_error_and_discard_jobs(error)
             return
         self._n_recorded_chunks += 1
         cases_without_solution = (
@@ -377,7 +377,7 @@ class Manager:
             self._progress_bar.set_postfix_str(f"{self._n_failed_cases} failed", refresh=False)
         self._progress_bar.update(len(outcome))
 
-    def _end_with_error(self, error: BaseException) -> None:
+    def _keep_error_and_discard_jobs(self, error: BaseException) -> None:
         """Discard all remaining jobs and keep the first error."""
         self._error = self._error or error
         self._remaining_case_numbers_by_geometry.clear()

@@ -60,7 +60,7 @@ class Plan:
         True if geometries are built with unit loads, since the sweep changes the force.
     chunk_case_numbers_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
-    harmonics_upper_bound : int
+    n_harmonics_upper_bound : int
         Upper bound for the harmonics in all cases.
 
     Raises
@@ -72,7 +72,7 @@ class Plan:
     def __init__(self, scene: Scene) -> None:
         sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
         self._scene_without_sweep = scene.replace({"sweep": None})
-        self._gap_rows_per_pair = 2 if scene.has_friction else 1
+        self._n_gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
         self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
         geometry_independent_keys = _find_keys_sharing_geometry(scene, self._swept_values_by_key)
@@ -83,7 +83,7 @@ class Plan:
         self.chunk_case_numbers_by_geometry = self._split_into_chunks(geometry_independent_keys)
         """Case numbers (n,) of each chunk, by geometry."""
         balance_table = scene.harmonic_balance
-        self.harmonics_upper_bound = max(
+        self.n_harmonics_upper_bound = max(
             self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
         )
         """Upper bound for the harmonics of all cases."""
@@ -91,7 +91,7 @@ class Plan:
             balance_table.tolerance is not None
             or "harmonic_balance.tolerance" in self._swept_values_by_key
         ):
-            self.harmonics_upper_bound = max(self.harmonics_upper_bound, MAX_HARMONIC_ORDER)
+            self.n_harmonics_upper_bound = max(self.n_harmonics_upper_bound, MAX_HARMONIC_ORDER)
         if not any(
             isinstance(self._scene_or_reason_by_number(case_number), Scene)
             for case_number in range(math.prod(self.shape))
@@ -136,9 +136,9 @@ class Plan:
         ]
 
     @property
-    def gap_rows_upper_bound(self) -> int:
+    def n_gap_rows_upper_bound(self) -> int:
         """Upper bound for the gap rows in all geometries; friction doubles them."""
-        return self._gap_rows_per_pair * max(
+        return self._n_gap_rows_per_pair * max(
             n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
         )
 

@@ -72,7 +72,7 @@ from fenics_crack.sweep.file import (
     UNDECIDED_PREFIX,
     CaseState,
     SweepFile,
-    load_column_name,
+    column_name_at_load,
     read_columns,
     read_waves,
     scene_of_sweep,
@@ -83,7 +83,7 @@ from fenics_crack.sweep.plan import Plan
 
 SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
 """Describes scenes for which no largest response over the frequency is sought."""
-STATE_NAMES = np.array([state.name.lower() for state in CaseState])
+CASE_STATE_NAMES = np.array([state.name.lower() for state in CaseState])
 """Names of the states, by state."""
 
 
@@ -159,7 +159,11 @@ def run_sweep(
         omitted_options += [f"vibration_{position}" for position in sorted(natural)]
         file_path = Path(path or make_temporary_folder() / "sweep.h5")
         sweep_file = SweepFile(
-            file_path, scene, plan.harmonics_upper_bound, plan.gap_rows_upper_bound, omitted_options
+            file_path,
+            scene,
+            plan.n_harmonics_upper_bound,
+            plan.n_gap_rows_upper_bound,
+            omitted_options,
         )
         managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
         return CaseRequest(
@@ -168,7 +172,7 @@ def run_sweep(
             at_resonance=sweep_table.at_resonance,
             with_verdicts=verdicts,
             with_reduction_error=judged,
-            frequencies_only_by_position=tuple(
+            has_only_frequencies_by_position=tuple(
                 position in natural for position in range(last_axis_length)
             ),
         )
@@ -448,7 +452,7 @@ class SweepResult(Tabular):
                     for point_name, point_label in label_by_point.items()
                 }
             else:
-                label_and_unit_by_column[load_column_name(quantity_name)] = (
+                label_and_unit_by_column[column_name_at_load(quantity_name)] = (
                     f"{label} at the load's point",
                     unit,
                 )
@@ -465,7 +469,7 @@ class SweepResult(Tabular):
             axis.key: list(axis_column)
             for axis, axis_column in zip(self.axes, axis_columns, strict=True)
         }
-        values_by_column["state"] = STATE_NAMES[self["state"]].ravel().tolist()
+        values_by_column["state"] = CASE_STATE_NAMES[self["state"]].ravel().tolist()
         column_names = (column_name for column_name in self.columns if column_name != "state")
         return values_by_column | {
             column_name: self[column_name].ravel().tolist() for column_name in column_names
@@ -555,7 +559,7 @@ class SweepResult(Tabular):
     def _title(self) -> str:
         """Return the numbers of values on the axes and of cases in each state."""
         states_and_counts = zip(
-            STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
+            CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
         )
         axes_text = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join(

@@ -366,7 +366,7 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
         with pytest.raises(InputError, match="a combination can be used"):
             Plan(sweep_scene.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
     assert (
-        plan.gap_rows_upper_bound
+        plan.n_gap_rows_upper_bound
         == max(bound for bound, _ in plan.pair_bounds_and_crack_lengths)
         > 0
     )

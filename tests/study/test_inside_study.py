@@ -34,7 +34,7 @@ from fenics_crack.study.plausibility import (
     _round_to_three_digits,
     find_key_figures,
     highest_harmonic_omega,
-    load_omega_range,
+    lowest_and_highest_load_omega,
     remarks_on_scene,
     scales_with_load,
 )
@@ -202,7 +202,9 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
         words = []
         for sign in (1.0, -1.0):
             scene = PAPER.replace({"excitation.force_mean": (sign * force[0], 0.0)})
-            words += [str(remark) for remark in remarks_on_scene(scene, figures=figures_of(scene))]
+            words += [
+                str(remark) for remark in remarks_on_scene(scene, key_figures=figures_of(scene))
+            ]
         assert len(words) == len(texts)
         assert all(any(text in word for word in words) for text in texts)
 
@@ -237,7 +239,7 @@ def test_uncracked_plate() -> None:
     figures = figures_of(scene)
     assert figures.n_face_elements is None and not figures.face_stiffness.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
-    assert not remarks_on_scene(scene, figures=figures)
+    assert not remarks_on_scene(scene, key_figures=figures)
 
 
 def test_breathing_frequency() -> None:
@@ -263,8 +265,12 @@ def test_breathing_frequency_is_of_one_shape() -> None:
 def test_frequencies_asked_for() -> None:
     """Of each command, from its own table or the excitation."""
     scene = PAPER.replace({"curve.start": 3000.0, "curve.stop": 1000.0})
-    assert load_omega_range(scene, "curve") == (1000.0, 3000.0)
-    assert load_omega_range(scene, "solve") == load_omega_range(scene, "sweep") == (2000.0, 2000.0)
+    assert lowest_and_highest_load_omega(scene, "curve") == (1000.0, 3000.0)
+    assert (
+        lowest_and_highest_load_omega(scene, "solve")
+        == lowest_and_highest_load_omega(scene, "sweep")
+        == (2000.0, 2000.0)
+    )
     assert highest_harmonic_omega(scene, "curve") == 5 * 3000.0
 
 
@@ -289,7 +295,7 @@ def test_a_rotor_that_keeps_its_crack_open() -> None:
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
     open_by_speed = replace(figures, breathes=False, n_closed_pairs=0)
     turning_scene = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
-    [remark] = remarks_on_scene(turning_scene, figures=open_by_speed)
+    [remark] = remarks_on_scene(turning_scene, key_figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
 
 
@@ -301,7 +307,7 @@ def test_elements_along_each_lip() -> None:
     inner_crack = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     for changed_scene in (scene, scene.replace(inner_crack)):
         assert figures_of(changed_scene).n_face_elements == 4
-        remarks = remarks_on_scene(changed_scene, figures=figures_of(changed_scene))
+        remarks = remarks_on_scene(changed_scene, key_figures=figures_of(changed_scene))
         assert not any("elements" in str(remark) for remark in remarks)
 
 

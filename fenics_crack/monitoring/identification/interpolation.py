@@ -53,7 +53,7 @@ from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, MODE_NUMBERS, CaseState
+from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, KEPT_MODE_NUMBERS, CaseState
 from fenics_crack.sweep.result import SweepResult
 
 
@@ -474,7 +474,8 @@ class SolvedCases:
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
-                [self.get_natural_frequency(crack_state, mode) for mode in MODE_NUMBERS], axis=2
+                [self.get_natural_frequency(crack_state, mode) for mode in KEPT_MODE_NUMBERS],
+                axis=2,
             )
             for crack_state in ("tied", "open", "bilinear", "uncracked")
         )
@@ -593,7 +594,7 @@ def compute_ratios_and_poles(
     scale_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = scale_and_frequencies[..., MODE_NUMBERS]
+    mode_frequencies = scale_and_frequencies[..., KEPT_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )
