@@ -262,11 +262,11 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     sentences = list_linearity_sentences(response_curve.indicators(run.watched_dof).closed_share)
     if response_curve.multipliers is not None:
         verdict_names, verdict_counts = np.unique(response_curve.verdicts, return_counts=True)
-        count_texts = (
+        verdict_count_texts = (
             f"{verdict_count} {verdict}"
             for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
         )
-        sentences.append(f"{', '.join(count_texts)} of {len(response_curve)} points")
+        sentences.append(f"{', '.join(verdict_count_texts)} of {len(response_curve)} points")
     else:
         sentences.append("stability not examined")
     outcome_text = "curve complete" if response_curve.complete else "the curve ended early"
@@ -279,15 +279,16 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
     history: TimeHistory = run.result
     integration_table = run.scene.integration or Integration()
-    displacement_name = run.watched_description
+    displacement_description = run.watched_description
     if integration_table.free:
         displacement = history.displacement([run.watched_dof])[:, 0]
         period_amplitudes = np.ptp(history.by_period(displacement), axis=1) / 2.0
-        start_text, end_text = (
+        start_amplitude_text, end_amplitude_text = (
             format_quantity(float(amplitude), "m") for amplitude in period_amplitudes[[0, -1]]
         )
         answer_text = (
-            f"the {displacement_name} falls from {start_text} to {end_text} half peak-to-peak over "
+            f"the {displacement_description} falls from {start_amplitude_text} to "
+            f"{end_amplitude_text} half peak-to-peak over "
         )
         early_end_texts = (
             [] if history.periods >= integration_table.periods else ["the decay ended early"]
@@ -301,7 +302,7 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
     amplitude_text = format_quantity(history.indicators(run.watched_dof).amplitude, "m")
     frequency_text = frequency_in_words(run.scene, run.scene.excitation.omega)
     answer_text = (
-        f"at {frequency_text} the {displacement_name} is {amplitude_text} half peak-to-peak"
+        f"at {frequency_text} the {displacement_description} is {amplitude_text} half peak-to-peak"
     )
     change_text = (
         f"{history.periods} of {integration_table.periods} periods: one period shows no change"
@@ -310,8 +311,8 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         change_text = (
             f"{history.periods} periods: relative change over the last one {history.settled:.2g}"
         )
-    if (settled_distance := history.distance) < 1.0:
-        change_text += f", estimated distance from the settled motion {settled_distance:.2g}"
+    if (distance_from_settled := history.distance) < 1.0:
+        change_text += f", estimated distance from the settled motion {distance_from_settled:.2g}"
     outcome_text = "settled" if has_settled else "the motion has not settled"
     return Conclusion(
         "integrated", answer_text, further_clauses=[f"{outcome_text} after {change_text}"]
@@ -342,7 +343,7 @@ def list_stability_sentences(stability: Stability | None, amplitude: float) -> l
         amplitude_text = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
             amplitude_ratio = stability.rest_amplitude / amplitude
-            rest_text = format_quantity(stability.rest_amplitude, "m")
-            amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_text})"
+            rest_amplitude_text = format_quantity(stability.rest_amplitude, "m")
+            amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_amplitude_text})"
         sentences.append(f"the motion from rest {stability.from_rest}{amplitude_text}")
     return sentences

@@ -80,16 +80,16 @@ def curve(
     _check_curve_is_possible(study)
     make_requested_extra_rows(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
-    parameter, start, stop = scene.given("curve").continuation_range
+    parameter_name, start, stop = scene.given("curve").continuation_range
     if friction_of(required_contact_law(study)) is not None:
         resonance_omega = (
-            _lowest_bilinear_omega(study, start, stop) if parameter == "omega" else None
+            _lowest_bilinear_omega(study, start, stop) if parameter_name == "omega" else None
         )
         study = with_friction_lines(study, resonance_omega or scene.excitation.omega)
     unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
-    if parameter == "speed" or not candidate_mode_counts(unreduced_study):
+    if parameter_name == "speed" or not candidate_mode_counts(unreduced_study):
         return Run(**vars(study), result=_follow_curve(study, scene, progress))
-    if parameter == "omega":
+    if parameter_name == "omega":
         study = _find_study_with_enough_modes(study, studies, start, stop)
     law, tolerance = study.contact, scene.harmonic_balance.given("tolerance")
     for larger_study in chain([study], studies):
@@ -134,8 +134,8 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     law = required_contact_law(study)
     load_omega = scene.excitation.omega
     curve_table, balance_table = scene.given("curve"), scene.harmonic_balance
-    parameter, start, stop = curve_table.continuation_range
-    if parameter == "resonance":
+    parameter_name, start, stop = curve_table.continuation_range
+    if parameter_name == "resonance":
         problem = Problem(
             structure, load_omega, law, balance_table.harmonics, balance_table.samples
         )
@@ -152,11 +152,13 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
         curve_options |= {"harmonics": balance_table.harmonics, "samples": balance_table.samples}
     else:
         curve_options["tolerance"] = balance_table.tolerance
-    if parameter == "omega":
+    if parameter_name == "omega":
         return continue_frequency(structure, start, stop, law, **curve_options)
-    if parameter == "speed":
+    if parameter_name == "speed":
         load_omega *= start / scene.speed  # the structure has the speed of the start
-    return continue_parameter(structure, load_omega, law, parameter, start, stop, **curve_options)
+    return continue_parameter(
+        structure, load_omega, law, parameter_name, start, stop, **curve_options
+    )
 
 
 def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
@@ -166,9 +168,9 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
     resonance of the curve needs at the scene's own speed.
     """
     scene = source.scene if isinstance(source, Study) else source
-    parameter, start, stop = scene.given("curve").continuation_range
+    parameter_name, start, stop = scene.given("curve").continuation_range
     unreduced_study = prepare_unreduced_if_scene(source, comm)
-    if parameter != "speed":
+    if parameter_name != "speed":
         yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:

@@ -79,11 +79,11 @@ def integrate(
     structure, law = study.structure, required_contact_law(study)
     method_name = _choose_method(study, integration_table, law)
     make_requested_extra_rows(study)  # before the integration: this may raise InputError
-    initial_motion: Initial = None
+    initial_motion_or_state: Initial = None
     if integration_table.deflection is not None:
         static_structure = structure_under_static_load(structure, integration_table.deflection)
         min_harmonics = least_harmonics(static_structure, 1)
-        initial_motion = solve_harmonic_balance(
+        initial_motion_or_state = solve_harmonic_balance(
             static_structure, omega, law, harmonics=min_harmonics
         )
     elif earlier_motion_file is not None:
@@ -92,7 +92,7 @@ def integrate(
             structure,
             integration_table,
         )
-        initial_motion = start_state if friction_of(law) is not None else start_state[:2]
+        initial_motion_or_state = start_state if friction_of(law) is not None else start_state[:2]
     if integration_table.free:
         study = study_under_mean_load(study)
     march_options: dict[str, Any] = {
@@ -101,7 +101,7 @@ def integrate(
         "record_periods": None
         if integration_table.free
         else min(N_RECORDED_PERIODS, integration_table.periods),
-        "initial": initial_motion,
+        "initial": initial_motion_or_state,
         "progress": progress,
     }
     march_function, steps_per_period = _march_function_and_steps(
@@ -170,26 +170,24 @@ def _start_state_from_run(
         state = motion.final_state
     else:
         state = initial_state(motion.structure, motion.contact, motion)
-    local_displacement_and_velocity = motion.structure.expand(np.array(state[:2]))
-    mesh_points = [
+    local_states = motion.structure.expand(np.array(state[:2]))
+    points_of_meshes = [
         np.zeros((meshed_structure.n_local, 1))
         if meshed_structure.nodes is None
         else meshed_structure.nodes.points
         for meshed_structure in (whole_structure, motion.structure.whole)
     ]
-    has_same_mesh = local_displacement_and_velocity.shape[
-        1
-    ] == whole_structure.n_local and np.array_equal(*mesh_points)
+    has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
+        *points_of_meshes
+    )
     if not all(whole_structure.comm.allgather(has_same_mesh)):
         integration_table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
-        momentum = multiply(whole_structure.mass, local_displacement_and_velocity.T).T
-        modal_displacement_and_velocity = whole_structure.sum_over_ranks(momentum @ structure.basis)
-        n_missing_coordinates = structure.n_dofs - modal_displacement_and_velocity.shape[1]
-        local_displacement_and_velocity = np.pad(
-            modal_displacement_and_velocity, ((0, 0), (0, n_missing_coordinates))
-        )
-    return local_displacement_and_velocity[0], local_displacement_and_velocity[1], *state[2:]
+        mass_products = multiply(whole_structure.mass, local_states.T).T
+        modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
+        n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
+        local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
+    return local_states[0], local_states[1], *state[2:]
 
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:

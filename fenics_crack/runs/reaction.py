@@ -47,9 +47,10 @@ class Reaction(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Return time, forces and moments as columns, a row for every instant."""
         values_by_column = {"time": self.time.tolist()}
-        force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
-        column_names = [f"force_{axis}" for axis in force_axes] + [
-            f"moment_{axis}" for axis in moment_axes
+        force_axis_names = AXES[: self.force.shape[1]]
+        moment_axis_names = AXES[-self.moment.shape[1] :]
+        column_names = [f"force_{axis_name}" for axis_name in force_axis_names] + [
+            f"moment_{axis_name}" for axis_name in moment_axis_names
         ]
         column_values = np.hstack([self.force, self.moment]).T.tolist()
         return values_by_column | dict(zip(column_names, column_values, strict=True))

@@ -99,13 +99,14 @@ class Run(StudyWithResult, Generic[ResultType]):
         displacements (n,), and modes have none.
         """
         result = self.result
-        dofs = [watched_displacement.dof for watched_displacement in self.watched]
+        watched_dofs = [watched_displacement.dof for watched_displacement in self.watched]
         displacement_columns: list[np.ndarray] = []
         if isinstance(result, TimeHistory):
-            displacement_columns = list(result.displacement(dofs).T)
+            displacement_columns = list(result.displacement(watched_dofs).T)
         elif isinstance(result, ObservedMotion):
             displacement_columns = [
-                displacement.real_fourier_coefficients for displacement in result.observe(dofs)[0]
+                observed_displacement.real_fourier_coefficients
+                for observed_displacement in result.observe(watched_dofs)[0]
             ]
         return dict(
             zip(

@@ -113,8 +113,11 @@ def _with_rest_motion_outcome(run: Run[PeriodicSolution]) -> Run[PeriodicSolutio
     if rest_motion.orbit is not None:
         outcome_text = rest_motion.description
         rest_amplitude = rest_motion.orbit.amplitude(watched_dof)
-        amplitude = solution.amplitude(watched_dof)
-        if is_decided and abs(rest_amplitude - amplitude) <= MAX_SETTLED_CHANGE * amplitude:
+        solution_amplitude = solution.amplitude(watched_dof)
+        if (
+            is_decided
+            and abs(rest_amplitude - solution_amplitude) <= MAX_SETTLED_CHANGE * solution_amplitude
+        ):
             return run  # the same motion
     stability = replace(stability, from_rest=outcome_text, rest_amplitude=rest_amplitude)
     return replace(run, result=replace(solution, stability=stability))

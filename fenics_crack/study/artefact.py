@@ -188,7 +188,7 @@ class PreparedStructure:
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
-        mass, stiffness = (
+        mass_matrix, stiffness_matrix = (
             AbsentMatrix(n_dofs, comm.rank)
             if sparse_rows is None
             else square_matrix(local_matrix(sparse_rows, n_dofs), comm)
@@ -203,7 +203,8 @@ class PreparedStructure:
         node_array_names = NODE_ARRAY_NAMES if nodes else ()
         node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in node_array_names}
         structure = Structure(Body(
-            mass, stiffness, gap=local_matrix(self.gap, n_pairs), force=self.force[:, local_slice],
+            mass_matrix, stiffness_matrix, gap=local_matrix(self.gap, n_pairs),
+            force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
             damping=damping_rule_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
@@ -361,11 +362,13 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
         requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), requirement)
     coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
-    studies = (
+    study_and_coarser_study = (
         prepared,
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
-    dataset_by_name = pack_dataclass(PreparedFile(*map(_gather_prepared_structure, studies)))
+    dataset_by_name = pack_dataclass(
+        PreparedFile(*map(_gather_prepared_structure, study_and_coarser_study))
+    )
     write_result_file(dataset_by_name, path, FILE_KIND, scene, structure.whole.comm)
 
 
@@ -517,11 +520,11 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
         if has_same_load_rows
         else scene_load_rows @ np.linalg.pinv(file_load_rows)
     )
-    is_not_representable = (
+    is_no_combination_of_file_rows = (
         np.abs(weight_matrix @ file_load_rows - scene_load_rows).max()
         > ROUNDING * np.abs(scene_load_rows).max()
     )
-    if is_not_representable or (scene.has_other_loads and not has_same_load_rows):
+    if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
         requirement = (
             f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
         )

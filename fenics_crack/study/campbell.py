@@ -244,17 +244,21 @@ class Campbell(SavedResult):
             for changed_mode, start_speed, kind in self.changes
             if changed_mode == mode
         ]
-        starts_and_kinds = sorted([*speeds_and_kinds, *change_speeds_and_kinds])
-        kinds_below = [kind for start_speed, kind in starts_and_kinds if start_speed < speed]
-        kinds_from = [kind for start_speed, kind in starts_and_kinds if start_speed <= speed]
-        return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
+        start_speeds_and_kinds = sorted([*speeds_and_kinds, *change_speeds_and_kinds])
+        kinds_begun_below_speed = [
+            kind for start_speed, kind in start_speeds_and_kinds if start_speed < speed
+        ]
+        kinds_begun_by_speed = [
+            kind for start_speed, kind in start_speeds_and_kinds if start_speed <= speed
+        ]
+        return [kinds_begun_by_speed[0], *kinds_begun_below_speed][-1], kinds_begun_by_speed[-1]
 
     def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
         """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
-        omega = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
+        omega_of_kinds = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
-            return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
-        return float(omega[HELD_FREQUENCY_KINDS.index(kind)])
+            return float(BilinearFrequencies(omega_of_kinds[0], omega_of_kinds[1]).omega_bilinear)
+        return float(omega_of_kinds[HELD_FREQUENCY_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Return speeds, frequencies [rad/s] and kinds along a mode's line.
@@ -277,8 +281,9 @@ class Campbell(SavedResult):
 
         Only the load's own engine order has known resonances.
         """
-        load_order, crossings = self.scene.excitation.order, self.crossings(order, "real").tolist()
-        resonances = [resonance for _, resonance in self.met] if order == load_order else []
+        load_engine_order = self.scene.excitation.order
+        crossings = self.crossings(order, "real").tolist()
+        resonances = [resonance for _, resonance in self.met] if order == load_engine_order else []
         resonances += [UNSOUGHT_RESONANCE] * len(crossings)
         return [
             (int(mode), speed, resonance)
@@ -301,18 +306,18 @@ class Campbell(SavedResult):
             text += _speed_in_words(speed)
             if self.cracked:
                 kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
-                alternative_texts = [
-                    f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(alternative_speed)}"
+                other_state_texts = [
+                    f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(other_state_speed)}"
                     for kind in FREQUENCY_KIND_NAMES
                     if kind != kinds_at_crossing[-1] or len(kinds_at_crossing) > 1
-                    for crossing_mode, alternative_speed in self.crossings(order, kind)
+                    for crossing_mode, other_state_speed in self.crossings(order, kind)
                     if crossing_mode == mode
                 ]
                 state_texts = [STATE_TEXT_BY_KIND[kind] for kind in kinds_at_crossing]
                 text += f" with the crack {' before and '.join(state_texts)}"
                 text += " after" if len(kinds_at_crossing) > 1 else ""
                 text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
-                text += f"; it would be {', '.join(alternative_texts)}" if alternative_texts else ""
+                text += f"; it would be {', '.join(other_state_texts)}" if other_state_texts else ""
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
@@ -380,16 +385,17 @@ class Campbell(SavedResult):
 
     def said(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
-        axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
+        axis_of_speed, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
         modes_text = format_count(self.omega_open.shape[1], "mode")
         outcome_text = (
-            f"{modes_text} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
+            f"{modes_text} found between "
+            f"{format_in_unit(axis_of_speed, self.speed[0], self.speed[-1])}"
         )
         if order is None:
             return Conclusion(outcome_text)
         crossing_texts = [
             f"mode {mode} at "
-            f"{format_in_unit(axis, speed if resonance.unknown else resonance.value)}"
+            f"{format_in_unit(axis_of_speed, speed if resonance.unknown else resonance.value)}"
             for mode, speed, resonance in self._list_crossings_with_resonances(order)
         ]
         return Conclusion(
@@ -399,8 +405,8 @@ class Campbell(SavedResult):
 
     def _title(self) -> str:
         speed_text = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        first_omegas = self.omega_bilinear[[0, -1], 0]
-        frequency_text = f"first {first_omegas[0]:.6g} to {first_omegas[1]:.6g} rad/s"
+        first_mode_omegas = self.omega_bilinear[[0, -1], 0]
+        frequency_text = f"first {first_mode_omegas[0]:.6g} to {first_mode_omegas[1]:.6g} rad/s"
         return f"{speed_text}, {format_count(self.omega_open.shape[1], 'mode')}, {frequency_text}"
 
 
@@ -488,7 +494,7 @@ def campbell(
     frequency_kinds = np.array([_frequency_kinds_from_margins(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
-    coriolis = coriolis_shifts(modes, speed_array[-1] * rotation_axis)
+    relative_coriolis_changes = coriolis_shifts(modes, speed_array[-1] * rotation_axis)
     diagram = Campbell(
         requested_scene,
         speed_array,
@@ -498,7 +504,7 @@ def campbell(
         top_structure.n_pairs > 0,
         frequency_kinds,
         kind_changes,
-        coriolis,
+        relative_coriolis_changes,
         find_frequencies_and_margins,
     )
     damped_projection = replace(projection, structure=top_structure)
@@ -539,11 +545,11 @@ def report_of_campbell(diagram: Campbell) -> Report:
     The orders are the load's order, or all up to :data:`MAX_REPORTED_ORDER`.
     """
     scene = diagram.scene
-    load_order = scene.excitation.order
+    load_engine_order = scene.excitation.order
     frequency_prefix = "frequency" if scene.in_hertz or scene.in_rpm else "omega"
-    orders = [load_order] if load_order else [*range(1, MAX_REPORTED_ORDER + 1)]
+    orders = [load_engine_order] if load_engine_order else [*range(1, MAX_REPORTED_ORDER + 1)]
     notes = [text for order in orders for text in diagram.meetings(order)]
-    if not notes and load_order is None:
+    if not notes and load_engine_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
         notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), diagram.speed[-1])} {text}")
@@ -654,8 +660,8 @@ def _find_frequencies_and_margins(
         Margins at resonance under the load; positive if the crack is held.
     """
     open_modes = solve_modes(structure, n_modes)
-    no_pairs = np.zeros(structure.n_pairs, dtype=bool)
-    all_pairs = np.ones(structure.n_pairs, dtype=bool)
+    no_pairs_mask = np.zeros(structure.n_pairs, dtype=bool)
+    all_pairs_mask = np.ones(structure.n_pairs, dtype=bool)
     if not structure.n_pairs:
         return np.tile(open_modes.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(n_modes))
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
@@ -664,20 +670,22 @@ def _find_frequencies_and_margins(
     pair_openings = np.where(
         is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]
     )
-    rest_states = np.where(np.array([no_pairs, all_pairs, is_pressed]), pair_forces, pair_openings)
-    held_states = zip(rest_states, (no_pairs, all_pairs, is_pressed), strict=True)
+    rest_states = np.where(
+        np.array([no_pairs_mask, all_pairs_mask, is_pressed]), pair_forces, pair_openings
+    )
+    held_states = zip(rest_states, (no_pairs_mask, all_pairs_mask, is_pressed), strict=True)
     frequencies_and_margins = [
         _find_held_frequencies_and_margins(
             open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
         )
         for rest_state, is_bonded in held_states
     ]
-    omega, hold_margins = (
+    omega_of_states, hold_margins = (
         np.array(state_rows) for state_rows in zip(*frequencies_and_margins, strict=True)
     )
     if is_pressed.all() or not is_pressed.any():
         hold_margins[2] = -1.0  # not partly
-    return omega, hold_margins
+    return omega_of_states, hold_margins
 
 
 def _find_held_frequencies_and_margins(

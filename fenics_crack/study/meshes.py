@@ -55,9 +55,10 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     element_counts = count_elements(structure), count_elements(coarser_study.structure)
     if not element_counts[1] < element_counts[0]:
         return "a coarser one has as many elements"
-    structures = structure, coarser_study.structure
+    fine_and_coarser_structure = structure, coarser_study.structure
     fine_extents, coarser_extents = (
-        np.array(mesh_extents(meshed_structure.whole)) for meshed_structure in structures
+        np.array(mesh_extents(meshed_structure.whole))
+        for meshed_structure in fine_and_coarser_structure
     )
     coarser_element_length = (coarser_extents.prod() / element_counts[1]) ** (
         1.0 / len(coarser_extents)
@@ -66,7 +67,9 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     if np.any(np.abs(coarser_extents - fine_extents) > coarser_element_length):
         extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
         return f"mesh.coarser is another part, of {extents_text} m"
-    if scene.mesh.layout == "file" and (mismatch_text := _describe_crack_mismatch(*structures)):
+    if scene.mesh.layout == "file" and (
+        mismatch_text := _describe_crack_mismatch(*fine_and_coarser_structure)
+    ):
         return mismatch_text
     return (
         coarser_study,

@@ -58,8 +58,8 @@ def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
         OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(study.scene)
     }
     return [
-        make_rows(study)
-        for place, make_rows in _MAKE_EXTRA_ROWS_BY_PLACE.items()
+        make_extra_rows(study)
+        for place, make_extra_rows in _MAKE_EXTRA_ROWS_BY_PLACE.items()
         if place in requested_places
     ]
 
@@ -92,7 +92,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     observed_displacements, requested_value_by_name = motion.observe(
         watched_dofs, make_requested_extra_rows(study)
     )
-    quantities = []
+    observed_quantities = []
     for watched_displacement, (indicators, _) in zip(
         study.watched, observed_displacements, strict=True
     ):
@@ -102,7 +102,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
             words = observable.words + (f", {watched_displacement.words}" if needs_words else "")
             column_name = watched_displacement.column_name(quantity_name)
             value = getattr(indicators, quantity_name)
-            quantities.append(
+            observed_quantities.append(
                 ObservedQuantity(column_name, words, value, observable.unit, quantity_name)
             )
     value_by_name = motion.faces | {
@@ -111,10 +111,10 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     }
     for quantity_name, value in value_by_name.items():
         observable = OBSERVABLES_BY_NAME[quantity_name]
-        quantities.append(
+        observed_quantities.append(
             ObservedQuantity(quantity_name, observable.words, value, observable.unit, quantity_name)
         )
-    return quantities
+    return observed_quantities
 
 
 # --- the clamp ------------------------------------------------------------------------------------
@@ -221,13 +221,13 @@ class TipHistory(NamedTuple):
         load_ratios = np.minimum(minima / maxima, 1.0 - 1e-9)
         driving_ranges = ranges / (1.0 - load_ratios) ** (1.0 - self.growth_law.ratio_exponent)
         is_growing = ranges >= min(self.growth_law.threshold, ranges.max())
-        growth_terms = (
+        relative_growth_terms = (
             np.where(is_growing, driving_ranges / driving_ranges.max(), 0.0)
             ** self.growth_law.exponent
         )
         return float(
             driving_ranges.max()
-            * (growth_terms.sum() / self.periods) ** (1.0 / self.growth_law.exponent)
+            * (relative_growth_terms.sum() / self.periods) ** (1.0 / self.growth_law.exponent)
         )
 
     def values_by_name(self) -> dict[str, float]:
@@ -302,13 +302,13 @@ def estimate_closed_front_and_mesh_errors(
         may vanish by chance. Infinite if the coarser mesh lacks the numbers or has too few stations
         for K to vary along a front; the first dict then is empty.
     """
-    requested_names = set(quantities_on_request(study.scene))
+    requested_quantity_names = set(quantities_on_request(study.scene))
     quantity_names = sorted(
-        requested_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
+        requested_quantity_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
     )
     if study.scene.dimension == 2 or not quantity_names:
         return {}, {}
-    if not requested_names.intersection(quantities_on_request(coarser_study.scene)):
+    if not requested_quantity_names.intersection(quantities_on_request(coarser_study.scene)):
         return {}, dict.fromkeys(quantity_names, math.inf)
     intensities_by_front = _collect_intensities_by_front(study, motion)
     coarser_intensities_by_front = _collect_intensities_by_front(coarser_study, coarser_motion)
@@ -323,7 +323,7 @@ def estimate_closed_front_and_mesh_errors(
     difference_by_name = {}
     for quantity_name in quantity_names:
         station_quantity_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
-        differences = [
+        differences_of_fronts = [
             np.interp(
                 relative_positions,
                 coarser_intensities_by_front[front_name][0],
@@ -333,10 +333,13 @@ def estimate_closed_front_and_mesh_errors(
             for front_name, (relative_positions, values_by_name, _) in intensities_by_front.items()
         ]
         difference_by_name[quantity_name] = max(
-            float(np.abs(difference).max()) for difference in differences
+            float(np.abs(differences_of_front).max())
+            for differences_of_front in differences_of_fronts
         )
-    closed_error = max(front_error for _, _, front_error in intensities_by_front.values())
-    return dict.fromkeys(quantity_names, closed_error), difference_by_name
+    closed_front_error = max(
+        error_of_front for _, _, error_of_front in intensities_by_front.values()
+    )
+    return dict.fromkeys(quantity_names, closed_front_error), difference_by_name
 
 
 def _collect_intensities_by_front(
@@ -364,9 +367,13 @@ def _collect_intensities_by_front(
             name: np.array([value_by_name[name] for value_by_name in value_by_name_of_stations])
             for name in value_by_name_of_stations[0]
         }
-        closed_error = max(history.closed_front_error for history in station_histories)
+        closed_front_error = max(history.closed_front_error for history in station_histories)
         front_length = arc_lengths[-1] or 1.0
-        intensities_by_front[front_name] = arc_lengths / front_length, values_by_name, closed_error
+        intensities_by_front[front_name] = (
+            arc_lengths / front_length,
+            values_by_name,
+            closed_front_error,
+        )
     return intensities_by_front
 
 

@@ -292,23 +292,25 @@ def _amplitude_bounds(
             modes.omega, modal_damping_ratios, harmonic * load_omega
         )
         modal_amplitudes = modal_receptance_increase * modal_load
-        displacement = static_displacement + modal_amplitudes @ modes.shapes.T
+        displacement_amplitude = static_displacement + modal_amplitudes @ modes.shapes.T
         real_and_imaginary_parts = structure.values_at(
-            np.stack([displacement.real, displacement.imag]), watched_dofs
+            np.stack([displacement_amplitude.real, displacement_amplitude.imag]), watched_dofs
         )
         watched_amplitudes = watched_amplitudes + np.hypot(*real_and_imaginary_parts)
         if structure.n_pairs:
             gaps = static_gap + modal_amplitudes @ modal_gaps
-            compliance = face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
+            dynamic_compliance = (
+                face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
+            )
             contact_forces = np.zeros(structure.n_pairs, dtype=complex)
-            closed_compliance = compliance[np.ix_(is_closed, is_closed)]
+            closed_compliance = dynamic_compliance[np.ix_(is_closed, is_closed)]
             contact_forces[is_closed] = np.linalg.lstsq(
                 closed_compliance, gaps[is_closed], rcond=None
             )[0]
             open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(gaps)
             contact_force_amplitudes = contact_force_amplitudes + np.abs(contact_forces)
             closed_pairs_gap_amplitudes = closed_pairs_gap_amplitudes + np.abs(
-                gaps - compliance @ contact_forces
+                gaps - dynamic_compliance @ contact_forces
             )
     return (
         watched_amplitudes,
@@ -354,13 +356,13 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
-    second_stiffness, third_stiffness = rotation.displaced_stiffnesses
-    for mode_index, shape in enumerate(modes.shapes.T):
-        sector_shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
+    K_2, K_3 = rotation.displaced_stiffnesses
+    for mode_index, mode_shape in enumerate(modes.shapes.T):
+        sector_shapes = np.vstack(list(structure.iterate_sector_displacements(mode_shape[None]))).T
         stiffness_products = multiply(rotation.rotation_stiffness, sector_shapes) + multiply(
-            second_stiffness, sector_shapes
+            K_2, sector_shapes
         )
-        stiffness_products += 2.0 * rotation.speed**2 * multiply(third_stiffness, sector_shapes)
+        stiffness_products += 2.0 * rotation.speed**2 * multiply(K_3, sector_shapes)
         slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 
@@ -598,8 +600,10 @@ def scales_with_load(scene: Scene) -> bool:
     """
     if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
-    tables = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
-    return all(table.clearance == 0.0 for table in tables)
+    tables_with_clearance = (
+        scene.all_cracks.values() if scene.structure is None else (scene.structure,)
+    )
+    return all(table.clearance == 0.0 for table in tables_with_clearance)
 
 
 # --- remarks --------------------------------------------------------------------------------------
@@ -691,8 +695,8 @@ def _iterate_remarks(
     ``rule_arguments`` are the structure or the key figures. A remark names the first unit in which
     the value would be usual.
     """
-    geometry = scene.geometry
-    body_kind = "structure" if geometry is None else geometry.kind
+    geometry_table = scene.geometry
+    body_kind = "structure" if geometry_table is None else geometry_table.kind
     for rule in rules:
         for key, value in _entries_of_first_given_key(scene, rule.keys_text):
             number_and_values = rule.compute_number(value, scene, *rule_arguments)
@@ -746,9 +750,11 @@ def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, obje
 
 def _side_if_longest(side_length: float, scene: Scene) -> float | None:
     """Return a plate's side [m] if it is the longest one, else None."""
-    geometry = scene.geometry
+    geometry_table = scene.geometry
     return (
-        side_length if side_length == max(geometry.width or 0.0, geometry.height or 0.0) else None
+        side_length
+        if side_length == max(geometry_table.width or 0.0, geometry_table.height or 0.0)
+        else None
     )
 
 
@@ -768,8 +774,10 @@ def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None
 
     It is None for plane problems of 1 m, which is usual, and for disks.
     """
-    is_unscaled = scene.geometry.kind == "plate" and (thickness == 1.0 or scene.disk is not None)
-    return None if is_unscaled else thickness / _shorter_side(scene)
+    is_thickness_irrelevant = scene.geometry.kind == "plate" and (
+        thickness == 1.0 or scene.disk is not None
+    )
+    return None if is_thickness_irrelevant else thickness / _shorter_side(scene)
 
 
 def _relative_distance_and_node_text(
@@ -777,8 +785,8 @@ def _relative_distance_and_node_text(
 ) -> tuple[float, str] | None:
     """Return relative distance and position of the node nearest to a load.
 
-    The distance is over the mesh's size. It applies to files of parts and models; None if the load
-    acts inside a cell (collective).
+    The distance is over the mesh's longest extent. It applies to files of parts and models; None if
+    the load acts inside a cell (collective).
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -796,8 +804,8 @@ def _relative_distance_and_node_text(
     points = gather_rows(structure.comm, structure.nodes.points)
     distances = np.linalg.norm(points - load_point, axis=1)
     nearest_index = int(np.argmin(distances))
-    mesh_size, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
-    return distances[nearest_index] / mesh_size, format_point(nearest_point)
+    longest_mesh_extent, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
+    return distances[nearest_index] / longest_mesh_extent, format_point(nearest_point)
 
 
 def _tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
@@ -814,21 +822,25 @@ def _tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float 
         return None
     if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
         return None
-    point, axis = (vector[: structure.nodes.points.shape[1]] for vector in scene.axis)
-    offsets = gather_rows(structure.comm, structure.nodes.points) - point
-    radial_offsets = offsets - np.outer(offsets @ axis, axis)
+    axis_point, axis_direction = (
+        vector[: structure.nodes.points.shape[1]] for vector in scene.axis
+    )
+    offsets = gather_rows(structure.comm, structure.nodes.points) - axis_point
+    radial_offsets = offsets - np.outer(offsets @ axis_direction, axis_direction)
     return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
 
 
 def _clamp_height_ratio_and_height(
     _: float, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return a clamp's offset from y = 0: over the mesh's size, and y [m]."""
+    """Return a clamp's height y over the mesh's longest extent, and y [m]."""
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
         return None
-    points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
-    clamp_heights = points[np.all(dofs < 0, axis=1), 1]
+    points, node_dofs = (
+        gather_rows(structure.comm, local_rows) for local_rows in (nodes.points, nodes.dofs)
+    )
+    clamp_heights = points[np.all(node_dofs < 0, axis=1), 1]
     clamp_height = (
         float(clamp_heights[np.abs(clamp_heights).argmax()]) if len(clamp_heights) else 0.0
     )
@@ -849,19 +861,22 @@ def _clamp_bending_ratio_and_stress(
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
         return None
-    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
-    sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
-    normal_axis, free_dofs = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
-    axis_offset = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
-    offset = np.where(np.arange(3) == normal_axis, 0.0, axis_offset)
-    force_and_moment = [
+    is_clamped, (axis_point, axis_direction) = np.all(nodes.dofs < 0, axis=1), scene.axis
+    clamp_sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
+    normal_axis_index = int(clamp_sides.argmin())
+    free_dofs = nodes.dofs[~is_clamped] - structure.first_dof
+    clamp_offset_from_axis = (np.eye(3) - np.outer(axis_direction, axis_direction)) @ (
+        clamp.center - axis_point
+    )
+    in_plane_offset = np.where(np.arange(3) == normal_axis_index, 0.0, clamp_offset_from_axis)
+    local_force_and_moment = [
         rotation.force[free_dofs].sum(axis=0),
-        (clamp.inertia[3:, free_dofs] @ offset).sum(axis=1),
+        (clamp.inertia[3:, free_dofs] @ in_plane_offset).sum(axis=1),
     ]
-    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(force_and_moment))
-    first_side, second_side = np.delete(sides, normal_axis)
+    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(local_force_and_moment))
+    first_side, second_side = np.delete(clamp_sides, normal_axis_index)
     bending_force = 6.0 * (
-        np.abs(np.delete(moment, normal_axis)) @ [1.0 / second_side, 1.0 / first_side]
+        np.abs(np.delete(moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
     )
     return bending_force / float(np.linalg.norm(force)), 1e-6 * bending_force / (
         first_side * second_side
@@ -892,18 +907,20 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
 
 def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
     """Return the number of rigid contact pairs with mass, or None."""
-    reduction, contact = modal_reduction_or_none(scene, structure), scene.contact
-    is_massless = reduction is not None and reduction.method == "massless"
+    reduction, contact_table = modal_reduction_or_none(scene, structure), scene.contact
+    has_massless_faces = reduction is not None and reduction.method == "massless"
     return (
-        None if is_massless or contact is None or contact.law != "unilateral" else structure.n_pairs
+        None
+        if has_massless_faces or contact_table is None or contact_table.law != "unilateral"
+        else structure.n_pairs
     )
 
 
 def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
     """Return a function that detects a load frequency in another unit.
 
-    It applies if the load frequency is near no natural frequency, but ``unit_factor`` times the
-    load frequency is near the first one. The function then returns the load frequency over the
+    It applies if the load frequency is near no natural frequency, but ``other_unit_factor`` times
+    the load frequency is near the first one. The function then returns the load frequency over the
     first natural frequency, and the latter in Hz and rad/s.
     """
 
@@ -951,10 +968,10 @@ def _missed_first_omega_and_text(
         )
     )
     curve_start, curve_end = sorted(curve_table.continuation_range[1:])
-    natural_omegas = key_figures.omega_open, key_figures.omega_tied
+    open_and_bonded_omegas = key_figures.omega_open, key_figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (
-            find_crossing_parameters(omega, harmonic=harmonic) for omega in natural_omegas
+            find_crossing_parameters(omega, harmonic=harmonic) for omega in open_and_bonded_omegas
         )
         if np.any((curve_start <= bonded_parameters) & (curve_end >= open_parameters)):
             return None
@@ -981,8 +998,12 @@ def _peak_rotation_and_displacement(
 
     None with other loads, or without damping.
     """
-    is_unbounded = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
-    return None if is_unbounded else (key_figures.peak_rotation, key_figures.peak_displacement)
+    has_other_loads_or_no_damping = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
+    return (
+        None
+        if has_other_loads_or_no_damping
+        else (key_figures.peak_rotation, key_figures.peak_displacement)
+    )
 
 
 def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
@@ -990,9 +1011,11 @@ def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures)
 
     None for grids, which choose it, and for contact at the mouth alone.
     """
-    has_mouth_pair = scene.contact is not None and scene.contact.pairs == "mouth"
-    is_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
-    return None if has_mouth_pair or is_grid else key_figures.n_face_elements
+    has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
+    is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
+    return (
+        None if has_mouth_contact_only or is_grid_without_patches else key_figures.n_face_elements
+    )
 
 
 def _linear_gap_motion_and_verb(

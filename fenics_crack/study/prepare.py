@@ -174,7 +174,8 @@ def _find_watched_displacements(
     if not scene.points:
         dof = structure.watched_dof
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
-    displacements, sector_structure = [], structure.sector_structure  # the points belong to a blade
+    watched_displacements = []
+    sector_structure = structure.sector_structure
     for point in scene.points:
         full_point_key = f"output.points.{point.key}"
         if sector_structure.nodes is None:
@@ -187,11 +188,14 @@ def _find_watched_displacements(
         distance = float(np.linalg.norm(node_position - point.values).round(12))
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
-                name = f"{point.key}.u{axis}"
-                words, watched_sector_index = scene.point_names[name], structure.watched_sector
+                quantity_prefix = f"{point.key}.u{axis}"
+                words = scene.point_names[quantity_prefix]
+                watched_sector_index = structure.watched_sector
                 global_dof = structure.dof_of(watched_sector_index + 1, int(dof))
-                displacements.append(WatchedDisplacement(name, words, global_dof, distance))
-    return tuple(displacements)
+                watched_displacements.append(
+                    WatchedDisplacement(quantity_prefix, words, global_dof, distance)
+                )
+    return tuple(watched_displacements)
 
 
 def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
@@ -319,8 +323,8 @@ def estimate_and_check_memory(
                 "structure.mass", mass_path, f"that of a smaller structure: {size_text}"
             )
         mesh_key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        mesh_value = getattr(scene.mesh, mesh_key)
-        raise InputError(f"mesh.{mesh_key}", mesh_value, f"that of a coarser mesh: {size_text}")
+        mesh_key_value = getattr(scene.mesh, mesh_key)
+        raise InputError(f"mesh.{mesh_key}", mesh_key_value, f"that of a coarser mesh: {size_text}")
     return needed_bytes
 
 
@@ -453,15 +457,17 @@ def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
     """
     if structure.n_pairs == 0 or scene.contact is None:
         return None
-    contact, reduction = scene.contact, modal_reduction_or_none(scene, structure)
-    is_massless = structure.light_lips or (reduction is not None and reduction.method == "massless")
-    if contact.friction and not is_massless:  # pairs that stick must give a little
+    contact_table, reduction = scene.contact, modal_reduction_or_none(scene, structure)
+    has_massless_faces = structure.light_lips or (
+        reduction is not None and reduction.method == "massless"
+    )
+    if contact_table.friction and not has_massless_faces:  # pairs that stick must give a little
         condition_text = (
             "with friction of crack faces that keep their mass; or reduction.method = 'massless'"
         )
-        contact.require(contact.law == "penalty", "law", f"'penalty' {condition_text}")
-        contact.given("tangential_stiffness_per_area", f"given [N/m^3] {condition_text}")
-    return contact_law(contact, structure)
+        contact_table.require(contact_table.law == "penalty", "law", f"'penalty' {condition_text}")
+        contact_table.given("tangential_stiffness_per_area", f"given [N/m^3] {condition_text}")
+    return contact_law(contact_table, structure)
 
 
 def contact_law(contact: Contact, structure: Structure | None = None) -> ContactLaw:
@@ -524,17 +530,17 @@ def _required_pair_areas(
     return structure.pair_areas
 
 
-def _make_normal_contact_law(contact: Contact, structure: Structure | None) -> ContactLaw:
+def _make_normal_contact_law(contact_table: Contact, structure: Structure | None) -> ContactLaw:
     """Make the normal contact law of a contact table, without friction."""
-    if contact.law == "unilateral":
+    if contact_table.law == "unilateral":
         return UnilateralConstraint()
-    pair_stiffness: float | np.ndarray | None = contact.stiffness
-    if (stiffness_per_area := contact.stiffness_per_area) is not None:
+    pair_stiffness: float | np.ndarray | None = contact_table.stiffness
+    if (stiffness_per_area := contact_table.stiffness_per_area) is not None:
         pair_stiffness = stiffness_per_area * _required_pair_areas(
             "stiffness_per_area", stiffness_per_area, structure
         )
     assert pair_stiffness is not None
-    if contact.law == "smoothed":
-        assert contact.sharpness is not None
-        return SmoothedPenalty(pair_stiffness, contact.sharpness)
+    if contact_table.law == "smoothed":
+        assert contact_table.sharpness is not None
+        return SmoothedPenalty(pair_stiffness, contact_table.sharpness)
     return UnilateralPenalty(pair_stiffness)

@@ -157,7 +157,7 @@ def build_geometry(
     ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
     mesh, for another rotor speed.
     """
-    scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.all_cracks})
+    scene = scene.replace({f"{crack_key}.clearance": 0.0 for crack_key in scene.all_cracks})
     if request.has_unit_loads:
         dimension = scene.dimension
         keys_and_unit_forces = zip(
@@ -167,8 +167,8 @@ def build_geometry(
         )
         scene = scene.replace(
             {
-                f"excitation.{key_name}": tuple(unit_force)
-                for key_name, unit_force in keys_and_unit_forces
+                f"excitation.{force_key}": tuple(unit_force)
+                for force_key, unit_force in keys_and_unit_forces
             }
         )
     unreduced_study = prepare(
@@ -220,15 +220,18 @@ def iterate_geometries_with_more_modes(
 
 def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
     """Return rows for displacements at the load and named points, by name (collective)."""
-    named_displacements = [
+    named_watched_displacements = [
         watched_displacement for watched_displacement in study.watched if watched_displacement.name
     ]
     displacement_rows = rows_of(
-        study.structure, [watched_displacement.dof for watched_displacement in named_displacements]
+        study.structure,
+        [watched_displacement.dof for watched_displacement in named_watched_displacements],
     )
     row_by_name = {
         watched_displacement.name: row
-        for watched_displacement, row in zip(named_displacements, displacement_rows, strict=True)
+        for watched_displacement, row in zip(
+            named_watched_displacements, displacement_rows, strict=True
+        )
     }
     return _find_load_point_row_by_name(study.scene, study.structure) | row_by_name
 
@@ -371,9 +374,9 @@ class CaseSolver:
 
     def _set_structure_and_law(self, case: Scene) -> None:
         """Set structure and law for a case, unless only its frequency differs."""
-        comparable_case = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last_case != comparable_case:
-            self._last_case = comparable_case
+        case_without_frequency = case.replace({"excitation.omega": 1.0, "curve": None})
+        if self._last_case != case_without_frequency:
+            self._last_case = case_without_frequency
             self._structure = self._geometry.structure_of_case(case)
             self._law = scene_contact_law(case, self._structure)
 

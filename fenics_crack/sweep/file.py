@@ -228,7 +228,7 @@ class SweepFile:
         self.is_new = new_header is not None
 
     def write_pending_cases(
-        self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]
+        self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
     ) -> None:
         """Write the given cases that are still pending.
 
@@ -248,32 +248,39 @@ class SweepFile:
         if len(pending_positions):
             self.write_cases(
                 case_numbers[pending_positions],
-                [cases[pending_position] for pending_position in pending_positions],
+                [values_of_cases[pending_position] for pending_position in pending_positions],
             )
 
-    def write_cases(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+    def write_cases(
+        self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
+    ) -> None:
         """Write cases by number (n,): all values first, then the states."""
         if not self._is_file_still_at_path():
             requirement = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement)
         case_states = np.array(
-            [CaseState.CONVERGED if "gap" in case else CaseState.FAILED for case in cases]
+            [
+                CaseState.CONVERGED if "gap" in case_values else CaseState.FAILED
+                for case_values in values_of_cases
+            ]
         )
         waves_by_name = {
-            wave_name: [case.get(wave_name, np.zeros((0, 0))) for case in cases]
+            wave_name: [
+                case_values.get(wave_name, np.zeros((0, 0))) for case_values in values_of_cases
+            ]
             for wave_name in UNIT_BY_WAVE
         }
         column_by_name = {}
         for column_name in self._unit_and_type_by_column:
             column_type = self.sweep_header.columns[column_name].dtype
-            encoded_column = [
+            encoded_column_values = [
                 _encode_value(
-                    case.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
+                    case_values.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
                     column_type.itemsize,
                 )
-                for case in cases
+                for case_values in values_of_cases
             ]
-            column_by_name[column_name] = np.array(encoded_column, column_type)
+            column_by_name[column_name] = np.array(encoded_column_values, column_type)
         wave_checksums = [
             _compute_waves_checksum(*gap_and_force)
             for gap_and_force in zip(*waves_by_name.values(), strict=True)
@@ -377,12 +384,12 @@ def _make_file_and_header_or_none(
                 os.memfd_create("sweep"), "w+b", buffering=0
             ) as memory_file,  # zeros take no memory
         ):
-            dataset_bytes = (
+            byte_counts_of_datasets = (
                 math.prod(dataset_shape) * np.dtype(type_name).itemsize
                 for _, type_name, dataset_shape in unit_type_shape_by_dataset.values()
             )
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
-            new_file.truncate(sum(dataset_bytes))
+            new_file.truncate(sum(byte_counts_of_datasets))
             sweep_header = _write_datasets_and_make_header(
                 memory_file, path, scene, unit_type_shape_by_dataset, omitted_options
             )
@@ -524,13 +531,13 @@ def _check_omitted_options_match(
 
     Files from earlier versions do not state the options and are accepted.
     """
-    stored_options = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
-    changed_options = [
-        f"{option_name}={option_name not in stored_options}"
-        for option_name in sorted({*stored_options} ^ {*omitted_options})
+    stored_option_names = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
+    changed_option_texts = [
+        f"{option_name}={option_name not in stored_option_names}"
+        for option_name in sorted({*stored_option_names} ^ {*omitted_options})
     ]
-    if changed_options:
-        path_text = f"{sweep_header.path}, begun with {', '.join(changed_options)}"
+    if changed_option_texts:
+        path_text = f"{sweep_header.path}, begun with {', '.join(changed_option_texts)}"
         requirement = "continued as it was begun; for other columns choose a new folder"
         raise InputError("path", path_text, requirement)
 

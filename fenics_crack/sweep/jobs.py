@@ -168,7 +168,9 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     send_requests: list[MPI.Request] = []
 
     def may_continue() -> bool:
-        send_requests[:] = [request for request in send_requests if not request.Test()]
+        send_requests[:] = [
+            send_request for send_request in send_requests if not send_request.Test()
+        ]
         return not comm.iprobe(source=0, tag=Tag.END)
 
     message_status = MPI.Status()
@@ -366,12 +368,12 @@ class Manager:
             self._keep_error_and_discard_jobs(error)
             return
         self._n_recorded_chunks += 1
-        cases_without_solution = (
+        values_without_solution = (
             value_by_column for value_by_column in outcome if "gap" not in value_by_column
         )
         self._n_failed_cases += sum(
             value_by_column["status"] != FREQUENCIES_ONLY_STATUS
-            for value_by_column in cases_without_solution
+            for value_by_column in values_without_solution
         )
         if self._n_failed_cases:
             self._progress_bar.set_postfix_str(f"{self._n_failed_cases} failed", refresh=False)

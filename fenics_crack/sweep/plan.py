@@ -106,24 +106,36 @@ class Plan:
         axis without effect on the geometry.
         """
         swept_keys = list(self._swept_values_by_key)
-        geometry_independent_axes = [
-            axis
-            for axis, swept_key in enumerate(swept_keys)
+        independent_axis_indices = [
+            axis_index
+            for axis_index, swept_key in enumerate(swept_keys)
             if swept_key in geometry_independent_keys
         ]
-        frequency_axes = [
-            axis for axis in geometry_independent_axes if swept_keys[axis] in FREQUENCY_KEYS
+        frequency_axis_indices = [
+            axis_index
+            for axis_index in independent_axis_indices
+            if swept_keys[axis_index] in FREQUENCY_KEYS
         ]
-        chunk_axes = (frequency_axes or geometry_independent_axes)[-1:]
-        inner_axes = [axis for axis in geometry_independent_axes if axis not in chunk_axes]
-        geometry_axes = [
-            axis for axis in range(len(swept_keys)) if axis not in geometry_independent_axes
+        chunk_axis_indices = (frequency_axis_indices or independent_axis_indices)[-1:]
+        inner_axis_indices = [
+            axis_index
+            for axis_index in independent_axis_indices
+            if axis_index not in chunk_axis_indices
         ]
-        chunk_axis_length = self.shape[chunk_axes[0]] if chunk_axes else 1
+        geometry_axis_indices = [
+            axis_index
+            for axis_index in range(len(swept_keys))
+            if axis_index not in independent_axis_indices
+        ]
+        chunk_axis_length = self.shape[chunk_axis_indices[0]] if chunk_axis_indices else 1
         case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
-        case_numbers = case_numbers.transpose([*geometry_axes, *inner_axes, *chunk_axes])
+        case_numbers = case_numbers.transpose(
+            [*geometry_axis_indices, *inner_axis_indices, *chunk_axis_indices]
+        )
         case_numbers_by_geometry = case_numbers.reshape(
-            math.prod(self.shape[axis] for axis in geometry_axes), -1, chunk_axis_length
+            math.prod(self.shape[axis_index] for axis_index in geometry_axis_indices),
+            -1,
+            chunk_axis_length,
         )
         n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
         return [
@@ -199,8 +211,8 @@ def _find_pair_upper_bound(scene: Scene) -> int:
     if scene.structure is not None:
         return table_pair_upper_bound(scene.structure)
     mesh_table = scene.mesh
-    has_mouth_pairs = scene.contact is not None and scene.contact.pairs == "mouth"
-    max_pairs_per_crack = 1 if has_mouth_pairs else mesh_table.patches or math.inf
+    has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
+    max_pairs_per_crack = 1 if has_mouth_contact_only else mesh_table.patches or math.inf
     if mesh_table.layout == "file" or scene.dimension == 3:
         try:
             mesh = build_mesh(scene, MPI.COMM_SELF)

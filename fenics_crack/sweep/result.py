@@ -331,9 +331,9 @@ class SweepResult(Tabular):
             self.converged & (self["verdict"] != "undecided")
         )
         return [
-            (index, contradiction)
+            (index, contradiction_text)
             for index, status in indices_and_statuses
-            if (contradiction := status.partition(CONTRADICTION_PREFIX)[2])
+            if (contradiction_text := status.partition(CONTRADICTION_PREFIX)[2])
         ]
 
     def _find_indices_and_statuses(
@@ -519,12 +519,15 @@ class SweepResult(Tabular):
         total_errors = self.errors.sum(axis=0)[is_converged]
         cases_text = format_count(is_converged.size, "case")
         if np.any(
-            np.isfinite(converged_responses := np.where(is_converged, self["response"], np.nan))
+            np.isfinite(
+                responses_nan_unless_converged := np.where(is_converged, self["response"], np.nan)
+            )
         ):
             peak_index = np.unravel_index(
-                int(np.nanargmax(converged_responses)), converged_responses.shape
+                int(np.nanargmax(responses_nan_unless_converged)),
+                responses_nan_unless_converged.shape,
             )
-            response_text = format_quantity(float(converged_responses[peak_index]), "m")
+            response_text = format_quantity(float(responses_nan_unless_converged[peak_index]), "m")
             clause_texts.append(f"the largest response is {response_text} half peak-to-peak at ")
             clause_texts[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
         largest_error = total_errors.max(initial=0.0)
@@ -558,7 +561,7 @@ class SweepResult(Tabular):
 
     def _title(self) -> str:
         """Return the numbers of values on the axes and of cases in each state."""
-        states_and_counts = zip(
+        state_names_and_case_counts = zip(
             CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
         )
         axes_text = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
@@ -567,7 +570,7 @@ class SweepResult(Tabular):
                 axes_text,
                 *(
                     f"{n_cases} {state_name}"
-                    for state_name, n_cases in states_and_counts
+                    for state_name, n_cases in state_names_and_case_counts
                     if n_cases
                 ),
             ]
@@ -612,6 +615,6 @@ def iterate_texts_by_reason(
 def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
     """Return the swept values of a case as a text."""
     return ", ".join(
-        f"{axis.key.rpartition('.')[2]} = {axis.values[position]}"
-        for axis, position in zip(axes, index, strict=True)
+        f"{axis.key.rpartition('.')[2]} = {axis.values[value_index]}"
+        for axis, value_index in zip(axes, index, strict=True)
     )
