@@ -193,7 +193,7 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
 def _list_crack_and_verdict_sentences(
     run: StudyWithResult, solution: PeriodicSolution, faces_text: str
 ) -> list[str]:
-    """Describe the crack's opening, the effect of friction left out, and the stability."""
+    """Return sentences on the crack's opening, friction left out, and stability."""
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
         subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
@@ -328,7 +328,7 @@ _MAKE_CONCLUSION_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
 
 
 def list_stability_sentences(stability: Stability | None, amplitude: float) -> list[str]:
-    """Describe the verdict on a solution, and the motion from rest if it differs.
+    """Return sentences on a solution's verdict, and on the motion from rest if it differs.
 
     ``amplitude`` [m] is the amplitude of the solution.
     """

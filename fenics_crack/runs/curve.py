@@ -161,15 +161,15 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     )
 
 
-def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
+def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     """Yield a scene prepared for its curve, with more and more modes (collective).
 
     A run-up is yielded once. It has one basis for all speeds, with as many modes as the first
     resonance of the curve needs at the scene's own speed.
     """
-    scene = source.scene if isinstance(source, Study) else source
+    scene = scene_or_study.scene if isinstance(scene_or_study, Study) else scene_or_study
     parameter_name, start, stop = scene.given("curve").continuation_range
-    unreduced_study = prepare_unreduced_if_scene(source, comm)
+    unreduced_study = prepare_unreduced_if_scene(scene_or_study, comm)
     if parameter_name != "speed":
         yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return

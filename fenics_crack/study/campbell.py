@@ -620,18 +620,18 @@ def _speed_in_words(speed: float) -> str:
 
 
 def _find_modal_peak_amplitudes(
-    force: np.ndarray, damped_structure: Structure, modes: Modes
+    complex_load: np.ndarray, damped_structure: Structure, modes: Modes
 ) -> np.ndarray:
     """Return amplitudes of modes at their own resonances: (n_modes,); inf without damping.
 
     Parameters
     ----------
-    force : (n,) complex [N]
+    complex_load : (n,) complex [N]
         Cosine part less i times sine part of the load, in the modes' coordinates.
     damped_structure : Structure
         Whole structure, whose damping the modes have.
     """
-    modal_forces = np.abs(force @ modes.shapes)
+    modal_forces = np.abs(complex_load @ modes.shapes)
     denominators = 2.0 * damping_ratios(damped_structure, modes.omega) * modes.omega**2
     return np.divide(
         modal_forces,

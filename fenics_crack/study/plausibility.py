@@ -77,7 +77,7 @@ class KeyFigures:
 
     Attributes
     ----------
-    extents : (d,) [m]
+    mesh_extents : (d,) [m]
         Width, height and, for a solid, thickness of the mesh.
     n_face_elements : int or None
         Number of elements along each face of the crack with the fewest; None without a crack.
@@ -92,7 +92,7 @@ class KeyFigures:
         S = d(w^2) / d(W^2) of the open modes under rotation; 0 without rotation.
     face_stiffness : (n_pairs,) [N/m]
         Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
-    stiffness_ratio : (n_pairs,) or None
+    contact_over_face_stiffness : (n_pairs,) or None
         Contact stiffness over ``face_stiffness``; None without a law, or without a stiffness.
     opening_under_mean_load, largest_static_gap_motion : float [m]
         Largest static opening of an open crack under the mean load, and largest static motion of
@@ -114,7 +114,7 @@ class KeyFigures:
         Resonance at the scene's own load, if it has been sought.
     """
 
-    extents: tuple[float, ...]
+    mesh_extents: tuple[float, ...]
     n_face_elements: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
@@ -122,7 +122,7 @@ class KeyFigures:
     damping_ratios: np.ndarray
     speed_slopes: np.ndarray
     face_stiffness: np.ndarray
-    stiffness_ratio: np.ndarray | None
+    contact_over_face_stiffness: np.ndarray | None
     opening_under_mean_load: float
     largest_static_gap_motion: float
     peak_displacement: float
@@ -190,13 +190,15 @@ def find_key_figures(study: Study) -> KeyFigures:
     )
     reduction = modal_reduction_or_none(scene, structure)
     return KeyFigures(
-        extents=mesh_extents(structure.whole),
+        mesh_extents=mesh_extents(structure.whole),
         n_face_elements=_count_elements_along_face(scene, structure),
         omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
         damping_ratios=modal_damping_ratios, speed_slopes=_slopes_of_squared_omegas(modes),
         face_stiffness=face_stiffness,
-        stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
+        contact_over_face_stiffness=(
+            None if pair_stiffness is None else pair_stiffness / face_stiffness
+        ),
         opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
         largest_static_gap_motion=float(
             np.abs(static_complex_amplitudes[1]).sum(axis=0).max(initial=0.0)
@@ -414,21 +416,24 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     )
 
 
-def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
+def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
     """Return ratios of critical damping of the lowest modes: (n,).
 
-    ``omega`` (n,) [rad/s] are the natural frequencies. Modes without damping, and all modes of a
-    structure with a damping matrix, have 0.
+    ``natural_omegas`` (n,) are in rad/s. Modes without damping, and all modes of a structure with a
+    damping matrix, have 0.
     """
     damping_rule = whole_structure.damping
     if isinstance(damping_rule, RayleighDamping):
-        doubled_omega = 2.0 * omega
+        doubled_omegas = 2.0 * natural_omegas
         return np.divide(
-            damping_rule.rate(omega**2), doubled_omega, out=np.zeros_like(omega), where=omega > 0.0
+            damping_rule.rate(natural_omegas**2),
+            doubled_omegas,
+            out=np.zeros_like(natural_omegas),
+            where=natural_omegas > 0.0,
         )
-    ratios = np.zeros(len(omega))
+    ratios = np.zeros(len(natural_omegas))
     if isinstance(damping_rule, ModalDamping):
-        n_damped_modes = min(count_damped_modes(whole_structure), len(omega))
+        n_damped_modes = min(count_damped_modes(whole_structure), len(natural_omegas))
         given_ratio = np.asarray(damping_rule.ratio)
         ratios[:n_damped_modes] = (
             given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
@@ -1009,7 +1014,7 @@ def _peak_rotation_and_displacement(
 def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face.
 
-    None for grids, which choose it, and for contact at the mouth alone.
+    None for a grid, whose columns and rows set the number, and for contact at the mouth alone.
     """
     has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
@@ -1230,7 +1235,7 @@ KEY_FIGURE_REMARK_RULES = (
         math.inf,
         "at most {:.2g} of the {faces}' static stiffness: they "
         "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
-        lambda _, __, figures: np.max(figures.stiffness_ratio),
+        lambda _, __, figures: np.max(figures.contact_over_face_stiffness),
     ),
     RemarkRule(
         STIFFNESS_KEYS_TEXT,
@@ -1238,7 +1243,7 @@ KEY_FIGURE_REMARK_RULES = (
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "
         "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
-        lambda _, __, figures: np.min(figures.stiffness_ratio),
+        lambda _, __, figures: np.min(figures.contact_over_face_stiffness),
     ),
     RemarkRule(
         "contact.sharpness",

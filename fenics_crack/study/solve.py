@@ -90,9 +90,13 @@ def solve_study(
     return _make_solved_study(reduced_study, solution)
 
 
-def prepare_unreduced_if_scene(source: Scene | Study, comm: MPI.Comm) -> Study:
+def prepare_unreduced_if_scene(scene_or_study: Scene | Study, comm: MPI.Comm) -> Study:
     """Prepare a scene without reduction; return a study as it is (collective)."""
-    return source if isinstance(source, Study) else prepare(source, comm, whole=True)
+    return (
+        scene_or_study
+        if isinstance(scene_or_study, Study)
+        else prepare(scene_or_study, comm, whole=True)
+    )
 
 
 def required_contact_law(study: Study) -> ContactLaw:

@@ -236,7 +236,7 @@ class SweepFile:
         ----------
         case_numbers : (n,) int
             Numbers of the cases.
-        cases : sequence of mappings
+        values_of_cases : sequence of mappings
             Values by column name, with waves if a case converged.
 
         Raises

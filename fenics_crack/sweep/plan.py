@@ -54,7 +54,7 @@ class Plan:
     ----------
     shape : tuple of int
         Number of values on each axis.
-    sweeps_reduction : bool
+    sweeps_reduction_method : bool
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
         True if geometries are built with unit loads, since the sweep changes the force.
@@ -74,7 +74,7 @@ class Plan:
         self._scene_without_sweep = scene.replace({"sweep": None})
         self._n_gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
-        self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
+        self.sweeps_reduction_method = "reduction.method" in self._swept_values_by_key
         geometry_independent_keys = _find_keys_sharing_geometry(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
         self.has_unit_loads = not geometry_independent_keys.isdisjoint(

@@ -168,7 +168,7 @@ def run_sweep(
         managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
         return CaseRequest(
             plan.has_unit_loads,
-            ends_at_large_structure=not plan.sweeps_reduction,
+            ends_at_large_structure=not plan.sweeps_reduction_method,
             at_resonance=sweep_table.at_resonance,
             with_verdicts=verdicts,
             with_reduction_error=judged,
@@ -586,11 +586,14 @@ def has_omitted_options(sweep_header: StoredFile) -> bool:
 
 
 def iterate_texts_by_reason(
-    sweep: SweepResult,
+    sweep_result: SweepResult,
     indices_and_reasons: Sequence[tuple[tuple[int, ...], str]],
     outcome_text: str,
 ) -> Iterator[str]:
-    """Describe cases with reasons, grouped; reasons that differ only in numbers are equal."""
+    """Yield a text for each group of cases with a common reason.
+
+    Differences in numbers do not count. Small groups share the last text.
+    """
     indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for index, reason in indices_and_reasons:
         indices_and_reasons_by_pattern.setdefault(
@@ -603,7 +606,7 @@ def iterate_texts_by_reason(
         count_text = (
             f"{format_count(len(group_indices_and_reasons), 'case')} {outcome_text}, the first at"
         )
-        yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
+        yield f"{count_text} {describe_swept_values(sweep_result.axes, index)}: {reason}"
     if further_groups := groups[n_described_groups:]:
         n_further_cases = sum(map(len, further_groups))
         yield (
