@@ -288,9 +288,9 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
     faces_text = word_for_crack_faces(study.scene)
     static_stiffness = format_range(key_figures.face_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
-    if key_figures.contact_over_face_stiffness is not None:
+    if key_figures.contact_stiffness_ratio is not None:
         values_by_label["contact stiffness / static stiffness"] = format_range(
-            key_figures.contact_over_face_stiffness, ".3g"
+            key_figures.contact_stiffness_ratio, ".3g"
         )
     values_by_label["static opening, mean load [m]"] = key_figures.opening_under_mean_load
     values_by_label[f"static motion of the {faces_text}, amplitude of the load [m]"] = (

@@ -92,7 +92,7 @@ class KeyFigures:
         S = d(w^2) / d(W^2) of the open modes under rotation; 0 without rotation.
     face_stiffness : (n_pairs,) [N/m]
         Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
-    contact_over_face_stiffness : (n_pairs,) or None
+    contact_stiffness_ratio : (n_pairs,) or None
         Contact stiffness over ``face_stiffness``; None without a law, or without a stiffness.
     opening_under_mean_load, largest_static_gap_motion : float [m]
         Largest static opening of an open crack under the mean load, and largest static motion of
@@ -122,7 +122,7 @@ class KeyFigures:
     damping_ratios: np.ndarray
     speed_slopes: np.ndarray
     face_stiffness: np.ndarray
-    contact_over_face_stiffness: np.ndarray | None
+    contact_stiffness_ratio: np.ndarray | None
     opening_under_mean_load: float
     largest_static_gap_motion: float
     peak_displacement: float
@@ -196,9 +196,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         omega_bilinear=bilinear_frequencies.omega_bilinear,
         damping_ratios=modal_damping_ratios, speed_slopes=_slopes_of_squared_omegas(modes),
         face_stiffness=face_stiffness,
-        contact_over_face_stiffness=(
-            None if pair_stiffness is None else pair_stiffness / face_stiffness
-        ),
+        contact_stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
         opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
         largest_static_gap_motion=float(
             np.abs(static_complex_amplitudes[1]).sum(axis=0).max(initial=0.0)
@@ -1235,7 +1233,7 @@ KEY_FIGURE_REMARK_RULES = (
         math.inf,
         "at most {:.2g} of the {faces}' static stiffness: they "
         "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
-        lambda _, __, figures: np.max(figures.contact_over_face_stiffness),
+        lambda _, __, figures: np.max(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
         STIFFNESS_KEYS_TEXT,
@@ -1243,7 +1241,7 @@ KEY_FIGURE_REMARK_RULES = (
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "
         "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
-        lambda _, __, figures: np.min(figures.contact_over_face_stiffness),
+        lambda _, __, figures: np.min(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
         "contact.sharpness",

@@ -590,7 +590,7 @@ def iterate_texts_by_reason(
     indices_and_reasons: Sequence[tuple[tuple[int, ...], str]],
     outcome_text: str,
 ) -> Iterator[str]:
-    """Yield a text for each group of cases with a common reason.
+    """Yield a text for each case group with a common reason.
 
     Differences in numbers do not count. Small groups share the last text.
     """

@@ -148,7 +148,7 @@ def test_against_dense_algebra() -> None:
     compliance = gap.T @ np.linalg.solve(stiffness, gap)
     np.testing.assert_allclose(figures.face_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
     np.testing.assert_allclose(
-        figures.contact_over_face_stiffness, 1e11 * np.diag(compliance), rtol=1e-9
+        figures.contact_stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9
     )
     mean, cosine, sine = (gap.T @ np.linalg.solve(stiffness, f) for f in structure.force)
     assert figures.opening_under_mean_load == pytest.approx(max(0.0, -mean.min()), rel=1e-9)
