@@ -43,7 +43,7 @@ from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.draw.figure import COLOURS_BY_NAME
 from fenics_crack.motion.flow import exact_flow_or_none
-from fenics_crack.study.meshes import refine_scene
+from fenics_crack.study.meshes import refine_scene_or_none
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / "docs" / "pictures" / "speed_against_error.json"
@@ -207,7 +207,7 @@ def reference(demo: str, mesh: bool, friction: bool, modes: tuple[int, ...]) -> 
         scene = scene.replace({"crack.length": length, "crack.first_omega": None})
     if modes:
         changes["reduction.modes"] = modes[0]
-    fine_scene = refine_scene(scene, MESH_REFINEMENT) if mesh else None
+    fine_scene = refine_scene_or_none(scene, MESH_REFINEMENT) if mesh else None
     if (
         fine_scene is not None
         and fine_scene.contact is not None

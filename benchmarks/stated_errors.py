@@ -75,7 +75,7 @@ from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.motion.flow import exact_flow_or_none
-from fenics_crack.study.meshes import refine_scene
+from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.study.prepare import Study
 from fenics_crack.study.solve import solve_study
 
@@ -301,7 +301,7 @@ def solved(scene: fc.Scene) -> Numbers:
 
 def on_finer_mesh(scene: fc.Scene) -> Numbers:
     """The same with elements four times as short; three times of a solid."""
-    finer = refine_scene(scene, 4.0 if scene.dimension == 2 else 3.0)
+    finer = refine_scene_or_none(scene, 4.0 if scene.dimension == 2 else 3.0)
     assert finer is not None
     return solved(finer)
 
@@ -405,7 +405,7 @@ def answered(
 ) -> Iterator[common.Row]:
     """A row for each headline number, or its part by the mesh; with the ratio of the root mean
     squares within 2 % of the frequency where that at the frequency is below a fifth."""
-    finer = refine_scene(scene, times)
+    finer = refine_scene_or_none(scene, times)
     assert finer is not None and run.scene.reduction is not None
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
     more = {"reduction.modes": (1 if by_mesh else 2) * int(run.scene.reduction.modes or 0)}
@@ -663,7 +663,7 @@ def run_chosen(arguments: common.Arguments) -> None:
         true, status = (exact.orbit or exact).indicators(run.watched_dof), run.result.status
         met = run.result.report.total <= scene.harmonic_balance.given("tolerance")
         for quantity in ("amplitude", "opening"):
-            key = run.watched[0].column(quantity) if quantity == "amplitude" else quantity
+            key = run.watched[0].column_name(quantity) if quantity == "amplitude" else quantity
             if key not in run.errors.values:  # a crack that never opens
                 continue
             value, (stated, cause) = run.errors.values[key], run.errors.stated(key)
@@ -924,7 +924,7 @@ def run_new_solids(arguments: common.Arguments) -> None:
 
 def finer_study(scene: fc.Scene, factor: float) -> Study:
     """A scene on a finer mesh, with many modes."""
-    finer = refine_scene(scene, factor)
+    finer = refine_scene_or_none(scene, factor)
     assert finer is not None
     return fc.prepare(finer.replace({"reduction.modes": MANY_MODES}), judged=False)
 

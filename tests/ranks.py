@@ -34,12 +34,12 @@ import time
 from pathlib import Path
 import numpy as np
 from fenics_crack.sweep.file import SweepFile
-record = SweepFile.record
+record = SweepFile.write_pending_cases
 def held(self, *given):
     while np.count_nonzero(self.state) >= {cases} and not Path({go!r}).exists():
         time.sleep(0.01)
     record(self, *given)
-SweepFile.record = held
+SweepFile.write_pending_cases = held
 """
 """Source of a program whose sweep, once its file has so many cases, waits until another file is
 there: however fast it is, it can be stopped before its end."""

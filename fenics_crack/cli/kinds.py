@@ -45,15 +45,15 @@ class ResultKind(NamedTuple):
 
 RESULT_KINDS = {
     "set of modes": ResultKind(
-        "modes", "Modes", "cli.results:report_of_modes", "runs.load:read_run",
+        "modes", "Modes", "cli.results:report_of_modes", "runs.load:make_run_on_this_rank",
         "cli.pictures:draw_mode_shapes",
     ),
     "periodic solution": ResultKind(
-        "solution", "Steady vibration", "cli.results:report_of_solution", "runs.load:read_run",
-        "cli.pictures:draw_solution",
+        "solution", "Steady vibration", "cli.results:report_of_solution",
+        "runs.load:make_run_on_this_rank", "cli.pictures:draw_solution",
     ),
     "response curve": ResultKind(
-        "curve", "Response curve", "cli.results:report_of_curve", "runs.load:read_run",
+        "curve", "Response curve", "cli.results:report_of_curve", "runs.load:make_run_on_this_rank",
         "cli.pictures:draw_curve_pictures",
     ),
     "sweep": ResultKind(
@@ -61,8 +61,8 @@ RESULT_KINDS = {
         "sweep.result:SweepResult.from_stored_file", "cli.pictures:draw_sweep",
     ),
     "time history": ResultKind(
-        "integration", "Motion in time", "cli.results:report_of_history", "runs.load:read_run",
-        "cli.pictures:draw_history",
+        "integration", "Motion in time", "cli.results:report_of_history",
+        "runs.load:make_run_on_this_rank", "cli.pictures:draw_history",
     ),
     "crack growth": ResultKind(
         "growth", "Growth of the crack", "fatigue.growth:report_of_growth",

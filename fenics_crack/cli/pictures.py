@@ -201,7 +201,7 @@ def _draw_waveforms(
     line_styles = itertools.cycle(CRACK_CLOSING_LINE_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
-    drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
+    drawn_waves = [plot.Wave(run.watched_description, time, waveforms.displacement[:, 0])]
     for crack_place, crack_closing in waveforms.closings_by_place.items():
         drawn_waves.append(
             plot.Wave(f"closing {crack_place}", time, crack_closing, *next(line_styles))
@@ -215,7 +215,10 @@ def _draw_waveforms(
 def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
     """Draw response, harmonics and multipliers along a curve, and all blades."""
     curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.is_frequency_in_hertz
-    title, linear_responses = f"{run.watched_name}, {curve.method}", _compute_linear_responses(run)
+    title, linear_responses = (
+        f"{run.watched_description}, {curve.method}",
+        _compute_linear_responses(run),
+    )
     caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
     caption += "faint: large estimated error."
     if curve.multipliers is None:

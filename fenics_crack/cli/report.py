@@ -43,7 +43,7 @@ from fenics_crack.scene.words import (
     value_in_words,
 )
 from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
-from fenics_crack.sweep.result import is_partial_sweep
+from fenics_crack.sweep.result import has_omitted_options
 from fenics_crack.version import VERSION, read_packaged_text
 
 LISTED_TABLE_NAMES = (
@@ -142,10 +142,14 @@ def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[StoredFile], 
     result_files = [
         stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
     ] or result_files
-    whole_files = [stored_file for stored_file in result_files if not is_partial_sweep(stored_file)]
+    whole_files = [
+        stored_file for stored_file in result_files if not has_omitted_options(stored_file)
+    ]
     excluded_paths_text = (
         ", ".join(
-            str(stored_file.path) for stored_file in result_files if is_partial_sweep(stored_file)
+            str(stored_file.path)
+            for stored_file in result_files
+            if has_omitted_options(stored_file)
         )
         if whole_files
         else ""
@@ -197,7 +201,7 @@ def _draw_curves(
         )
     if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
         raise InputError("result", sorted(parameter_names), "curves in one parameter")
-    watched_names = {curve_run.watched_name for curve_run in curve_runs}
+    watched_names = {curve_run.watched_description for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
     [axes] = picture = Picture(
         size=(7.0, 4.6), path=picture_folder / f"overlay_curve.{picture_format}", title=title

@@ -50,7 +50,7 @@ from fenics_crack.model.modes import (
 )
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.runs.conclusion import (
-    explain_unknown_error,
+    explain_unknown_amplitude_error,
     explain_unknown_solution_error,
     make_conclusion,
 )
@@ -595,7 +595,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         },
         further_tables=_blade_tables_by_heading(run, "Blades, each at its largest response"),
         has_converged=bool(curve.complete) and curve.status != INTERRUPTED_CURVE_STATUS,
-        misses_tolerance=bool(explain_unknown_error(run)),
+        misses_tolerance=bool(explain_unknown_amplitude_error(run)),
     )
 
 
@@ -788,7 +788,7 @@ def _interpolate_peak_columns(
         for name, column in columns_by_heading.items()
     }
     return row_by_heading | {
-        heading_with_unit(run.watched[0].column("amplitude"), "m"): np.array([peak.amplitude])
+        heading_with_unit(run.watched[0].column_name("amplitude"), "m"): np.array([peak.amplitude])
     }
 
 
@@ -849,7 +849,7 @@ def _indicator_columns_by_heading(
     ``curve`` is the run's curve, or a part with fewer points. Headings have units.
     """
     columns_by_heading = {
-        heading_with_unit(observation.column, observation.unit): observation.value
+        heading_with_unit(observation.column_name, observation.unit): observation.value
         for observation in observe_quantities(run, curve)
     }
     frequencies_by_name = _solve_natural_frequencies(run, curve.omega).nearest(curve.omega)

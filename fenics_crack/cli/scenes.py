@@ -30,19 +30,19 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
-    CURVE_UNIT_BY_PARAMETER,
+    FACTOR_AND_UNIT_BY_CURVE_PARAMETER,
     KeyFigures,
     find_key_figures,
     highest_harmonic_omega,
-    propose_curve,
+    propose_curve_or_none,
     remarks_on_scene,
     scales_with_load,
 )
 from fenics_crack.study.prepare import (
     Study,
-    estimate_checked_memory,
+    estimate_and_check_memory,
+    modal_reduction_or_none,
     prepare,
-    reduction_of,
     release_freed_memory,
 )
 from fenics_crack.study.resonance import find_study_resonance
@@ -56,14 +56,14 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if list_requested_extra_quantities(scene):  # which may be refused
-            from fenics_crack.study.observer import make_requested_rows  # the solver
+            from fenics_crack.study.observer import make_requested_extra_rows  # the solver
 
-            make_requested_rows(study)
+            make_requested_extra_rows(study)
     structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(structure, n_harmonics)
     is_run_up = scene.curve is not None and scene.curve.parameter_and_range[0] == "speed"
     release_freed_memory()
-    memory_bytes = estimate_checked_memory(scene, structure, is_run_up=is_run_up)
+    memory_bytes = estimate_and_check_memory(scene, structure, is_run_up=is_run_up)
     with console.report_stage("natural frequencies"):
         key_figures = find_key_figures(study)
     with console.report_stage("resonance at the load"):
@@ -99,8 +99,8 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     if scene.curve is not None:
         range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
-    if (curve_proposal := propose_curve(study.scene, key_figures)) is not None:
-        unit = CURVE_UNIT_BY_PARAMETER[curve_proposal.parameter][1]
+    if (curve_proposal := propose_curve_or_none(study.scene, key_figures)) is not None:
+        unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_proposal.parameter][1]
         values_by_label["proposed curve.parameter"] = curve_proposal.parameter
         values_by_label[f"proposed curve.start [{unit}]"] = curve_proposal.start
         values_by_label[f"proposed curve.stop [{unit}]"] = curve_proposal.stop
@@ -132,16 +132,18 @@ def missing_curve_error(scene: Scene, console: Console) -> InputError:
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
-        if curve_proposal := propose_curve(study.scene, find_key_figures(study)):
+        if curve_proposal := propose_curve_or_none(study.scene, find_key_figures(study)):
             error.example = curve_proposal.as_toml()
     return error
 
 
 def _mesh_size_rows(key_figures: KeyFigures) -> dict[str, object]:
     """Return the lengths of the mesh's sides as a row."""
-    side_names = ("width", "height", "thickness")[: len(key_figures.extents)]
+    side_names = ("width", "height", "thickness")[: len(key_figures.mesh_extents)]
     return {
-        " x ".join(side_names) + " [m]": " x ".join(f"{extent:g}" for extent in key_figures.extents)
+        " x ".join(side_names) + " [m]": " x ".join(
+            f"{extent:g}" for extent in key_figures.mesh_extents
+        )
     }
 
 
@@ -236,7 +238,9 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
             load_resonance.value / RAD_PER_S_PER_RPM,
         )
     is_not_proportional = (
-        key_figures.n_closed_pairs or key_figures.mean_opening or not scales_with_load(scene)
+        key_figures.n_closed_pairs
+        or key_figures.opening_under_mean_load
+        or not scales_with_load(scene)
     )
     values_by_label["vibration there" if values_by_label else label] = load_resonance.in_words
     if not (is_not_proportional or load_resonance.unknown):
@@ -253,7 +257,9 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
     if key_figures.n_face_elements is not None:
-        values_by_label["crack opened by rotation and mean load [m]"] = key_figures.mean_opening
+        values_by_label["crack opened by rotation and mean load [m]"] = (
+            key_figures.opening_under_mean_load
+        )
     return values_by_label
 
 
@@ -282,13 +288,13 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
     faces_text = word_for_crack_faces(study.scene)
     static_stiffness = format_range(key_figures.face_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
-    if key_figures.stiffness_ratio is not None:
+    if key_figures.contact_stiffness_ratio is not None:
         values_by_label["contact stiffness / static stiffness"] = format_range(
-            key_figures.stiffness_ratio, ".3g"
+            key_figures.contact_stiffness_ratio, ".3g"
         )
-    values_by_label["static opening, mean load [m]"] = key_figures.mean_opening
+    values_by_label["static opening, mean load [m]"] = key_figures.opening_under_mean_load
     values_by_label[f"static motion of the {faces_text}, amplitude of the load [m]"] = (
-        key_figures.static_gap_motion
+        key_figures.largest_static_gap_motion
     )
     return values_by_label
 
@@ -304,7 +310,7 @@ def describe_harmonics(scene: Scene) -> int | str:
 def _describe_reduction(study: Study) -> str:
     """Describe the reduction of a structure in words."""
     scene = study.scene
-    scene_reduction = reduction_of(scene, study.structure)
+    scene_reduction = modal_reduction_or_none(scene, study.structure)
     mode_counts = candidate_mode_counts(study)
     if scene_reduction is None:
         return "none"
@@ -327,7 +333,7 @@ def _describe_invalid_cases(scene: Scene) -> str:
     ]  # others while they are run
     reason_texts = [
         case_or_reason
-        for case_or_reason in map(sweep_plan.case_at, case_indices)
+        for case_or_reason in map(sweep_plan.scene_or_reason_at, case_indices)
         if isinstance(case_or_reason, str)
     ]
     scope_text = (
@@ -368,7 +374,7 @@ def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_o
     A massless reduction damps all further modes by the last ratio of the scene: if this is above
     zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
     """
-    scene_reduction = reduction_of(scene, structure)
+    scene_reduction = modal_reduction_or_none(scene, structure)
     damping_ratio = None if scene.damping is None else scene.damping.ratio
     if (
         scene_reduction is not None

@@ -24,8 +24,8 @@ from fenics_crack.sweep.plan import FREQUENCY_KEYS
 from fenics_crack.sweep.result import (
     VERDICTS_NOT_STABLE,
     SweepResult,
-    describe_by_reason,
     describe_swept_values,
+    iterate_texts_by_reason,
 )
 
 SPEED_KEYS = ("rotation.speed", "rotation.rpm")
@@ -84,7 +84,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
 
 def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     """Yield warnings about failed cases, large errors and stability."""
-    yield from describe_by_reason(sweep_result, sweep_result.failed, "failed")
+    yield from iterate_texts_by_reason(sweep_result, sweep_result.failed, "failed")
     yield from _describe_large_errors(sweep_result)
     verdicts = sweep_result["verdict"][sweep_result.converged]
     counts_by_verdict = {
@@ -96,8 +96,8 @@ def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
         f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
         yield f"{verdict_counts_text} of {format_count(verdicts.size, 'case')}"
-    yield from describe_by_reason(sweep_result, sweep_result.undecided, "undecided")
-    for warning_text in describe_by_reason(
+    yield from iterate_texts_by_reason(sweep_result, sweep_result.undecided, "undecided")
+    for warning_text in iterate_texts_by_reason(
         sweep_result, sweep_result.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"

@@ -282,9 +282,9 @@ def stress_at(
     --------
     >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
     """
-    from fenics_crack.runs.run import check_motion  # loads DOLFINx
+    from fenics_crack.runs.run import check_run_has_motion  # loads DOLFINx
 
-    check_motion(run)
+    check_run_has_motion(run)
     result, structure = run.result, run.structure
     mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
     has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension

@@ -107,8 +107,8 @@ def numbers_of(
             number.unit, 0.0
         )
         if abs(value) > min_size or (place.is_made_on_request and value == 0.0):
-            values[number.column] = value
-            units[number.column] = number.unit.replace("1", "")
+            values[number.column_name] = value
+            units[number.column_name] = number.unit.replace("1", "")
     resonance, mode = _add_frequencies(study, motion.omega, mode, values, units)
     return Numbers(values, units, resonance, mode)
 
@@ -265,7 +265,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
         "mean_shift": changes[2],
     }
     return _sizes_of_face_changes(record, other_record) | {
-        point.column(name): float(size[index])
+        point.column_name(name): float(size[index])
         for name, size in sizes.items()
         for index, point in enumerate(study.watched)
     }

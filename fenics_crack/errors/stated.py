@@ -107,8 +107,11 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.meshes import prepare_coarser_study
-from fenics_crack.study.observer import estimate_front_errors, make_requested_rows
+from fenics_crack.study.meshes import prepare_coarser_study_or_reason
+from fenics_crack.study.observer import (
+    estimate_closed_front_and_mesh_errors,
+    make_requested_extra_rows,
+)
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
@@ -214,7 +217,7 @@ def errors_of_natural(
         }
 
     def mesh_error() -> Varied:
-        coarse_mesh = prepare_coarser_study(study)
+        coarse_mesh = prepare_coarser_study_or_reason(study)
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         twin, counts, ratio = coarse_mesh
@@ -288,7 +291,7 @@ def error_by_modes(study: Study, solution: PeriodicSolution) -> float:
     unknown.
     """
     errors = stated_errors(study, solution, causes=["modes"])
-    names = [*(point.column("amplitude") for point in study.watched), "opening"]
+    names = [*(point.column_name("amplitude") for point in study.watched), "opening"]
     if errors.unknown:
         return math.inf
     stated_names = [name for name in names if errors.parts and errors.values.get(name)]
@@ -447,7 +450,7 @@ class StatedCase(Case):
         clearance, closed crack fronts and the dent under a force (see the module).
         """
         study, wave = self.study, self.wave
-        coarse_mesh = prepare_coarser_study(study)
+        coarse_mesh = prepare_coarser_study_or_reason(study)
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         coarse_study, counts, ratio = coarse_mesh
@@ -465,7 +468,9 @@ class StatedCase(Case):
         numbers_by_shift = self._values_at_shifts(factors * (1.0 - frequency_ratio))
         numbers_with_clearance_shift = self._values_with_shifted_clearance()
         dents = dict.fromkeys(observable_names(Place.POINT), self._relative_dent)
-        closed_errors, front_changes = estimate_front_errors(study, wave, coarse_study, coarse_wave)
+        closed_errors, front_changes = estimate_closed_front_and_mesh_errors(
+            study, wave, coarse_study, coarse_wave
+        )
         for name, part in parts.items():
             value, coarse_mesh_number = part.values
             shape_errors = factors * (value - coarse_mesh_number)
@@ -566,7 +571,7 @@ class StatedCase(Case):
 def _with_known_numbers(study: Study) -> Study:
     """Drop stress intensities from a study with elements that are too long."""
     try:
-        make_requested_rows(study)
+        make_requested_extra_rows(study)
     except InputError:
         refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
         names = [name for name in study.scene.quantities or () if name not in refused_names]

@@ -38,13 +38,13 @@ from fenics_crack.errors.numbers import accepted_orbit, add_changes, bilinear_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import can_refine_evenly, count_elements, refine_scene
+from fenics_crack.study.meshes import count_elements, has_similar_finer_mesh, refine_scene_or_none
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
+    modal_reduction_or_none,
     prepare,
     reduce_study,
-    reduction_of,
 )
 from fenics_crack.study.solve import SolvedStudy, solve_study
 
@@ -131,7 +131,7 @@ def _settled_scene(run: SolvedStudy) -> Scene:
         changes["harmonic_balance.harmonics"] = run.result.harmonics
     if scene.disk is not None:
         return scene.replace(changes)
-    reduction = reduction_of(scene, whole_structure)
+    reduction = modal_reduction_or_none(scene, whole_structure)
     if reduction is None or reduction.n_modes >= whole_structure.n_dofs:
         changes |= {"reduction.method": "off", "reduction.modes": None}
     else:
@@ -144,7 +144,7 @@ def _kept_modes(study: Study) -> tuple[int, int] | str:
 
     The numbers for a disk count modes per nodal diameter.
     """
-    disk, reduction = study.scene.disk, reduction_of(study.scene, study.structure)
+    disk, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
     if disk is not None:
         return disk.families, study.structure.n_dofs // disk.sectors
     if reduction is None:
@@ -284,11 +284,11 @@ class _VerifiedCase(Case):
         scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
-        factors = (1.5, 2.0) if can_refine_evenly(scene) else (2.0, 3.0)
+        factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
         finer_scenes = [
             (f"a mesh {factor:g} times finer", None, finer_scene)
             for factor in factors
-            if (finer_scene := refine_scene(scene, factor)) is not None
+            if (finer_scene := refine_scene_or_none(scene, factor)) is not None
         ]
         if not finer_scenes:
             return (

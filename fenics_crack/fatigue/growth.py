@@ -55,7 +55,7 @@ from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.file import MODE_NUMBERS
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 from fenics_crack.sweep.result import (
     SCENES_WITHOUT_PEAK_TEXT,
     SweepResult,
@@ -624,8 +624,8 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         raise ConvergenceError(
             f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
         )
-    bilinear_omega = [sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in MODE_NUMBERS]
-    nearest_mode = MODE_NUMBERS[
+    bilinear_omega = [sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in KEPT_MODE_NUMBERS]
+    nearest_mode = KEPT_MODE_NUMBERS[
         int(np.nanargmin(np.abs(bilinear_omega - sweep_result["omega"][0, 0])))
     ]
     sweep_name_by_column = {
@@ -980,9 +980,11 @@ class LengthPath:
         if mode is None and is_solved.any():
             bilinear_omega = [
                 solved_levels(f"omega_bilinear_{candidate_mode}")[0, 0]
-                for candidate_mode in MODE_NUMBERS
+                for candidate_mode in KEPT_MODE_NUMBERS
             ]
-            mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega - new_leading_omega[0])))]
+            mode = KEPT_MODE_NUMBERS[
+                int(np.nanargmin(np.abs(bilinear_omega - new_leading_omega[0])))
+            ]
         if mode is not None:
             for column_name in ("omega_open", "omega_bilinear"):
                 new_column_by_name[column_name] = solved_levels(f"{column_name}_{mode}")[:, 0]

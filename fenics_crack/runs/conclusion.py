@@ -52,7 +52,7 @@ class StudyWithResult(Study):
     stated: Verification | None
 
     @property
-    def watched_name(self) -> str:
+    def watched_description(self) -> str:
         """Name of the watched dof in words."""
         return self.watched[0].words
 
@@ -60,10 +60,10 @@ class StudyWithResult(Study):
     def remarks(self) -> tuple[Remark, ...]:
         """Remarks on scene and structure, as ``fenics-crack check`` gives them (collective)."""
         try:
-            figures = find_key_figures(self)
+            key_figures = find_key_figures(self)
         except REFUSAL_EXCEPTIONS:  # figures that cannot be found are no reason to lose the result
-            figures = None
-        return tuple(remarks_on_scene(self.scene, self.structure.whole, figures))
+            key_figures = None
+        return tuple(remarks_on_scene(self.scene, self.structure.whole, key_figures))
 
     @property
     def watched_dof(self) -> int:
@@ -76,7 +76,7 @@ MIN_REPORTED_FRICTION_CHANGE = 0.01
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 
 
-def describe_linearity(closed_share: np.ndarray) -> list[str]:
+def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
     """Return a sentence if the vibration is linear, else an empty list.
 
     It is linear if in every solution all pairs stay closed, or all stay open. ``closed_share``
@@ -95,7 +95,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     """
     if run.stated is None:
         return ""
-    quantity_name = quantity_name or run.watched[0].column("amplitude")
+    quantity_name = quantity_name or run.watched[0].column_name("amplitude")
     relative_error, main_cause = run.stated.stated(quantity_name)
     if not 0.0 < relative_error < np.inf:  # zero at rest or without a cause; nan if unknown
         return ""
@@ -104,20 +104,24 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     return ", ".join(filter(None, (error_text, run.stated.left_out)))
 
 
-def explain_unknown_error(run: StudyWithResult) -> str:
+def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
     """Return why the watched amplitude's error is unknown, by the stated errors.
 
     Empty if the error is known or no errors are stated, and for large structures.
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
-    return run.stated.doubt(run.watched[0].column("amplitude"))
+    return run.stated.doubt(run.watched[0].column_name("amplitude"))
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
     """Return why a solution's error is unknown, by its report or stated errors."""
     error_report = run.result.report
-    return not_estimated(error_report) if error_report.unknown else explain_unknown_error(run)
+    return (
+        not_estimated(error_report)
+        if error_report.unknown
+        else explain_unknown_amplitude_error(run)
+    )
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
@@ -127,11 +131,15 @@ def frequency_in_words(scene: Scene, omega: float) -> str:
 
 def make_conclusion(run: StudyWithResult) -> Conclusion:
     """Return the parts of the last sentence on a run (collective)."""
-    kind: str = run.result.KIND
-    return _CONCLUDE_BY_KIND[kind](run) if kind in _CONCLUDE_BY_KIND else Conclusion(kind)
+    result_kind: str = run.result.KIND
+    return (
+        _MAKE_CONCLUSION_BY_KIND[result_kind](run)
+        if result_kind in _MAKE_CONCLUSION_BY_KIND
+        else Conclusion(result_kind)
+    )
 
 
-def _conclude_modes(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for modes: the first natural frequency and its error."""
     first_omega = float(run.result.omega[0])
     answer_text = (
@@ -154,7 +162,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
     return f"{fallback_text}, {missing_causes_text}" if missing_causes_text else fallback_text
 
 
-def _conclude_solution(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a solution: amplitude, error, crack and stability."""
     solution: PeriodicSolution = run.result
     unknown_error_reason = explain_unknown_solution_error(run)
@@ -173,19 +181,19 @@ def _conclude_solution(run: StudyWithResult) -> Conclusion:
     misses_tolerance = tolerance is not None and error_report.total > tolerance
     return Conclusion(
         "solved, but the tolerance is missed" if misses_tolerance else "solved",
-        f"at {frequency_text} the {run.watched_name} is {amplitude_text} half "
+        f"at {frequency_text} the {run.watched_description} is {amplitude_text} half "
         f"peak-to-peak{error_text}",
         unknown_error_reason,
         ["nothing vibrates"]
         if solution.still
-        else _describe_crack_and_verdict(run, solution, faces_text),
+        else _list_crack_and_verdict_sentences(run, solution, faces_text),
     )
 
 
-def _describe_crack_and_verdict(
+def _list_crack_and_verdict_sentences(
     run: StudyWithResult, solution: PeriodicSolution, faces_text: str
 ) -> list[str]:
-    """Describe the crack's opening, the effect of friction left out, and the stability."""
+    """Return sentences on the crack's opening, friction left out, and stability."""
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
         subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
@@ -203,33 +211,47 @@ def _describe_crack_and_verdict(
             else LINEAR_VIBRATION_TEXT
         )
     tolerance = run.scene.harmonic_balance.tolerance or 0.0
-    min_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
-    friction_error_by_name = {} if run.stated is None else run.stated.parts.get("friction", {})
-    friction_error = friction_error_by_name.get(run.watched[0].column("amplitude"))
-    if friction_error is not None and friction_error.gci > min_error and not run.scene.has_friction:
-        sentences.append(f"friction left out: about {format_percent(friction_error.gci)}")
+    min_reported_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
+    friction_error_estimate_by_name = (
+        {} if run.stated is None else run.stated.parts.get("friction", {})
+    )
+    friction_error_estimate = friction_error_estimate_by_name.get(
+        run.watched[0].column_name("amplitude")
+    )
+    if (
+        friction_error_estimate is not None
+        and friction_error_estimate.gci > min_reported_error
+        and not run.scene.has_friction
+    ):
+        sentences.append(f"friction left out: about {format_percent(friction_error_estimate.gci)}")
     return [
         *sentences,
-        *describe_stability(solution.stability, solution.amplitude(run.watched_dof)),
+        *list_stability_sentences(solution.stability, solution.amplitude(run.watched_dof)),
     ]
 
 
-def _conclude_curve(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a curve: its largest response, errors and verdicts."""
-    curve: ResponseCurve = run.result
-    largest_response = curve.top(run.watched_dof)
-    curve_axis = axis_factor_name_and_unit(curve.parameter, run.scene.is_frequency_in_hertz)
-    amplitude_text = format_quantity(largest_response.amplitude, "m")
-    location_text = format_in_unit(curve_axis, largest_response.value)
-    unknown_error_reason, fallback_text = explain_unknown_error(run), ", its error is not estimated"
+    response_curve: ResponseCurve = run.result
+    peak = response_curve.top(run.watched_dof)
+    curve_axis = axis_factor_name_and_unit(
+        response_curve.parameter, run.scene.is_frequency_in_hertz
+    )
+    amplitude_text = format_quantity(peak.amplitude, "m")
+    location_text = format_in_unit(curve_axis, peak.value)
+    unknown_error_reason = explain_unknown_amplitude_error(run)
+    fallback_text = ", its error is not estimated"
     error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=fallback_text)
     answer_text = (
-        f"the largest response of the {run.watched_name} is {amplitude_text} half peak-to-peak"
+        f"the largest response of the {run.watched_description} is {amplitude_text} "
+        "half peak-to-peak"
     )
-    if largest_response.at_end and largest_response.index == len(curve) - 1 and not curve.complete:
-        answer_text = f"the response of the {run.watched_name} grows up to where the curve ended, "
+    if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
+        answer_text = (
+            f"the response of the {run.watched_description} grows up to where the curve ended, "
+        )
         answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
-    elif largest_response.at_end:
+    elif peak.at_end:
         answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
     else:
         location_error = (
@@ -239,34 +261,36 @@ def _conclude_curve(run: StudyWithResult) -> Conclusion:
             f" within {format_error(location_error)}" if 0.0 < location_error < np.inf else ""
         )
         answer_text += f" at {location_text}{location_error_text}{error_text}"
-    sentences = describe_linearity(curve.indicators(run.watched_dof).closed_share)
-    if curve.multipliers is not None:
-        verdict_names, verdict_counts = np.unique(curve.verdicts, return_counts=True)
-        count_texts = (
-            f"{count} {verdict}"
-            for count, verdict in zip(verdict_counts, verdict_names, strict=True)
+    sentences = list_linearity_sentences(response_curve.indicators(run.watched_dof).closed_share)
+    if response_curve.multipliers is not None:
+        verdict_names, verdict_counts = np.unique(response_curve.verdicts, return_counts=True)
+        verdict_count_texts = (
+            f"{verdict_count} {verdict}"
+            for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
         )
-        sentences.append(f"{', '.join(count_texts)} of {len(curve)} points")
+        sentences.append(f"{', '.join(verdict_count_texts)} of {len(response_curve)} points")
     else:
         sentences.append("stability not examined")
-    outcome_text = "curve complete" if curve.complete else "the curve ended early"
-    if curve.status == INTERRUPTED_CURVE_STATUS:
+    outcome_text = "curve complete" if response_curve.complete else "the curve ended early"
+    if response_curve.status == INTERRUPTED_CURVE_STATUS:
         outcome_text = "curve interrupted"
     return Conclusion(outcome_text, answer_text, unknown_error_reason, sentences)
 
 
-def _conclude_history(run: StudyWithResult) -> Conclusion:
+def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
     """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
     history: TimeHistory = run.result
-    integration_table, displacement_name = run.scene.integration or Integration(), run.watched_name
+    integration_table = run.scene.integration or Integration()
+    displacement_description = run.watched_description
     if integration_table.free:
         displacement = history.displacement([run.watched_dof])[:, 0]
         period_amplitudes = np.ptp(history.by_period(displacement), axis=1) / 2.0
-        start_text, end_text = (
+        start_amplitude_text, end_amplitude_text = (
             format_quantity(float(amplitude), "m") for amplitude in period_amplitudes[[0, -1]]
         )
         answer_text = (
-            f"the {displacement_name} falls from {start_text} to {end_text} half peak-to-peak over "
+            f"the {displacement_description} falls from {start_amplitude_text} to "
+            f"{end_amplitude_text} half peak-to-peak over "
         )
         early_end_texts = (
             [] if history.periods >= integration_table.periods else ["the decay ended early"]
@@ -280,7 +304,7 @@ def _conclude_history(run: StudyWithResult) -> Conclusion:
     amplitude_text = format_quantity(history.indicators(run.watched_dof).amplitude, "m")
     frequency_text = frequency_in_words(run.scene, run.scene.excitation.omega)
     answer_text = (
-        f"at {frequency_text} the {displacement_name} is {amplitude_text} half peak-to-peak"
+        f"at {frequency_text} the {displacement_description} is {amplitude_text} half peak-to-peak"
     )
     change_text = (
         f"{history.periods} of {integration_table.periods} periods: one period shows no change"
@@ -289,24 +313,24 @@ def _conclude_history(run: StudyWithResult) -> Conclusion:
         change_text = (
             f"{history.periods} periods: relative change over the last one {history.settled:.2g}"
         )
-    if (settled_distance := history.distance) < 1.0:
-        change_text += f", estimated distance from the settled motion {settled_distance:.2g}"
+    if (distance_from_settled := history.distance) < 1.0:
+        change_text += f", estimated distance from the settled motion {distance_from_settled:.2g}"
     outcome_text = "settled" if has_settled else "the motion has not settled"
     return Conclusion(
         "integrated", answer_text, further_clauses=[f"{outcome_text} after {change_text}"]
     )
 
 
-_CONCLUDE_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
-    Modes.KIND: _conclude_modes,
-    PeriodicSolution.KIND: _conclude_solution,
-    ResponseCurve.KIND: _conclude_curve,
-    TimeHistory.KIND: _conclude_history,
+_MAKE_CONCLUSION_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
+    Modes.KIND: _make_conclusion_of_modes,
+    PeriodicSolution.KIND: _make_conclusion_of_solution,
+    ResponseCurve.KIND: _make_conclusion_of_curve,
+    TimeHistory.KIND: _make_conclusion_of_history,
 }
 
 
-def describe_stability(stability: Stability | None, amplitude: float) -> list[str]:
-    """Describe the verdict on a solution, and the motion from rest if it differs.
+def list_stability_sentences(stability: Stability | None, amplitude: float) -> list[str]:
+    """Return sentences on a solution's verdict, and on the motion from rest if it differs.
 
     ``amplitude`` [m] is the amplitude of the solution.
     """
@@ -321,7 +345,7 @@ def describe_stability(stability: Stability | None, amplitude: float) -> list[st
         amplitude_text = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
             amplitude_ratio = stability.rest_amplitude / amplitude
-            rest_text = format_quantity(stability.rest_amplitude, "m")
-            amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_text})"
+            rest_amplitude_text = format_quantity(stability.rest_amplitude, "m")
+            amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_amplitude_text})"
         sentences.append(f"the motion from rest {stability.from_rest}{amplitude_text}")
     return sentences

@@ -24,18 +24,18 @@ from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
-    estimate_checked_memory,
-    reduction_of,
+    estimate_and_check_memory,
+    modal_reduction_or_none,
 )
 from fenics_crack.study.solve import (
     MAX_MODES_FOR_MANY_SOLUTIONS,
     candidate_mode_counts,
-    prepare_unreduced_study,
-    reduce_with_more_modes,
+    iterate_studies_with_more_modes,
+    prepare_unreduced_if_scene,
     required_contact_law,
     with_friction_lines,
 )
@@ -77,19 +77,19 @@ def curve(
     """
     studies = iterate_curve_studies(scene, comm)
     study = next(studies)
-    _check_curve(study)
-    make_requested_rows(study)  # before the curve: this may raise InputError
+    _check_curve_is_possible(study)
+    make_requested_extra_rows(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
-    parameter, start, stop = scene.given("curve").parameter_and_range
+    parameter_name, start, stop = scene.given("curve").parameter_and_range
     if friction_of(required_contact_law(study)) is not None:
         resonance_omega = (
-            _lowest_bilinear_frequency(study, start, stop) if parameter == "omega" else None
+            _lowest_bilinear_omega(study, start, stop) if parameter_name == "omega" else None
         )
         study = with_friction_lines(study, resonance_omega or scene.excitation.omega)
     unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
-    if parameter == "speed" or not candidate_mode_counts(unreduced_study):
+    if parameter_name == "speed" or not candidate_mode_counts(unreduced_study):
         return Run(**vars(study), result=_follow_curve(study, scene, progress))
-    if parameter == "omega":
+    if parameter_name == "omega":
         study = _find_study_with_enough_modes(study, studies, start, stop)
     law, tolerance = study.contact, scene.harmonic_balance.given("tolerance")
     for larger_study in chain([study], studies):
@@ -111,7 +111,7 @@ def curve(
     return Run(**vars(study), result=response_curve)
 
 
-def _check_curve(study: Study) -> None:
+def _check_curve_is_possible(study: Study) -> None:
     """Raise InputError if no load vibrates, or the law suits no curve."""
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
@@ -134,8 +134,8 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     law = required_contact_law(study)
     load_omega = scene.excitation.omega
     curve_table, balance_table = scene.given("curve"), scene.harmonic_balance
-    parameter, start, stop = curve_table.parameter_and_range
-    if parameter == "resonance":
+    parameter_name, start, stop = curve_table.parameter_and_range
+    if parameter_name == "resonance":
         problem = Problem(
             structure, load_omega, law, balance_table.harmonics, balance_table.samples
         )
@@ -152,37 +152,41 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
         curve_options |= {"harmonics": balance_table.harmonics, "samples": balance_table.samples}
     else:
         curve_options["tolerance"] = balance_table.tolerance
-    if parameter == "omega":
+    if parameter_name == "omega":
         return continue_frequency(structure, start, stop, law, **curve_options)
-    if parameter == "speed":
+    if parameter_name == "speed":
         load_omega *= start / scene.speed  # the structure has the speed of the start
-    return continue_parameter(structure, load_omega, law, parameter, start, stop, **curve_options)
+    return continue_parameter(
+        structure, load_omega, law, parameter_name, start, stop, **curve_options
+    )
 
 
-def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
+def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     """Yield a scene prepared for its curve, with more and more modes (collective).
 
     A run-up is yielded once. It has one basis for all speeds, with as many modes as the first
     resonance of the curve needs at the scene's own speed.
     """
-    scene = source.scene if isinstance(source, Study) else source
-    parameter, start, stop = scene.given("curve").parameter_and_range
-    unreduced_study = prepare_unreduced_study(source, comm)
-    if parameter != "speed":
-        yield from reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
+    scene = scene_or_study.scene if isinstance(scene_or_study, Study) else scene_or_study
+    parameter_name, start, stop = scene.given("curve").parameter_and_range
+    unreduced_study = prepare_unreduced_if_scene(scene_or_study, comm)
+    if parameter_name != "speed":
+        yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
         requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
-    estimate_checked_memory(scene, unreduced_study.structure, is_run_up=True)
+    estimate_and_check_memory(scene, unreduced_study.structure, is_run_up=True)
     if candidate_mode_counts(unreduced_study):
         engine_order = scene.excitation.omega / scene.speed
-        candidate_studies = reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
+        candidate_studies = iterate_studies_with_more_modes(
+            unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS
+        )
         study = _find_study_with_enough_modes(
             next(candidate_studies), candidate_studies, engine_order * start, engine_order * stop
         )
         unreduced_study = replace(unreduced_study, scene=study.scene)
-    reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
+    reduction = modal_reduction_or_none(unreduced_study.scene, unreduced_study.structure)
     n_default_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, unreduced_study.structure.n_dofs)
     n_modes = n_default_modes if reduction is None else reduction.n_modes
     structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)
@@ -190,7 +194,7 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
 
 
 def _find_study_with_enough_modes(
-    study: Study, studies: Iterator[Study], start: float, stop: float
+    study: Study, studies: Iterator[Study], start_omega: float, stop_omega: float
 ) -> Study:
     """Return the first study with enough modes for a curve over the frequency (collective).
 
@@ -200,7 +204,7 @@ def _find_study_with_enough_modes(
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
-        resonance_omega = _lowest_bilinear_frequency(study, start, stop)
+        resonance_omega = _lowest_bilinear_omega(study, start_omega, stop_omega)
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
         with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
@@ -212,12 +216,12 @@ def _find_study_with_enough_modes(
     return study
 
 
-def _lowest_bilinear_frequency(study: Study, start: float, stop: float) -> float:
+def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) -> float:
     """Return the lowest bilinear frequency in a range [rad/s], else its start (collective)."""
-    lower_bound, upper_bound = sorted((start, stop))
+    lower_bound, upper_bound = sorted((start_omega, stop_omega))
     bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear
     is_between = (bilinear_omegas > lower_bound) & (bilinear_omegas < upper_bound)
-    return float(min(bilinear_omegas[is_between], default=start))
+    return float(min(bilinear_omegas[is_between], default=start_omega))
 
 
 def _describe_mode_choice(study: Study, mode_error: float) -> str:

@@ -27,7 +27,7 @@ from fenics_crack.runs.load import (
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
@@ -69,30 +69,30 @@ def integrate(
     integration_table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
-    earlier_file = (
+    earlier_motion_file = (
         None
         if integration_table.initial is None
-        else _read_initial_motion(integration_table.initial, comm)
+        else _read_initial_motion_file(integration_table.initial, comm)
     )
     omega = scene.excitation.omega
     study = with_friction_lines(prepare(scene, comm), omega)
     structure, law = study.structure, required_contact_law(study)
     method_name = _choose_method(study, integration_table, law)
-    make_requested_rows(study)  # before the integration: this may raise InputError
-    initial_motion: Initial = None
+    make_requested_extra_rows(study)  # before the integration: this may raise InputError
+    initial_motion_or_state: Initial = None
     if integration_table.deflection is not None:
         static_structure = structure_under_static_load(structure, integration_table.deflection)
         min_harmonics = least_harmonics(static_structure, 1)
-        initial_motion = solve_harmonic_balance(
+        initial_motion_or_state = solve_harmonic_balance(
             static_structure, omega, law, harmonics=min_harmonics
         )
-    elif earlier_file is not None:
-        start_state = _start_state(
-            make_run_from_file(earlier_file, comm, with_reference=False),
+    elif earlier_motion_file is not None:
+        start_state = _start_state_from_run(
+            make_run_from_file(earlier_motion_file, comm, with_reference=False),
             structure,
             integration_table,
         )
-        initial_motion = start_state if friction_of(law) is not None else start_state[:2]
+        initial_motion_or_state = start_state if friction_of(law) is not None else start_state[:2]
     if integration_table.free:
         study = study_under_mean_load(study)
     march_options: dict[str, Any] = {
@@ -101,7 +101,7 @@ def integrate(
         "record_periods": None
         if integration_table.free
         else min(N_RECORDED_PERIODS, integration_table.periods),
-        "initial": initial_motion,
+        "initial": initial_motion_or_state,
         "progress": progress,
     }
     march_function, steps_per_period = _march_function_and_steps(
@@ -140,7 +140,7 @@ def _march_function_and_steps(
     return integrate_central_difference, steps_per_period
 
 
-def _read_initial_motion(path: str, comm: MPI.Comm) -> StoredFile:
+def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
     """Read the file of an earlier motion, named by ``integration.initial`` (collective)."""
     try:
         motion_file = read_result_file(path, comm)
@@ -151,7 +151,7 @@ def _read_initial_motion(path: str, comm: MPI.Comm) -> StoredFile:
     return motion_file
 
 
-def _start_state(
+def _start_state_from_run(
     earlier_run: Run[Any], structure: Structure, integration_table: Integration
 ) -> tuple[np.ndarray, ...]:
     """Return the state of an earlier motion of the same mesh for a structure (collective).
@@ -171,18 +171,20 @@ def _start_state(
     else:
         state = initial_state(motion.structure, motion.contact, motion)
     local_states = motion.structure.expand(np.array(state[:2]))
-    mesh_points = [
-        np.zeros((mesh.n_local, 1)) if mesh.nodes is None else mesh.nodes.points
-        for mesh in (whole_structure, motion.structure.whole)
+    points_of_meshes = [
+        np.zeros((meshed_structure.n_local, 1))
+        if meshed_structure.nodes is None
+        else meshed_structure.nodes.points
+        for meshed_structure in (whole_structure, motion.structure.whole)
     ]
     has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
-        *mesh_points
+        *points_of_meshes
     )
     if not all(whole_structure.comm.allgather(has_same_mesh)):
         integration_table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
-        momentum = multiply(whole_structure.mass, local_states.T).T
-        modal_states = whole_structure.sum_over_ranks(momentum @ structure.basis)
+        mass_products = multiply(whole_structure.mass, local_states.T).T
+        modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
         n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
         local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
     return local_states[0], local_states[1], *state[2:]

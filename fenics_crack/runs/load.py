@@ -91,7 +91,7 @@ def make_run_from_file(
     return Run(**vars(study), result=result, stated=verification_of(result_file))
 
 
-def read_run(result_file: StoredFile) -> Run[Result]:
+def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
     """Make the run of a result file on this rank alone.
 
     A solution's structure gets no reference, because the file has the stated errors.
@@ -107,11 +107,11 @@ def study_under_mean_load(study: Study) -> Study:
     return replace(study, structure=structure.watching(study.watched[0].dof))
 
 
-def structure_under_static_load(structure: Structure, fraction: float) -> Structure:
+def structure_under_static_load(structure: Structure, first_harmonic_fraction: float) -> Structure:
     """Return a structure under a static load.
 
     The load is the mean load, plus a fraction of the first harmonic's cosine and sine parts.
     """
-    weights = np.zeros((len(structure.force),) * 2)
-    weights[0, :3] = 1.0, fraction, fraction
-    return structure.varied(load=weights)
+    load_weight_matrix = np.zeros((len(structure.force),) * 2)
+    load_weight_matrix[0, :3] = 1.0, first_harmonic_fraction, first_harmonic_fraction
+    return structure.varied(load=load_weight_matrix)

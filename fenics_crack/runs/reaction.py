@@ -12,7 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.observables import Place, read_observables
 from fenics_crack.basics.tables import Tabular, format_quantity
 from fenics_crack.model.nodes import AXES
-from fenics_crack.runs.run import Run, check_motion
+from fenics_crack.runs.run import Run, check_run_has_motion
 from fenics_crack.scene.scene import reason_without_clamp_forces, refuse_for_reason
 from fenics_crack.study.observer import clamp_inertia_rows, compute_clamp_reactions
 from fenics_crack.time.march import TimeHistory
@@ -46,24 +46,25 @@ class Reaction(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return time, forces and moments as columns, a row for every instant."""
-        values_by_name = {"time": self.time.tolist()}
-        force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
-        column_names = [f"force_{axis}" for axis in force_axes] + [
-            f"moment_{axis}" for axis in moment_axes
+        values_by_column = {"time": self.time.tolist()}
+        force_axis_names = AXES[: self.force.shape[1]]
+        moment_axis_names = AXES[-self.moment.shape[1] :]
+        column_names = [f"force_{axis_name}" for axis_name in force_axis_names] + [
+            f"moment_{axis_name}" for axis_name in moment_axis_names
         ]
         column_values = np.hstack([self.force, self.moment]).T.tolist()
-        return values_by_name | dict(zip(column_names, column_values, strict=True))
+        return values_by_column | dict(zip(column_names, column_values, strict=True))
 
     def _units(self) -> Mapping[str, str]:
         unit_by_prefix = {"time": "s", "force": "N", "moment": "N m"}
         return {name: unit_by_prefix[name.partition("_")[0]] for name in self.to_dict()}
 
     def _title(self) -> str:
-        force, moment = self.numbers.values()
+        largest_force, largest_moment = self.numbers.values()
         center_text = ", ".join(f"{coordinate:.4g}" for coordinate in self.center)
         return (
-            f"up to {format_quantity(force, 'N')} and {format_quantity(moment, 'N m')} "
-            f"about ({center_text}) m"
+            f"up to {format_quantity(largest_force, 'N')} and "
+            f"{format_quantity(largest_moment, 'N m')} about ({center_text}) m"
         )
 
 
@@ -101,7 +102,7 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     >>> held = fc.reaction(fc.solve(scene))
     >>> held.force.mean(axis=0), held.numbers["reaction_moment"]
     """
-    check_motion(run)
+    check_run_has_motion(run)
     refuse_for_reason(reason_without_clamp_forces(run.scene), "run", repr(run))
     structure = run.result.structure
     [record] = run.result.records(structure.compute_once(clamp_inertia_rows))

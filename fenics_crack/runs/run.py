@@ -81,7 +81,7 @@ class Run(StudyWithResult, Generic[ResultType]):
         peak, errors = self.result.peak(dof), self.errors
         if errors is None or not errors.parts or dof not in (None, self.watched_dof):
             return peak
-        quantity_names = self.watched[0].column("amplitude"), errors.resonance
+        quantity_names = self.watched[0].column_name("amplitude"), errors.resonance
         amplitude_error, omega_error = (
             errors.stated(quantity_name)[0] for quantity_name in quantity_names
         )
@@ -98,16 +98,22 @@ class Run(StudyWithResult, Generic[ResultType]):
         A solution has Fourier coefficients (2H+1,), a curve (n, 2H+1), a motion in time
         displacements (n,), and modes have none.
         """
-        result, dofs = self.result, [point.dof for point in self.watched]
+        result = self.result
+        watched_dofs = [watched_displacement.dof for watched_displacement in self.watched]
         displacement_columns: list[np.ndarray] = []
         if isinstance(result, TimeHistory):
-            displacement_columns = list(result.displacement(dofs).T)
+            displacement_columns = list(result.displacement(watched_dofs).T)
         elif isinstance(result, ObservedMotion):
             displacement_columns = [
-                displacement.real_fourier_coefficients for displacement in result.observe(dofs)[0]
+                observed_displacement.real_fourier_coefficients
+                for observed_displacement in result.observe(watched_dofs)[0]
             ]
         return dict(
-            zip((point.words for point in self.watched), displacement_columns, strict=False)
+            zip(
+                (watched_displacement.words for watched_displacement in self.watched),
+                displacement_columns,
+                strict=False,
+            )
         )
 
     def save(self, path: str | Path) -> None:
@@ -235,7 +241,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     verdicts = ResultAttribute()
 
 
-def check_motion(run: object) -> None:
+def check_run_has_motion(run: object) -> None:
     """Raise InputError unless a run has a solution or a motion in time."""
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
         requirement = "what fc.solve(scene) or fc.integrate(scene) returns"

@@ -17,7 +17,7 @@ from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import prepare_unreduced_study, solve_study
+from fenics_crack.study.solve import prepare_unreduced_if_scene, solve_study
 
 N_DEFAULT_MODES = 6
 """Default number of modes that are found."""
@@ -83,11 +83,11 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved_study = solve_study(prepare_unreduced_study(scene, comm))
-    return _with_motion_from_rest(Run(**vars(solved_study)))
+    solved_study = solve_study(prepare_unreduced_if_scene(scene, comm))
+    return _with_rest_motion_outcome(Run(**vars(solved_study)))
 
 
-def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
+def _with_rest_motion_outcome(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Add the outcome of the motion from rest if the verdict needs it (collective).
 
     It is needed if the verdict is undecided, or if no pair opens and closes in the solution. In the
@@ -113,8 +113,11 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     if rest_motion.orbit is not None:
         outcome_text = rest_motion.description
         rest_amplitude = rest_motion.orbit.amplitude(watched_dof)
-        amplitude = solution.amplitude(watched_dof)
-        if is_decided and abs(rest_amplitude - amplitude) <= MAX_SETTLED_CHANGE * amplitude:
+        solution_amplitude = solution.amplitude(watched_dof)
+        if (
+            is_decided
+            and abs(rest_amplitude - solution_amplitude) <= MAX_SETTLED_CHANGE * solution_amplitude
+        ):
             return run  # the same motion
     stability = replace(stability, from_rest=outcome_text, rest_amplitude=rest_amplitude)
     return replace(run, result=replace(solution, stability=stability))

@@ -14,13 +14,13 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.errors.stated import errors_of
 from fenics_crack.errors.verification import Verification
-from fenics_crack.runs.run import Run, check_motion
+from fenics_crack.runs.run import Run, check_run_has_motion
 from fenics_crack.scene.scene import reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.study.observer import (
     TipHistory,
     compute_tip_histories,
     leading_tip_index,
-    make_tips_and_rows,
+    make_tips_and_intensity_rows,
     station_indices_by_front,
 )
 from fenics_crack.time.march import TimeHistory
@@ -76,10 +76,12 @@ class StressIntensity(Tabular):
         ``[growth]`` adds delta_K_equivalent: the range from 0 that, once a period of the load, lets
         the crack grow as much as all rainflow cycles of K_I.
         """
-        tip_values = [tip_history.values_by_name() for tip_history in self._tip_histories]
+        value_by_name_of_tips = [
+            tip_history.values_by_name() for tip_history in self._tip_histories
+        ]
         return {
-            name: np.array([value_by_name[name] for value_by_name in tip_values])
-            for name in tip_values[0]
+            name: np.array([value_by_name[name] for value_by_name in value_by_name_of_tips])
+            for name in value_by_name_of_tips[0]
         }
 
     @property
@@ -120,9 +122,9 @@ class StressIntensity(Tabular):
         = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519); nan if K_I is never
         positive.
         """
-        instant_indices = self.one.argmax(axis=0)[None]
-        K_I = np.take_along_axis(self.one, instant_indices, axis=0)[0]
-        K_II = np.take_along_axis(self.two, instant_indices, axis=0)[0]
+        instant_index_of_largest = self.one.argmax(axis=0)[None]
+        K_I = np.take_along_axis(self.one, instant_index_of_largest, axis=0)[0]
+        K_II = np.take_along_axis(self.two, instant_index_of_largest, axis=0)[0]
         angles = -2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
         return np.where(K_I > 0.0, angles, np.nan)
 
@@ -137,16 +139,16 @@ class StressIntensity(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return time and the stress intensities of each tip, a row for every instant."""
-        columns = {"time": self.time.tolist()}
+        values_by_column = {"time": self.time.tolist()}
         values_by_name = {"K_I": self.one, "K_II": self.two} | (
             {} if self.three is None else {"K_III": self.three}
         )
         for tip_index, tip_name in enumerate(self.tips):
-            columns |= {
+            values_by_column |= {
                 f"{name}, {tip_name}": values[:, tip_index].tolist()
                 for name, values in values_by_name.items()
             }
-        return columns
+        return values_by_column
 
     def _units(self) -> Mapping[str, str]:
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
@@ -195,9 +197,9 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     >>> found = fc.stress_intensity(fc.solve(scene))
     >>> found.largest, found.effective, found.turn
     """
-    check_motion(run)
+    check_run_has_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
-    tips, displacement_rows, force_rows = make_tips_and_rows(run)
+    tips, displacement_rows, force_rows = make_tips_and_intensity_rows(run)
     [record] = run.result.records(displacement_rows)
     tip_histories = compute_tip_histories(record, tips, force_rows, run.scene.growth)
     K_III_columns = [

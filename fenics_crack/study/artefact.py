@@ -43,13 +43,13 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import make_coarser_scene, prepare_coarser_study
+from fenics_crack.study.meshes import make_coarser_scene_or_reason, prepare_coarser_study_or_reason
 from fenics_crack.study.prepare import Study, prepare, reduce_study
 from fenics_crack.study.sharing import (
     SharedStructure,
-    coarser_structure_cache,
-    load_dependencies,
-    structure_dependencies,
+    dependencies_of_load,
+    dependencies_of_structure,
+    make_empty_coarser_structure_list,
 )
 from fenics_crack.study.solve import (
     MAX_MODES_FOR_MANY_SOLUTIONS,
@@ -112,7 +112,8 @@ class PreparedStructure:
     mass, stiffness : SparseRows or None
         Matrices, if they are kept.
     key : str
-        Digest of the structure's dependencies (:func:`fenics_crack.study.shelf.dependencies_key`).
+        Digest of the structure's dependencies, by
+        :func:`fenics_crack.study.shelf.digest_of_dependencies`.
     excitation : (2K+1, d) [N]
         Force of the excitation: mean, cosine and sine parts of each harmonic.
     """
@@ -141,12 +142,14 @@ class PreparedStructure:
         pairs = structure.pairs
         clamp = structure.clamp
         watched_row = structure.watched
-        tangential_structures = (
+        structures_with_tangents = (
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
-        source_structures = [structure, *tangential_structures]
-        array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: gather_rows(comm, getattr(nodes, name)) for name in array_names}
+        source_structures = [structure, *structures_with_tangents]
+        node_array_names = NODE_ARRAY_NAMES if nodes else ()
+        node_array_by_name = {
+            name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
+        }
         return cls(
             gap=SparseRows.gather(structure.gap, comm),
             tangential=SparseRows.gather(structure.tangential, comm),
@@ -165,7 +168,9 @@ class PreparedStructure:
             **datasets,
         )  # fmt: skip
 
-    def make_structure(self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm) -> Structure:
+    def make_structure(
+        self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
+    ) -> Structure:
         """Make the structure with a scene's damping and clearance (collective).
 
         Rank 0 has all rows. Datasets that are no structure raise an error of
@@ -173,17 +178,17 @@ class PreparedStructure:
 
         Parameters
         ----------
-        load_weights : (n, 2K+1)
+        load_weight_matrix : (n, 2K+1)
             Matrix from the load rows of the file to those of the scene.
         """
-        n_dofs, n_pairs = self._check_and_count_dofs(), len(self.clearance)
+        n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
 
         def local_matrix(sparse_rows: SparseRows | None, n_columns: int) -> Any:
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
-        mass, stiffness = (
+        mass_matrix, stiffness_matrix = (
             AbsentMatrix(n_dofs, comm.rank)
             if sparse_rows is None
             else make_square_petsc_matrix(local_matrix(sparse_rows, n_dofs), comm)
@@ -195,10 +200,11 @@ class PreparedStructure:
             pressure_matrix=self.shares
             and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
-        array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in array_names}
+        node_array_names = NODE_ARRAY_NAMES if nodes else ()
+        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in node_array_names}
         structure = Structure(Body(
-            mass, stiffness, gap=local_matrix(self.gap, n_pairs), force=self.force[:, local_slice],
+            mass_matrix, stiffness_matrix, gap=local_matrix(self.gap, n_pairs),
+            force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
             damping=damping_rule_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
@@ -210,25 +216,25 @@ class PreparedStructure:
             source_structures = structure, structure.with_tangents()
             n_sources = len(stored_receptance.modal)
             source_structure = next(
-                candidate
-                for candidate in source_structures
-                if pair_and_load_force_matrix(candidate).shape[1] == n_sources
+                candidate_structure
+                for candidate_structure in source_structures
+                if pair_and_load_force_matrix(candidate_structure).shape[1] == n_sources
             )
-            loaded_receptance = replace(stored_receptance, force=source_structure.force)
-            source_structure.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
+            receptance_with_load = replace(stored_receptance, force=source_structure.force)
+            source_structure.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
             shared_receptances = structure.compute_once(
                 make_empty_shared_receptance_list, from_matrices=True
             )
-            shared_receptances[:] = [loaded_receptance]
-        if not np.array_equal(load_weights, np.eye(len(structure.force))):
-            clamp = structure.clamp and structure.clamp.with_weights(load_weights)
-            force = load_weights @ structure.force
-            structure = structure._in_setting(DEFAULT_SETTING, force=force, clamp=clamp)
+            shared_receptances[:] = [receptance_with_load]
+        if not np.array_equal(load_weight_matrix, np.eye(len(structure.force))):
+            clamp = structure.clamp and structure.clamp.with_weights(load_weight_matrix)
+            weighted_force = load_weight_matrix @ structure.force
+            structure = structure._in_setting(DEFAULT_SETTING, force=weighted_force, clamp=clamp)
         if self.mass is None:
             receptance(structure, 1)
         return structure
 
-    def _check_and_count_dofs(self) -> int:
+    def _check_arrays_and_count_dofs(self) -> int:
         """Return the number of dofs; ValueError unless all shapes and values are valid."""
         nodes, watched_pair_indices = self.nodes, np.array([*self.pairs.places.values()])
         array_by_name = {
@@ -263,8 +269,11 @@ class PreparedStructure:
                 "compliance": (n_sources,) * 2,
                 "inertia": (n_pairs,),
             }
-            for dof in stored_receptance.rows:
-                shape_by_field |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
+            for watched_dof in stored_receptance.rows:
+                shape_by_field |= {
+                    f"rows.{watched_dof}.0": (n_modes,),
+                    f"rows.{watched_dof}.1": (n_sources,),
+                }
             shape_by_name |= {
                 f"{receptance_prefix}.{name}": shape for name, shape in shape_by_field.items()
             }
@@ -290,24 +299,29 @@ class PreparedFile:
     structure: PreparedStructure
     coarser_structure: PreparedStructure | None = None
 
-    def make_structures(
-        self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm
+    def make_shared_structure(
+        self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
     ) -> SharedStructure:
         """Make a scene's structure with its coarser structure, if any (collective).
 
-        ``load_weights`` are as in :meth:`PreparedStructure.make_structure`.
+        ``load_weight_matrix`` is as in :meth:`PreparedStructure.make_structure`.
         """
-        structure = self.structure.make_structure(scene, load_weights, comm)
-        scene_or_reason, single_rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
-        if self.coarser_structure is not None and isinstance(scene_or_reason, Scene):
+        structure = self.structure.make_structure(scene, load_weight_matrix, comm)
+        coarser_scene_or_reason = make_coarser_scene_or_reason(scene)
+        single_rank_comm = MPI.COMM_SELF
+        if self.coarser_structure is not None and isinstance(coarser_scene_or_reason, Scene):
             # As of a reduced structure.
-            coarser_entries = structure.compute_once(coarser_structure_cache, from_matrices=True)
-            coarser_entries.append(SharedStructure(
+            coarser_shared_structures = structure.compute_once(
+                make_empty_coarser_structure_list, from_matrices=True
+            )
+            coarser_shared_structures.append(SharedStructure(
                 self.coarser_structure.make_structure(
-                    scene_or_reason, load_weights, single_rank_comm
-                ), single_rank_comm, structure_dependencies(scene_or_reason, single_rank_comm),
+                    coarser_scene_or_reason, load_weight_matrix, single_rank_comm
+                ),
+                single_rank_comm,
+                dependencies_of_structure(coarser_scene_or_reason, single_rank_comm),
             ))  # fmt: skip
-        return SharedStructure(structure, comm, structure_dependencies(scene, comm))
+        return SharedStructure(structure, comm, dependencies_of_structure(scene, comm))
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
@@ -347,23 +361,25 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), requirement)
-    coarser_study_or_reason = prepare_coarser_study(prepared)
-    studies = (
+    coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
+    study_and_coarser_study = (
         prepared,
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
-    datasets = pack_dataclass(PreparedFile(*map(_gather_study_datasets, studies)))
-    write_result_file(datasets, path, FILE_KIND, scene, structure.whole.comm)
+    dataset_by_name = pack_dataclass(
+        PreparedFile(*map(_gather_prepared_structure, study_and_coarser_study))
+    )
+    write_result_file(dataset_by_name, path, FILE_KIND, scene, structure.whole.comm)
 
 
-def _gather_study_datasets(study: Study) -> PreparedStructure:
+def _gather_prepared_structure(study: Study) -> PreparedStructure:
     """Gather the datasets of a reduced study, with the modes of its reference (collective)."""
     reference_structure = getattr(study.structure, "reference", None) or study.structure
     n_modes = max(study.structure.n_modes, reference_structure.n_modes)
     modal_and_static_displacement_rows(
         study.structure.whole,
         n_modes,
-        np.array([displacement.dof for displacement in study.watched]),
+        np.array([watched_displacement.dof for watched_displacement in study.watched]),
     )
     return PreparedStructure.gather(study.structure.whole)
 
@@ -402,11 +418,13 @@ def load_prepared(
     >>> fc.solve(fc.load_prepared("plate.h5", {"excitation.frequency": 800.0}))
     """
     stored_file = read_result_file(path, comm)
-    scene = on_root(comm, lambda: _changed_scene(stored_file, changes or {}))
-    return prepare(scene, comm, whole=True, last=[_make_file_structure(stored_file, scene, comm)])
+    scene = on_root(comm, lambda: _scene_of_file_with_changes(stored_file, changes or {}))
+    return prepare(
+        scene, comm, whole=True, last=[_make_shared_structure_from_file(stored_file, scene, comm)]
+    )
 
 
-def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Scene:
+def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, object]) -> Scene:
     """Return the scene of a prepared file with changed keys.
 
     Raises
@@ -421,13 +439,13 @@ def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Sc
         raise stored_file.refusal("one with its scene")
     stored_file.check_files(file_scene, is_required=False)
     scene = file_scene.replace(changes)
-    file_dependencies = structure_dependencies(file_scene, MPI.COMM_SELF)
+    file_dependencies = dependencies_of_structure(file_scene, MPI.COMM_SELF)
 
     def needs_mesh(changed_scene: Scene) -> bool:
-        changed_dependencies = structure_dependencies(changed_scene, MPI.COMM_SELF)
-        has_other_loads = loads_without_amplitudes(
+        changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
+        has_other_loads = excitation_and_loads_without_amplitudes(
             changed_dependencies[1]
-        ) != loads_without_amplitudes(file_dependencies[1])
+        ) != excitation_and_loads_without_amplitudes(file_dependencies[1])
         return (
             changed_dependencies[0] != file_dependencies[0]
             or has_other_loads
@@ -435,12 +453,12 @@ def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Sc
         )
 
     if needs_mesh(scene):
-        for changed_key, scene_value in changes.items():
+        for changed_key, changed_value in changes.items():
             with suppress(InputError):  # keys that cannot change without another key
-                if needs_mesh(file_scene.replace({changed_key: scene_value})):
+                if needs_mesh(file_scene.replace({changed_key: changed_value})):
                     break
         raise InputError(
-            changed_key, scene_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
+            changed_key, changed_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
         )
     unavailable_quantities = [
         quantity_name
@@ -450,34 +468,34 @@ def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Sc
     if unavailable_quantities:
         requirement = "those of points and crack faces, for a file; else the scene itself is solved"
         raise InputError("output.quantities", unavailable_quantities, requirement)
-    _load_weights_between_scenes(file_scene, scene)
+    _weight_matrix_between_scene_loads(file_scene, scene)
     return scene
 
 
-def loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the values of :func:`load_dependencies` without the excitation's amplitudes."""
-    excitation, *other_loads = loads
+def excitation_and_loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the values of :func:`dependencies_of_load` without the excitation's amplitudes."""
+    excitation_value_by_key, *other_loads = loads
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
-    excitation_values = excitation and {
-        key: value for key, value in excitation.items() if key not in amplitude_keys
+    kept_value_by_key = excitation_value_by_key and {
+        key: value for key, value in excitation_value_by_key.items() if key not in amplitude_keys
     }
-    return excitation_values, *other_loads
+    return kept_value_by_key, *other_loads
 
 
-def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
+def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
     """Return the matrix from a file's load rows to a scene's load rows.
 
-    Raises as :func:`load_weights_from_rows`.
+    Raises as :func:`weight_matrix_of_load_rows`.
     """
     # Equal loads are not computed: the file of a wave may be gone.
-    if load_dependencies(file_scene) == load_dependencies(scene):
+    if dependencies_of_load(file_scene) == dependencies_of_load(scene):
         return np.eye(1 + 2 * file_scene.highest_order)
-    return load_weights_from_rows(
+    return weight_matrix_of_load_rows(
         np.array(list_force_harmonic_vectors(file_scene), dtype=float), scene
     )
 
 
-def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
+def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
     """Return the matrix from a file's load rows to a scene's load rows.
 
     Parameters
@@ -497,24 +515,26 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
     """
     scene_load_rows = np.array(list_force_harmonic_vectors(scene), dtype=float)
     has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
-    weights = (
+    weight_matrix = (
         np.eye(len(scene_load_rows))
         if has_same_load_rows
         else scene_load_rows @ np.linalg.pinv(file_load_rows)
     )
-    is_not_representable = (
-        np.abs(weights @ file_load_rows - scene_load_rows).max()
+    is_no_combination_of_file_rows = (
+        np.abs(weight_matrix @ file_load_rows - scene_load_rows).max()
         > ROUNDING * np.abs(scene_load_rows).max()
     )
-    if is_not_representable or (scene.has_other_loads and not has_same_load_rows):
+    if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
         requirement = (
             f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
         )
         raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement)
-    return weights
+    return weight_matrix
 
 
-def _make_file_structure(stored_file: StoredFile, scene: Scene, comm: MPI.Comm) -> SharedStructure:
+def _make_shared_structure_from_file(
+    stored_file: StoredFile, scene: Scene, comm: MPI.Comm
+) -> SharedStructure:
     """Make a scene's structure from a file, with its coarser mesh (collective).
 
     Raises
@@ -524,7 +544,7 @@ def _make_file_structure(stored_file: StoredFile, scene: Scene, comm: MPI.Comm) 
     """
     file_scene = stored_file.scene()
     assert file_scene is not None
-    load_weights = _load_weights_between_scenes(file_scene, scene)
+    load_weight_matrix = _weight_matrix_between_scene_loads(file_scene, scene)
     with stored_file.yield_checked_datasets() as datasets:
         prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
-        return prepared_file.make_structures(scene, load_weights, comm)
+        return prepared_file.make_shared_structure(scene, load_weight_matrix, comm)

@@ -72,22 +72,22 @@ from fenics_crack.study.resonance import (
     LoadResonance,
     find_load_resonance,
 )
-from fenics_crack.study.sharing import assemble_or_reuse
+from fenics_crack.study.sharing import assemble_or_reuse_structure
 
-HELD_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
+HELD_FREQUENCY_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
 """Kinds of frequencies of a held crack: "open", "tied", "partly"."""
 STATE_TEXT_BY_KIND = {
-    **dict(zip(HELD_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
+    **dict(zip(HELD_FREQUENCY_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
     "bilinear": "breathing",
 }
 """State of the crack, in words, for each kind of frequency."""
-SPEED_TOLERANCE = 1e-4
+RELATIVE_SPEED_TOLERANCE = 1e-4
 """Relative tolerance of a speed at which the state changes, or an order meets a mode."""
 MAX_REPORTED_ORDER = 8
 """Highest engine order that is drawn, and reported if the load has no order."""
-StateFrequencyFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Function of a speed [rad/s]: frequencies of the kinds in HELD_KINDS [rad/s], and margins by which
-the crack is held in these states: (3, count) each."""
+FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Function of a speed [rad/s]: frequencies of the kinds in HELD_FREQUENCY_KINDS [rad/s], and
+margins by which the crack is held in these states: (3, count) each."""
 PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of modes (n): amplitudes of the modes at their resonances under a load (n,)."""
 
@@ -134,7 +134,7 @@ class Campbell(SavedResult):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
-    at: StateFrequencyFunction | None = None
+    at: FrequenciesAndMarginsFunction | None = None
     met: tuple[tuple[int, LoadResonance], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
@@ -150,10 +150,15 @@ class Campbell(SavedResult):
         return diagram
 
     @cached_property
-    def _frequency_function(self) -> StateFrequencyFunction:
+    def _frequencies_and_margins_function(self) -> FrequenciesAndMarginsFunction:
         """The function :attr:`at`; made from the scene if there is none."""
         count = self.omega_open.shape[1]
-        return self.at or campbell(self.scene, self.speed, count, MPI.COMM_SELF)._frequency_function
+        return (
+            self.at
+            or campbell(
+                self.scene, self.speed, count, MPI.COMM_SELF
+            )._frequencies_and_margins_function
+        )
 
     @property
     def omega_bilinear(self) -> np.ndarray:
@@ -198,54 +203,62 @@ class Campbell(SavedResult):
         check_count("order", order, 1)
         check_choice("kind", kind, (*STATE_TEXT_BY_KIND, "real"))
         if kind == "real":
-            return self._real_crossings(order)
+            return self._crossings_in_actual_state(order)
 
         def frequency_difference(speed: float, mode: int) -> float:
-            return self._state_frequency(mode, speed, kind) - order * speed
+            return self._omega_of_kind(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
         crossings = []
         for speed_index, mode_index in np.argwhere(is_above[1:] != is_above[:-1]).tolist():
             speed_interval = self.speed[speed_index : speed_index + 2].tolist()
             mode = mode_index + 1
-            speed = brentq(frequency_difference, *speed_interval, (mode,), rtol=SPEED_TOLERANCE)
+            speed = brentq(
+                frequency_difference, *speed_interval, (mode,), rtol=RELATIVE_SPEED_TOLERANCE
+            )
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
-    def _real_crossings(self, order: int) -> np.ndarray:
+    def _crossings_in_actual_state(self, order: int) -> np.ndarray:
         """Return crossings with the line of the crack's actual state, and at its changes."""
         crossings = [
             (mode, speed)
             for kind in self.kinds
             for mode, speed in self.crossings(order, kind)
-            if self._kinds_around(int(mode), speed)[1] == kind
+            if self._kinds_before_and_after(int(mode), speed)[1] == kind
         ]
         for mode, speed, _ in self.changes:
             omega_below, omega_above = (
-                self._state_frequency(mode, speed, state)
-                for state in self._kinds_around(mode, speed)
+                self._omega_of_kind(mode, speed, state_kind)
+                for state_kind in self._kinds_before_and_after(mode, speed)
             )
             if omega_below > order * speed > omega_above:
                 crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
-    def _kinds_around(self, mode: int, speed: float) -> tuple[str, str]:
+    def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
         """Return the kinds of a mode's frequency just below and from a speed on."""
-        kinds_at_speeds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
-        changed_kinds = [
-            (start, kind) for changed_mode, start, kind in self.changes if changed_mode == mode
+        speeds_and_kinds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
+        change_speeds_and_kinds = [
+            (start_speed, kind)
+            for changed_mode, start_speed, kind in self.changes
+            if changed_mode == mode
         ]
-        starts_and_kinds = sorted([*kinds_at_speeds, *changed_kinds])
-        kinds_below = [kind for start, kind in starts_and_kinds if start < speed]
-        kinds_from = [kind for start, kind in starts_and_kinds if start <= speed]
-        return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
+        start_speeds_and_kinds = sorted([*speeds_and_kinds, *change_speeds_and_kinds])
+        kinds_begun_below_speed = [
+            kind for start_speed, kind in start_speeds_and_kinds if start_speed < speed
+        ]
+        kinds_begun_by_speed = [
+            kind for start_speed, kind in start_speeds_and_kinds if start_speed <= speed
+        ]
+        return [kinds_begun_by_speed[0], *kinds_begun_below_speed][-1], kinds_begun_by_speed[-1]
 
-    def _state_frequency(self, mode: int, speed: float, kind: str) -> float:
+    def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
         """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
-        omega = self._frequency_function(speed)[0][:, mode - 1]
+        omega_of_kinds = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
-            return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
-        return float(omega[HELD_KINDS.index(kind)])
+            return float(BilinearFrequencies(omega_of_kinds[0], omega_of_kinds[1]).omega_bilinear)
+        return float(omega_of_kinds[HELD_FREQUENCY_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Return speeds, frequencies [rad/s] and kinds along a mode's line.
@@ -255,21 +268,22 @@ class Campbell(SavedResult):
         """
         speeds = {
             *self.speed.tolist(),
-            *(line_speed for changed_mode, line_speed, _ in self.changes if changed_mode == mode),
+            *(speed for changed_mode, speed, _ in self.changes if changed_mode == mode),
         }
         return [
-            (line_speed, self._state_frequency(mode, line_speed, kind), kind)
-            for line_speed in sorted(speeds)
-            for kind in dict.fromkeys(self._kinds_around(mode, line_speed))
+            (speed, self._omega_of_kind(mode, speed, kind), kind)
+            for speed in sorted(speeds)
+            for kind in dict.fromkeys(self._kinds_before_and_after(mode, speed))
         ]
 
-    def _crossing_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
+    def _list_crossings_with_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
         """Return mode, speed and resonance for each crossing of an engine order.
 
         Only the load's own engine order has known resonances.
         """
-        load_order, crossings = self.scene.excitation.order, self.crossings(order, "real").tolist()
-        resonances = [resonance for _, resonance in self.met] if order == load_order else []
+        load_engine_order = self.scene.excitation.order
+        crossings = self.crossings(order, "real").tolist()
+        resonances = [resonance for _, resonance in self.met] if order == load_engine_order else []
         resonances += [UNSOUGHT_RESONANCE] * len(crossings)
         return [
             (int(mode), speed, resonance)
@@ -282,7 +296,7 @@ class Campbell(SavedResult):
         It names the mode, the resonance at the load if it is known, and the speeds at which the
         order meets the crack's frequency in the actual state and in others.
         """
-        for mode, speed, resonance in self._crossing_resonances(order):
+        for mode, speed, resonance in self._list_crossings_with_resonances(order):
             text = f"engine order {order} meets mode {mode} at "
             if math.isfinite(resonance.value):
                 text += (
@@ -291,19 +305,19 @@ class Campbell(SavedResult):
                 )
             text += _speed_in_words(speed)
             if self.cracked:
-                kinds_at_crossing = [*dict.fromkeys(self._kinds_around(mode, speed))]
-                alternative_texts = [
-                    f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(alternative_speed)}"
+                kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
+                other_state_texts = [
+                    f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(other_state_speed)}"
                     for kind in FREQUENCY_KIND_NAMES
                     if kind != kinds_at_crossing[-1] or len(kinds_at_crossing) > 1
-                    for crossing_mode, alternative_speed in self.crossings(order, kind)
+                    for crossing_mode, other_state_speed in self.crossings(order, kind)
                     if crossing_mode == mode
                 ]
                 state_texts = [STATE_TEXT_BY_KIND[kind] for kind in kinds_at_crossing]
                 text += f" with the crack {' before and '.join(state_texts)}"
                 text += " after" if len(kinds_at_crossing) > 1 else ""
                 text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
-                text += f"; it would be {', '.join(alternative_texts)}" if alternative_texts else ""
+                text += f"; it would be {', '.join(other_state_texts)}" if other_state_texts else ""
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
@@ -315,10 +329,10 @@ class Campbell(SavedResult):
         """
         nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
-        state_omega = np.select(
+        omega_of_nearest_kind = np.select(
             [nearest_kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds
         )
-        squares, slopes = self._interpolate_squares(speed, state_omega)
+        squares, slopes = self._interpolate_squares_and_slopes(speed, omega_of_nearest_kind)
         mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
         return float(slopes[mode_index] * speed**2 / squares[mode_index])
 
@@ -328,13 +342,15 @@ class Campbell(SavedResult):
         They are interpolated as in :meth:`stiffening`.
         """
         squares_of_states = (
-            self._interpolate_squares(speed, omega)[0]
+            self._interpolate_squares_and_slopes(speed, omega)[0]
             for omega in (self.omega_open, self.omega_tied)
         )
-        omega_open, omega_tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares_of_states)
+        omega_open, omega_tied = (
+            np.sqrt(np.maximum(squares, 0.0)) for squares in squares_of_states
+        )
         return omega_open, omega_tied
 
-    def _interpolate_squares(
+    def _interpolate_squares_and_slopes(
         self, speed: float, omega: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Interpolate squares of frequencies (n, m) at a speed.
@@ -356,30 +372,31 @@ class Campbell(SavedResult):
         """Return the columns of a table with a row for every speed and mode."""
         n_speeds, n_modes = self.omega_open.shape
         repeated_speeds = np.repeat(self.speed, n_modes)
-        columns = {
+        values_by_column = {
             "speed": repeated_speeds.tolist(),
             "mode": np.tile(np.arange(1, n_modes + 1), n_speeds).tolist(),
         }
         if self.cracked:
-            columns["crack"] = [STATE_TEXT_BY_KIND[kind] for kind in self.kind.ravel()]
+            values_by_column["crack"] = [STATE_TEXT_BY_KIND[kind] for kind in self.kind.ravel()]
         for kind in self.kinds:
-            for name in (f"omega_{kind}", f"frequency_{kind}"):
-                columns[name] = getattr(self, name).ravel().tolist()
-        return add_frequency_entries(columns)
+            for column_name in (f"omega_{kind}", f"frequency_{kind}"):
+                values_by_column[column_name] = getattr(self, column_name).ravel().tolist()
+        return add_frequency_entries(values_by_column)
 
     def build_conclusion(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
-        axis, order = speed_axis(self.scene.is_speed_in_rpm), self.scene.excitation.order
+        axis_of_speed, order = speed_axis(self.scene.is_speed_in_rpm), self.scene.excitation.order
         modes_text = format_count(self.omega_open.shape[1], "mode")
         outcome_text = (
-            f"{modes_text} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
+            f"{modes_text} found between "
+            f"{format_in_unit(axis_of_speed, self.speed[0], self.speed[-1])}"
         )
         if order is None:
             return Conclusion(outcome_text)
         crossing_texts = [
             f"mode {mode} at "
-            f"{format_in_unit(axis, speed if resonance.unknown else resonance.value)}"
-            for mode, speed, resonance in self._crossing_resonances(order)
+            f"{format_in_unit(axis_of_speed, speed if resonance.unknown else resonance.value)}"
+            for mode, speed, resonance in self._list_crossings_with_resonances(order)
         ]
         return Conclusion(
             outcome_text,
@@ -388,8 +405,8 @@ class Campbell(SavedResult):
 
     def _title(self) -> str:
         speed_text = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        first_omegas = self.omega_bilinear[[0, -1], 0]
-        frequency_text = f"first {first_omegas[0]:.6g} to {first_omegas[1]:.6g} rad/s"
+        first_mode_omegas = self.omega_bilinear[[0, -1], 0]
+        frequency_text = f"first {first_mode_omegas[0]:.6g} to {first_mode_omegas[1]:.6g} rad/s"
         return f"{speed_text}, {format_count(self.omega_open.shape[1], 'mode')}, {frequency_text}"
 
 
@@ -436,7 +453,7 @@ def campbell(
         requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
         raise InputError("disk", "a table", requirement)
     scene.given("rotation")
-    _, axis = scene.axis_point_and_direction
+    _, rotation_axis = scene.axis_point_and_direction
     check_count("count", few if count is None else count, 1)
     speed_array = np.atleast_1d(floats_or_nan(speeds))
     is_rising = (
@@ -446,7 +463,7 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     requested_scene = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
-    top_structure = assemble_or_reuse(scene, comm)
+    top_structure = assemble_or_reuse_structure(scene, comm)
     max_modes = count_bonded_modes(top_structure)
     if count is not None and count > max_modes:
         raise InputError("count", count, f"a whole number from 1 to {max_modes}")
@@ -455,8 +472,8 @@ def campbell(
     n_bonded = min(count + 2, max_modes) if top_structure.n_pairs else 0
     start, stop = speed_array[[0, -1]]
     projection = RitzProjection.of_range(top_structure.damped(None), start, stop, count, n_bonded)
-    load_amplitude = projection.force[1] - 1j * projection.force[2]
-    peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, top_structure)
+    complex_load = projection.force[1] - 1j * projection.force[2]
+    peak_amplitude_function = partial(_find_modal_peak_amplitudes, complex_load, top_structure)
 
     @cache
     def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -472,12 +489,12 @@ def campbell(
         (mode_index + 1, speed, kind)
         for mode_index in range(count)
         for interval in pairwise(speed_array.tolist())
-        for speed, kind in _find_state_changes(find_frequencies_and_margins, *interval, mode_index)
+        for speed, kind in _yield_state_changes(find_frequencies_and_margins, *interval, mode_index)
     )
-    frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
+    frequency_kinds = np.array([_frequency_kinds_from_margins(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
-    coriolis = relative_coriolis_shifts(modes, speed_array[-1] * axis)
+    relative_coriolis_changes = relative_coriolis_shifts(modes, speed_array[-1] * rotation_axis)
     diagram = Campbell(
         requested_scene,
         speed_array,
@@ -487,14 +504,14 @@ def campbell(
         top_structure.n_pairs > 0,
         frequency_kinds,
         kind_changes,
-        coriolis,
+        relative_coriolis_changes,
         find_frequencies_and_margins,
     )
     damped_projection = replace(projection, structure=top_structure)
-    return replace(diagram, met=_find_load_resonances(diagram, damped_projection))
+    return replace(diagram, met=_find_modes_and_load_resonances(diagram, damped_projection))
 
 
-def _find_load_resonances(
+def _find_modes_and_load_resonances(
     diagram: Campbell, projection: RitzProjection
 ) -> tuple[tuple[int, LoadResonance], ...]:
     """Find the resonance at the load for each crossing of the load's engine order.
@@ -530,42 +547,42 @@ def report_of_campbell(diagram: Campbell) -> Report:
     The orders are the load's order, or all up to :data:`MAX_REPORTED_ORDER`.
     """
     scene = diagram.scene
-    load_order = scene.excitation.order
-    frequency_name = (
+    load_engine_order = scene.excitation.order
+    frequency_prefix = (
         "frequency" if scene.is_frequency_in_hertz or scene.is_speed_in_rpm else "omega"
     )
-    orders = [load_order] if load_order else [*range(1, MAX_REPORTED_ORDER + 1)]
+    orders = [load_engine_order] if load_engine_order else [*range(1, MAX_REPORTED_ORDER + 1)]
     notes = [text for order in orders for text in diagram.meetings(order)]
-    if not notes and load_order is None:
+    if not notes and load_engine_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
         notes.append(
             f"at {format_in_unit(speed_axis(scene.is_speed_in_rpm), diagram.speed[-1])} {text}"
         )
-    columns = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
-    columns += [
-        *(f"{frequency_name}_{kind}" for kind in diagram.kinds),
+    column_names = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
+    column_names += [
+        *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
         *(["crack"] if diagram.cracked else []),
     ]
     return Report(
         diagram.table(),
         diagram.build_conclusion(),
-        printed_table=diagram.table(*columns),
+        printed_table=diagram.table(*column_names),
         notes=notes,
         remarks=remarks_on_scene(scene),
     )
 
 
-def _classify_states(hold_margins: np.ndarray) -> np.ndarray:
+def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
     """Return the kind of the crack's frequency in each mode: (count,) of str.
 
-    ``hold_margins`` (3, count) are the margins of the states in HELD_KINDS.
+    ``hold_margins`` (3, count) are the margins of the states in HELD_FREQUENCY_KINDS.
     """
-    return np.select([*(hold_margins > 0.0)], HELD_KINDS, "bilinear")
+    return np.select([*(hold_margins > 0.0)], HELD_FREQUENCY_KINDS, "bilinear")
 
 
-def _find_state_changes(
-    find_frequencies_and_margins: StateFrequencyFunction,
+def _yield_state_changes(
+    find_frequencies_and_margins: FrequenciesAndMarginsFunction,
     lower_speed: float,
     upper_speed: float,
     mode_index: int,
@@ -577,25 +594,28 @@ def _find_state_changes(
     however narrow. ``mode_index`` counts from 0.
     """
     lower_kind, upper_kind = (
-        str(_classify_states(find_frequencies_and_margins(speed)[1])[mode_index])
+        str(_frequency_kinds_from_margins(find_frequencies_and_margins(speed)[1])[mode_index])
         for speed in (lower_speed, upper_speed)
     )
     held_kinds = {lower_kind, upper_kind} - {"bilinear"}
     if lower_kind != upper_kind and len(held_kinds) == 1:
-        [kind_index] = map(HELD_KINDS.index, held_kinds)
+        [kind_index] = map(HELD_FREQUENCY_KINDS.index, held_kinds)
         change_speed = brentq(
             lambda speed: find_frequencies_and_margins(speed)[1][kind_index, mode_index],
-            lower_speed, upper_speed, rtol=SPEED_TOLERANCE,
+            lower_speed, upper_speed, rtol=RELATIVE_SPEED_TOLERANCE,
         )  # fmt: skip
         yield change_speed, upper_kind
-    elif lower_kind != upper_kind and upper_speed - lower_speed <= SPEED_TOLERANCE * upper_speed:
+    elif (
+        lower_kind != upper_kind
+        and upper_speed - lower_speed <= RELATIVE_SPEED_TOLERANCE * upper_speed
+    ):
         yield upper_speed, upper_kind
     elif lower_kind != upper_kind:
         middle_speed = 0.5 * (lower_speed + upper_speed)
-        yield from _find_state_changes(
+        yield from _yield_state_changes(
             find_frequencies_and_margins, lower_speed, middle_speed, mode_index
         )
-        yield from _find_state_changes(
+        yield from _yield_state_changes(
             find_frequencies_and_margins, middle_speed, upper_speed, mode_index
         )
 
@@ -605,19 +625,19 @@ def _speed_in_words(speed: float) -> str:
     return f"{speed:.5g} rad/s = {speed / RAD_PER_S_PER_RPM:.5g} rpm"
 
 
-def _find_peak_amplitudes(
-    force: np.ndarray, damped_structure: Structure, modes: Modes
+def _find_modal_peak_amplitudes(
+    complex_load: np.ndarray, damped_structure: Structure, modes: Modes
 ) -> np.ndarray:
     """Return amplitudes of modes at their own resonances: (n_modes,); inf without damping.
 
     Parameters
     ----------
-    force : (n,) complex [N]
+    complex_load : (n,) complex [N]
         Cosine part less i times sine part of the load, in the modes' coordinates.
     damped_structure : Structure
         Whole structure, whose damping the modes have.
     """
-    modal_forces = np.abs(force @ modes.shapes)
+    modal_forces = np.abs(complex_load @ modes.shapes)
     denominators = 2.0 * damping_ratios(damped_structure, modes.omega) * modes.omega**2
     return np.divide(
         modal_forces,
@@ -641,13 +661,13 @@ def _find_frequencies_and_margins(
     Returns
     -------
     omega : (3, n_modes) [rad/s]
-        Frequencies in the order of HELD_KINDS.
+        Frequencies in the order of HELD_FREQUENCY_KINDS.
     hold_margins : (3, n_modes) [m], [N]
         Margins at resonance under the load; positive if the crack is held.
     """
     open_modes = solve_modes(structure, n_modes)
-    no_pairs = np.zeros(structure.n_pairs, dtype=bool)
-    all_pairs = np.ones(structure.n_pairs, dtype=bool)
+    no_pairs_mask = np.zeros(structure.n_pairs, dtype=bool)
+    all_pairs_mask = np.ones(structure.n_pairs, dtype=bool)
     if not structure.n_pairs:
         return np.tile(open_modes.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(n_modes))
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
@@ -655,21 +675,25 @@ def _find_frequencies_and_margins(
         structure, structure.force[0], clearance
     )
     is_pressed = pair_forces > 0.0
-    openings = np.where(
+    pair_openings = np.where(
         is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]
     )
-    rest_states = np.where(np.array([no_pairs, all_pairs, is_pressed]), pair_forces, openings)
-    held_states = zip(rest_states, (no_pairs, all_pairs, is_pressed), strict=True)
-    state_results = [
+    rest_states = np.where(
+        np.array([no_pairs_mask, all_pairs_mask, is_pressed]), pair_forces, pair_openings
+    )
+    held_states = zip(rest_states, (no_pairs_mask, all_pairs_mask, is_pressed), strict=True)
+    frequencies_and_margins = [
         _find_held_frequencies_and_margins(
             open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
         )
         for rest_state, is_bonded in held_states
     ]
-    omega, hold_margins = (np.array(results) for results in zip(*state_results, strict=True))
+    omega_of_states, hold_margins = (
+        np.array(state_rows) for state_rows in zip(*frequencies_and_margins, strict=True)
+    )
     if is_pressed.all() or not is_pressed.any():
         hold_margins[2] = -1.0  # not partly
-    return omega, hold_margins
+    return omega_of_states, hold_margins
 
 
 def _find_held_frequencies_and_margins(
@@ -711,19 +735,20 @@ def _find_held_frequencies_and_margins(
         modes = Modes(
             bonded_modes.omega[mode_indices], bonded_modes.shapes[:, mode_indices], structure
         )
-    pair_changes = np.abs(structure.apply_bt(modes.shapes.T)).T
+    pair_amplitudes_per_mode = np.abs(structure.apply_bt(modes.shapes.T)).T
     if is_bonded.any():
         stiffness_products, mass_products = (
-            multiply(matrix, modes.shapes) for matrix in (structure.stiffness, structure.mass)
+            multiply(stiffness_or_mass, modes.shapes)
+            for stiffness_or_mass in (structure.stiffness, structure.mass)
         )
         unbalanced_forces = bonded_gap_rows.T @ (
             mass_products * modes.omega**2 - stiffness_products
         )
-        pair_changes[is_bonded] = np.abs(
+        pair_amplitudes_per_mode[is_bonded] = np.abs(
             np.linalg.lstsq(
                 (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
             )[0]
         )
-    return modes.omega, (rest_state[:, None] - peak_amplitude_function(modes) * pair_changes).min(
-        axis=0
-    )
+    return modes.omega, (
+        rest_state[:, None] - peak_amplitude_function(modes) * pair_amplitudes_per_mode
+    ).min(axis=0)

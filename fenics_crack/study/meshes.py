@@ -20,10 +20,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import mesh_extents
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.sharing import coarser_structure_cache
+from fenics_crack.study.sharing import make_empty_coarser_structure_list
 
 
-def prepare_coarser_study(study: Study) -> tuple[Study, tuple[int, int], float] | str:
+def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     """Prepare a study on a coarser mesh, reduced if the study is (collective).
 
     Returns
@@ -36,29 +36,40 @@ def prepare_coarser_study(study: Study) -> tuple[Study, tuple[int, int], float] 
 
     Without a coarser mesh, the reason as a text.
     """
-    structure, coarser_scene = study.structure, make_coarser_scene(study.scene)
+    structure, coarser_scene = study.structure, make_coarser_scene_or_reason(study.scene)
     if isinstance(coarser_scene, str):
         return coarser_scene
     scene = study.scene
     with prefix_stages("a coarser mesh"):
         is_unreduced = structure.whole is structure
-        coarser_entries = structure.whole.compute_once(coarser_structure_cache, from_matrices=True)
+        coarser_shared_structures = structure.whole.compute_once(
+            make_empty_coarser_structure_list, from_matrices=True
+        )
         coarser_study = prepare(
-            coarser_scene, structure.comm, whole=is_unreduced, judged=False, last=coarser_entries
+            coarser_scene,
+            structure.comm,
+            whole=is_unreduced,
+            judged=False,
+            last=coarser_shared_structures,
         )
     element_counts = count_elements(structure), count_elements(coarser_study.structure)
     if not element_counts[1] < element_counts[0]:
         return "a coarser one has as many elements"
-    structures = structure, coarser_study.structure
+    fine_and_coarser_structure = structure, coarser_study.structure
     fine_extents, coarser_extents = (
-        np.array(mesh_extents(meshed_structure.whole)) for meshed_structure in structures
+        np.array(mesh_extents(meshed_structure.whole))
+        for meshed_structure in fine_and_coarser_structure
     )
-    element_length = (coarser_extents.prod() / element_counts[1]) ** (1.0 / len(coarser_extents))
+    coarser_element_length = (coarser_extents.prod() / element_counts[1]) ** (
+        1.0 / len(coarser_extents)
+    )
     # Curved sides differ by less than an element.
-    if np.any(np.abs(coarser_extents - fine_extents) > element_length):
+    if np.any(np.abs(coarser_extents - fine_extents) > coarser_element_length):
         extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
         return f"mesh.coarser is another part, of {extents_text} m"
-    if scene.mesh.layout == "file" and (mismatch_text := _describe_crack_mismatch(*structures)):
+    if scene.mesh.layout == "file" and (
+        mismatch_text := _describe_crack_mismatch(*fine_and_coarser_structure)
+    ):
         return mismatch_text
     return (
         coarser_study,
@@ -67,7 +78,7 @@ def prepare_coarser_study(study: Study) -> tuple[Study, tuple[int, int], float] 
     )
 
 
-def make_coarser_scene(scene: Scene) -> Scene | str:
+def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
     """Return the scene with a coarser mesh, or the reason why there is none."""
     if scene.structure is not None:
         return "matrices have no coarser mesh"
@@ -79,9 +90,9 @@ def make_coarser_scene(scene: Scene) -> Scene | str:
         if scene.mesh.coarser is None:
             return "mesh.coarser is not given"
         key_changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
-        return scene.replace(key_changes | _patch_changes(scene, 0.5))
+        return scene.replace(key_changes | _patch_key_changes(scene, 0.5))
     with suppress(InputError):  # the grid's lines miss the crack
-        if (coarser_scene := refine_scene(scene, 0.5)) is not None:
+        if (coarser_scene := refine_scene_or_none(scene, 0.5)) is not None:
             return coarser_scene
     return "a grid of half as many columns and rows has no lines along the crack"
 
@@ -107,48 +118,54 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
     Area and centroid of the faces may differ by an element of the coarser mesh.
     """
-    crack_pairs = _crack_face_pairs(structure)
-    coarser_crack_pairs = _crack_face_pairs(coarser_structure)
-    if len(crack_pairs) != len(coarser_crack_pairs):
-        counts_text = f"{len(coarser_crack_pairs)} instead of {len(crack_pairs)}"
+    areas_and_points_of_cracks = _pair_areas_and_points_of_cracks(structure)
+    coarser_areas_and_points = _pair_areas_and_points_of_cracks(coarser_structure)
+    if len(areas_and_points_of_cracks) != len(coarser_areas_and_points):
+        counts_text = (
+            f"{len(coarser_areas_and_points)} instead of {len(areas_and_points_of_cracks)}"
+        )
         return f"mesh.coarser has another number of cracks, {counts_text}"
-    for crack_number, ((areas, points), (coarser_areas, coarser_points)) in enumerate(
-        zip(crack_pairs, coarser_crack_pairs, strict=True), 1
-    ):
-        area, coarser_area = areas.sum(), coarser_areas.sum()
-        centroid_shift = areas @ points / area - coarser_areas @ coarser_points / coarser_area
+    for crack_number, (
+        (pair_areas, pair_points),
+        (coarser_pair_areas, coarser_pair_points),
+    ) in enumerate(zip(areas_and_points_of_cracks, coarser_areas_and_points, strict=True), 1):
+        crack_area, coarser_crack_area = pair_areas.sum(), coarser_pair_areas.sum()
+        centroid_shift = (
+            pair_areas @ pair_points / crack_area
+            - coarser_pair_areas @ coarser_pair_points / coarser_crack_area
+        )
         centroid_distance = float(np.linalg.norm(centroid_shift))
         # Elements at the front have no pairs.
-        relative_tolerance = len(coarser_areas) ** (-1.0 / (points.shape[1] - 1))
-        crack_size = np.linalg.norm(np.ptp(points, axis=0))
+        relative_tolerance = len(coarser_pair_areas) ** (-1.0 / (pair_points.shape[1] - 1))
+        crack_size = np.linalg.norm(np.ptp(pair_points, axis=0))
         if (
-            abs(coarser_area - area) > relative_tolerance * area
+            abs(coarser_crack_area - crack_area) > relative_tolerance * crack_area
             or centroid_distance > relative_tolerance * crack_size
         ):
-            area_text = f"crack faces of {coarser_area:.3g} m^2 instead of {area:.3g}"
+            area_text = f"crack faces of {coarser_crack_area:.3g} m^2 instead of {crack_area:.3g}"
             crack_text = f"mesh.coarser has another crack {crack_number}"
             return f"{crack_text}: {area_text}, their middle {centroid_distance:.2g} m away"
     return ""
 
 
-def _crack_face_pairs(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
+def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return areas (n,) [m^2] and positions (n, d) [m] of each crack's pairs."""
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
         return []
-    pair_masks = (pairs.cracks == crack for crack in np.unique(pairs.cracks))
+    pair_masks = (pairs.cracks == crack_index for crack_index in np.unique(pairs.cracks))
     return [(pairs.areas[pair_mask], pairs.points[pair_mask]) for pair_mask in pair_masks]
 
 
-def refine_scene(scene: Scene, refinement_factor: float) -> Scene | None:
+def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None:
     """Return a scene with elements ``refinement_factor`` times as short; None without such a mesh.
 
     The number of elements along crack faces is rounded up; sizes and patches follow it, so that the
     mesh stays similar. In a solid or a disk's sector, three or more elements along a face change
-    with their grading (:func:`_similar_grading`). For a finer mesh, a size above the shortest side
-    counts as that side; for a coarser mesh it stays, because elements of a thin solid may be
-    longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines, or
-    coarser by 2 if its counts are even.
+    with their grading (:func:`_refine_graded_elements`). For a finer mesh, a size above the
+    shortest side counts as that side; for a coarser mesh it stays, because elements of a thin solid
+    may be longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines,
+    or coarser by 2 if its counts are even.
     """
     mesh_table = scene.mesh
     if mesh_table is None or mesh_table.layout == "file":
@@ -158,33 +175,35 @@ def refine_scene(scene: Scene, refinement_factor: float) -> Scene | None:
     if scene.has_graded_lengths and element_size is not None and refinement_factor > 1.0:
         element_size = min([element_size, *scene.geometry.sides])
     if scene.has_graded_lengths and n_face_elements is not None and n_face_elements > 2:
-        n_new_elements, grading, refinement_factor = _similar_grading(
+        n_new_face_elements, grading, refinement_factor = _refine_graded_elements(
             n_face_elements, mesh_table.grading, refinement_factor
         )
-        key_changes |= {"mesh.lip_elements": n_new_elements, "mesh.grading": grading}
+        key_changes |= {"mesh.lip_elements": n_new_face_elements, "mesh.grading": grading}
     elif n_face_elements is not None:
-        n_new_elements = key_changes["mesh.lip_elements"] = math.ceil(
+        n_new_face_elements = key_changes["mesh.lip_elements"] = math.ceil(
             refinement_factor * n_face_elements
         )
         refinement_factor = (
             refinement_factor
-            if n_new_elements == n_face_elements
-            else n_new_elements / n_face_elements
+            if n_new_face_elements == n_face_elements
+            else n_new_face_elements / n_face_elements
         )
     if element_size is not None:
         key_changes["mesh.size"] = element_size / refinement_factor
     for key in ("columns", "rows"):
-        n_cells = getattr(mesh_table, key)
-        if n_cells is not None:
+        n_columns_or_rows = getattr(mesh_table, key)
+        if n_columns_or_rows is not None:
             key_changes[f"mesh.{key}"] = (
-                math.ceil(refinement_factor) * n_cells if refinement_factor > 1.0 else n_cells // 2
+                math.ceil(refinement_factor) * n_columns_or_rows
+                if refinement_factor > 1.0
+                else n_columns_or_rows // 2
             )
-            if refinement_factor < 1.0 and n_cells % 2:
+            if refinement_factor < 1.0 and n_columns_or_rows % 2:
                 return None
-    return scene.replace(key_changes | _patch_changes(scene, refinement_factor))
+    return scene.replace(key_changes | _patch_key_changes(scene, refinement_factor))
 
 
-def _patch_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
+def _patch_key_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
     """Return the change of the scene's key for patches ``refinement_factor`` times as short.
 
     Their error then is part of the mesh's error. Empty without patches.
@@ -197,7 +216,7 @@ def _patch_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
     )
 
 
-def _similar_grading(
+def _refine_graded_elements(
     n_elements: int, grading: float, refinement_factor: float
 ) -> tuple[int, float, float]:
     """Refine graded elements along a solid's crack face to a similar mesh.
@@ -235,14 +254,14 @@ def count_elements(structure: Structure) -> int:
     )
 
 
-def can_refine_evenly(scene: Scene) -> bool:
+def has_similar_finer_mesh(scene: Scene) -> bool:
     """Return True if a mesh 1.5 times finer is similar.
 
     It is not if the rounded number of elements along a crack face grows by more than 1.56.
     """
     if scene.mesh.layout != "graded":
         return False
-    finer_scene, n_face_elements = refine_scene(scene, 1.5), scene.mesh.lip_elements
+    finer_scene, n_face_elements = refine_scene_or_none(scene, 1.5), scene.mesh.lip_elements
     return (
         finer_scene is None
         or n_face_elements is None

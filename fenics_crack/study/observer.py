@@ -49,7 +49,7 @@ MAX_EXPANDED_VALUES = 20_000_000
 expansion factors the structure again."""
 
 
-def make_requested_rows(study: Study) -> list[ExtraRows]:
+def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
     """Make the rows for requested quantities of crack tips and clamp (collective).
 
     Rows are made once for the study's structure.
@@ -58,8 +58,8 @@ def make_requested_rows(study: Study) -> list[ExtraRows]:
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
     }
     return [
-        make_rows(study)
-        for place, make_rows in _MAKE_ROWS_BY_PLACE.items()
+        make_extra_rows(study)
+        for place, make_extra_rows in _MAKE_EXTRA_ROWS_BY_PLACE.items()
         if place in requested_places
     ]
 
@@ -69,14 +69,14 @@ class ObservedQuantity(NamedTuple):
 
     Attributes
     ----------
-    column, name : str
+    column_name, name : str
         Name of its column, "tip.ux.ratio_2_1", and of its observable, "ratio_2_1".
     words, unit : str
         Description, with the watched displacement, and unit.
     value : float or (n,)
     """
 
-    column: str
+    column_name: str
     words: str
     value: Any
     unit: str
@@ -88,23 +88,33 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
 
     Requested are quantities of crack tips and the clamp.
     """
-    dofs = [displacement.dof for displacement in study.watched]
-    observed_displacements, extra_value_by_name = motion.observe(dofs, make_requested_rows(study))
-    quantities = []
-    for displacement, (indicators, _) in zip(study.watched, observed_displacements, strict=True):
-        for name in observable_names(Place.POINT):
-            observable = OBSERVABLES_BY_NAME[name]
-            needs_words = displacement.name or name == "amplitude"
-            words = observable.words + (f", {displacement.words}" if needs_words else "")
-            column, value = displacement.column(name), getattr(indicators, name)
-            quantities.append(ObservedQuantity(column, words, value, observable.unit, name))
+    watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
+    observed_displacements, requested_value_by_name = motion.observe(
+        watched_dofs, make_requested_extra_rows(study)
+    )
+    observed_quantities = []
+    for watched_displacement, (indicators, _) in zip(
+        study.watched, observed_displacements, strict=True
+    ):
+        for quantity_name in observable_names(Place.POINT):
+            observable = OBSERVABLES_BY_NAME[quantity_name]
+            needs_words = watched_displacement.name or quantity_name == "amplitude"
+            words = observable.words + (f", {watched_displacement.words}" if needs_words else "")
+            column_name = watched_displacement.column_name(quantity_name)
+            value = getattr(indicators, quantity_name)
+            observed_quantities.append(
+                ObservedQuantity(column_name, words, value, observable.unit, quantity_name)
+            )
     value_by_name = motion.faces | {
-        name: extra_value_by_name[name] for name in list_requested_extra_quantities(study.scene)
+        quantity_name: requested_value_by_name[quantity_name]
+        for quantity_name in list_requested_extra_quantities(study.scene)
     }
-    for name, value in value_by_name.items():
-        observable = OBSERVABLES_BY_NAME[name]
-        quantities.append(ObservedQuantity(name, observable.words, value, observable.unit, name))
-    return quantities
+    for quantity_name, value in value_by_name.items():
+        observable = OBSERVABLES_BY_NAME[quantity_name]
+        observed_quantities.append(
+            ObservedQuantity(quantity_name, observable.words, value, observable.unit, quantity_name)
+        )
+    return observed_quantities
 
 
 # --- the clamp ------------------------------------------------------------------------------------
@@ -122,26 +132,28 @@ class ClampReactions(NamedTuple):
 
 def compute_clamp_reactions(record: Record) -> ClampReactions:
     """Compute clamp reactions over time from a record of :func:`clamp_inertia_rows`."""
-    whole_structure, omega = record.structure.whole, record.omega
-    clamp, drag_factor = _clamp_and_drag(whole_structure)
+    whole_structure, load_omega = record.structure.whole, record.omega
+    clamp, rayleigh_mass_factor = _clamp_and_rayleigh_mass_factor(whole_structure)
     if record.instants_per_load_period:
         return ClampReactions(
-            *clamp.reaction_of_record(record.time, record.row_products, omega, drag_factor)
+            *clamp.reaction_of_record(
+                record.time, record.row_products, load_omega, rayleigh_mass_factor
+            )
         )
-    subharmonic, base_omega = record.subharmonic, omega / record.subharmonic
+    subharmonic, base_omega = record.subharmonic, load_omega / record.subharmonic
     phases = base_omega * record.time
-    reactions = clamp.reaction_of_waves(
-        record.coefficients, base_omega, subharmonic, drag_factor, phases
+    forces_and_moments = clamp.reaction_of_waves(
+        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, phases
     )
-    return ClampReactions(*reactions)
+    return ClampReactions(*forces_and_moments)
 
 
-def _clamp_and_drag(whole_structure: Structure) -> tuple[Clamp, float]:
+def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, float]:
     """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
     check_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
-    clamp, damping = whole_structure.clamp, whole_structure.damping
-    return clamp, damping.mass if isinstance(damping, RayleighDamping) else 0.0
+    clamp, damping_rule = whole_structure.clamp, whole_structure.damping
+    return clamp, damping_rule.mass if isinstance(damping_rule, RayleighDamping) else 0.0
 
 
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
@@ -150,15 +162,20 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     The columns are the structure's coordinates. Coordinates without mass have no inertia, since
     truncated modes respond quasi-statically.
     """
-    whole_structure, inertia = structure.whole, _clamp_and_drag(structure.whole)[0].inertia
+    whole_structure = structure.whole
+    inertia_rows = _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia
     if structure is whole_structure:
-        return inertia
+        return inertia_rows
     # These modes have mass, even if some coordinates have none.
-    known_modes = structure.known_omega_and_shapes(is_bonded=False)
-    mode_shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
-    modal_inertia = whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
-    mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
-    return np.asarray(modal_inertia @ mode_shapes.T @ mass)
+    known_omega_and_shapes = structure.known_omega_and_shapes(is_bonded=False)
+    mode_shapes = (
+        np.eye(structure.n_dofs) if known_omega_and_shapes is None else known_omega_and_shapes[1]
+    )
+    inertia_rows_of_shapes = whole_structure.sum_over_ranks(
+        structure.expand(mode_shapes.T) @ inertia_rows.T
+    ).T
+    mass_matrix = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
+    return np.asarray(inertia_rows_of_shapes @ mode_shapes.T @ mass_matrix)
 
 
 # --- the tips -------------------------------------------------------------------------------------
@@ -171,7 +188,7 @@ class TipHistory(NamedTuple):
     ----------
     K_I, K_II, K_III : (n,) [Pa m^1/2]
         K_III is None for a plate.
-    periods : float
+    n_load_periods : float
         Duration, or period of the motion, in periods of the load.
     growth_law : Growth or None
         Law of crack growth of the scene.
@@ -181,7 +198,7 @@ class TipHistory(NamedTuple):
 
     K_I: np.ndarray
     K_II: np.ndarray
-    periods: float
+    n_load_periods: float
     growth_law: Growth | None
     K_III: np.ndarray | None = None
     closed_front_error: float = 0.0
@@ -190,7 +207,7 @@ class TipHistory(NamedTuple):
     def equivalent_range(self) -> float:
         """Range of K_I from 0 that, once a period, gives the same crack growth.
 
-            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m) [Pa m^1/2]
+            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / n_load_periods)^(1 / m) [Pa m^1/2]
 
         The sum is over the rainflow cycles i, with the range delta K_i while the tip is open and
         the ratio R_i of minimum to maximum. Cycles below the threshold are left out if another
@@ -204,29 +221,30 @@ class TipHistory(NamedTuple):
         load_ratios = np.minimum(minima / maxima, 1.0 - 1e-9)
         driving_ranges = ranges / (1.0 - load_ratios) ** (1.0 - self.growth_law.ratio_exponent)
         is_growing = ranges >= min(self.growth_law.threshold, ranges.max())
-        growth_terms = (
+        relative_growth_terms = (
             np.where(is_growing, driving_ranges / driving_ranges.max(), 0.0)
             ** self.growth_law.exponent
         )
         return float(
             driving_ranges.max()
-            * (growth_terms.sum() / self.periods) ** (1.0 / self.growth_law.exponent)
+            * (relative_growth_terms.sum() / self.n_load_periods)
+            ** (1.0 / self.growth_law.exponent)
         )
 
     def values_by_name(self) -> dict[str, float]:
         """Return the tip's quantities by name; the equivalent range only with a growth law."""
-        missing_requirements = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
+        excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
             Place.TIPS,
             self,
-            missing_requirements | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
+            excluded_flags | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
         )
 
 
 def compute_tip_histories(
     record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
 ) -> list[TipHistory]:
-    """Compute stress intensities of each tip from a record of :func:`make_tips_and_rows`.
+    """Compute stress intensities of each tip from a record of :func:`make_tips_and_intensity_rows`.
 
     At the front of a solid's crack without clearance K_I is never negative, and zero while all
     adjacent pairs are closed.
@@ -238,20 +256,20 @@ def compute_tip_histories(
     force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
         Factors of the contact forces.
     """
-    tip_intensities = (record.row_products + record.forces[:, : record.n_pairs] @ force_rows.T).T
+    stress_intensities = (record.row_products + record.forces[:, : record.n_pairs] @ force_rows.T).T
     is_without_clearance = not np.any(record.structure.clearance)
     tip_histories = []
     for tip, (K_I, K_II, *K_III) in zip(
-        tips, tip_intensities.reshape(len(tips), -1, tip_intensities.shape[1]), strict=True
+        tips, stress_intensities.reshape(len(tips), -1, stress_intensities.shape[1]), strict=True
     ):
-        stated_K_I, adjacent_pair_indices = K_I, tip.adjacent_pairs
+        corrected_K_I, adjacent_pair_indices = K_I, tip.adjacent_pairs
         if is_without_clearance and len(adjacent_pair_indices):
             is_closed = np.all(record.forces[:, adjacent_pair_indices] > 0.0, axis=1)
-            stated_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
-        closed_front_error = float(np.abs(K_I - stated_K_I).max())
+            corrected_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
+        closed_front_error = float(np.abs(K_I - corrected_K_I).max())
         tip_histories.append(
             TipHistory(
-                stated_K_I,
+                corrected_K_I,
                 K_II,
                 record.periods,
                 growth_law,
@@ -269,7 +287,7 @@ class EllipseHistories(NamedTuple):
     end_histories: list[TipHistory]
 
 
-def estimate_front_errors(
+def estimate_closed_front_and_mesh_errors(
     study: Study, motion: ObservedMotion, coarser_study: Study, coarser_motion: ObservedMotion
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Estimate errors of a solid's stress intensities, by closed fronts and a coarser mesh.
@@ -285,36 +303,49 @@ def estimate_front_errors(
         may vanish by chance. Infinite if the coarser mesh lacks the numbers or has too few stations
         for K to vary along a front; the first dict then is empty.
     """
-    requested_names = set(list_requested_extra_quantities(study.scene))
+    requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
-        requested_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
+        requested_quantity_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
     )
     if study.scene.dimension == 2 or not quantity_names:
         return {}, {}
-    if not requested_names.intersection(list_requested_extra_quantities(coarser_study.scene)):
+    if not requested_quantity_names.intersection(
+        list_requested_extra_quantities(coarser_study.scene)
+    ):
         return {}, dict.fromkeys(quantity_names, math.inf)
-    fronts = _collect_fronts(study, motion)
-    coarser_fronts = _collect_fronts(coarser_study, coarser_motion)
-    if min(len(positions) for positions, *_ in coarser_fronts.values()) < MIN_FRONT_STATIONS:
+    intensities_by_front = _collect_intensities_by_front(study, motion)
+    coarser_intensities_by_front = _collect_intensities_by_front(coarser_study, coarser_motion)
+    if (
+        min(
+            len(relative_positions)
+            for relative_positions, *_ in coarser_intensities_by_front.values()
+        )
+        < MIN_FRONT_STATIONS
+    ):
         return {}, dict.fromkeys(quantity_names, math.inf)
     difference_by_name = {}
     for quantity_name in quantity_names:
-        base_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
-        differences = [
+        station_quantity_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
+        differences_of_fronts = [
             np.interp(
-                positions, coarser_fronts[front_name][0], coarser_fronts[front_name][1][base_name]
+                relative_positions,
+                coarser_intensities_by_front[front_name][0],
+                coarser_intensities_by_front[front_name][1][station_quantity_name],
             )
-            - values_by_name[base_name]
-            for front_name, (positions, values_by_name, _) in fronts.items()
+            - values_by_name[station_quantity_name]
+            for front_name, (relative_positions, values_by_name, _) in intensities_by_front.items()
         ]
         difference_by_name[quantity_name] = max(
-            float(np.abs(difference).max()) for difference in differences
+            float(np.abs(differences_of_front).max())
+            for differences_of_front in differences_of_fronts
         )
-    closed_error = max(front_error for _, _, front_error in fronts.values())
-    return dict.fromkeys(quantity_names, closed_error), difference_by_name
+    closed_front_error = max(
+        error_of_front for _, _, error_of_front in intensities_by_front.values()
+    )
+    return dict.fromkeys(quantity_names, closed_front_error), difference_by_name
 
 
-def _collect_fronts(
+def _collect_intensities_by_front(
     study: Study, motion: ObservedMotion
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
     """Collect the stress intensities of each front by its name (collective).
@@ -325,22 +356,28 @@ def _collect_fronts(
         Positions (n,) over the front's length, each number at these positions (n,), and the error
         of K_I while the front is closed [Pa m^1/2].
     """
-    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.records(displacement_rows)
     tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
-    front_by_name, station_names = {}, [station.name for station in stations]
+    intensities_by_front, station_names = {}, [station.name for station in stations]
     for front_name, station_indices in station_indices_by_front(station_names).items():
-        arc_lengths = np.array([stations[index].arc_length for index in station_indices])
-        histories = [tip_histories[index] for index in station_indices]
-        station_values = [history.values_by_name() for history in histories]
+        arc_lengths = np.array(
+            [stations[station_index].arc_length for station_index in station_indices]
+        )
+        station_histories = [tip_histories[station_index] for station_index in station_indices]
+        value_by_name_of_stations = [history.values_by_name() for history in station_histories]
         values_by_name = {
-            name: np.array([value_by_name[name] for value_by_name in station_values])
-            for name in station_values[0]
+            name: np.array([value_by_name[name] for value_by_name in value_by_name_of_stations])
+            for name in value_by_name_of_stations[0]
         }
-        closed_error = max(history.closed_front_error for history in histories)
+        closed_front_error = max(history.closed_front_error for history in station_histories)
         front_length = arc_lengths[-1] or 1.0
-        front_by_name[front_name] = arc_lengths / front_length, values_by_name, closed_error
-    return front_by_name
+        intensities_by_front[front_name] = (
+            arc_lengths / front_length,
+            values_by_name,
+            closed_front_error,
+        )
+    return intensities_by_front
 
 
 def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int]]:
@@ -363,7 +400,9 @@ def leading_tip_index(tip_histories: list[TipHistory]) -> int:
     )
 
 
-def make_tips_and_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
+def make_tips_and_intensity_rows(
+    study: Study,
+) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
     """Make the rows of K at crack tips or front stations (collective).
 
     The rows are made once for a structure and all structures with the same matrices. In a reduced
@@ -387,11 +426,11 @@ def make_tips_and_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndar
     refuse_for_reason(reason_without_stress_intensity(scene), "output.quantities")
     pair_kind = None if scene.contact is None else scene.contact.pairs
     dependencies = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pair_kind
-    return study.structure.compute_once(_TipsAndRowsOfScene(dependencies, scene))
+    return study.structure.compute_once(_TipsAndIntensityRowsMaker(dependencies, scene))
 
 
 @dataclass(frozen=True)
-class _TipsAndRowsOfScene:
+class _TipsAndIntensityRowsMaker:
     """Function that makes tips and rows of a structure; equal for scenes of the same body."""
 
     dependencies: tuple[object, ...]
@@ -420,10 +459,10 @@ class _TipsAndRowsOfScene:
             unit_vectors[start_index : start_index + block_size]
             for start_index in range(0, len(unit_vectors), block_size)
         ]
-        row_products = np.vstack(
+        products_with_unit_vectors = np.vstack(
             [structure.expand(unit_block) @ displacement_rows.T for unit_block in unit_blocks]
         )
-        return tips, structure.whole.sum_over_ranks(row_products).T, force_rows
+        return tips, structure.whole.sum_over_ranks(products_with_unit_vectors).T, force_rows
 
 
 def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
@@ -436,25 +475,27 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     start_index = int(values.argmax())
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
     periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
-    turning_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
-    pending_points: list[float] = []
-    cycles = []
-    for value in periodic_values[[0, *turning_indices, -1]].tolist():
-        pending_points.append(value)
-        while len(pending_points) > 2 and abs(pending_points[-1] - pending_points[-2]) >= abs(
-            pending_points[-2] - pending_points[-3]
-        ):
-            cycles.append((max(pending_points[-3:-1]), min(pending_points[-3:-1])))
-            del pending_points[-3:-1]
-    return np.array(cycles).reshape(-1, 2)
+    turning_point_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
+    pending_turning_values: list[float] = []
+    maxima_and_minima = []
+    for value in periodic_values[[0, *turning_point_indices, -1]].tolist():
+        pending_turning_values.append(value)
+        while len(pending_turning_values) > 2 and abs(
+            pending_turning_values[-1] - pending_turning_values[-2]
+        ) >= abs(pending_turning_values[-2] - pending_turning_values[-3]):
+            maxima_and_minima.append(
+                (max(pending_turning_values[-3:-1]), min(pending_turning_values[-3:-1]))
+            )
+            del pending_turning_values[-3:-1]
+    return np.array(maxima_and_minima).reshape(-1, 2)
 
 
-def _make_tip_rows(study: Study) -> ExtraRows:
+def _make_tip_extra_rows(study: Study) -> ExtraRows:
     """Make the rows of crack tips, for the numbers at the leading tip (collective).
 
     In a solid K_max is the largest K_I of all stations, which decides on fracture.
     """
-    tips, displacement_rows, force_rows = make_tips_and_rows(study)
+    tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def leading_tip_values(record: Record) -> dict[str, float]:
         tip_histories = compute_tip_histories(record, tips, force_rows, study.scene.growth)
@@ -468,12 +509,12 @@ def _make_tip_rows(study: Study) -> ExtraRows:
     return ExtraRows(displacement_rows, leading_tip_values)
 
 
-def _make_ellipse_rows(study: Study) -> ExtraRows:
+def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
     """Make the rows of a half-ellipse's front (collective).
 
     The numbers are taken at the deepest station and at the ends.
     """
-    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     station_positions = np.array([station.point for station in stations])
     crack = study.scene.given("crack")
     station_heights = station_positions[:, 2]
@@ -497,7 +538,7 @@ def _make_ellipse_rows(study: Study) -> ExtraRows:
     return ExtraRows(displacement_rows, ellipse_values)
 
 
-def _make_clamp_rows(study: Study) -> ExtraRows:
+def _make_clamp_extra_rows(study: Study) -> ExtraRows:
     """Make the rows of the clamp, for its largest force and moment (collective)."""
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(
@@ -505,7 +546,8 @@ def _make_clamp_rows(study: Study) -> ExtraRows:
     )
 
 
-_MAKE_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.TIPS: _make_tip_rows, Place.ELLIPSE: _make_ellipse_rows, Place.CLAMP: _make_clamp_rows
+_MAKE_EXTRA_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
+    Place.TIPS: _make_tip_extra_rows, Place.ELLIPSE: _make_ellipse_extra_rows,
+    Place.CLAMP: _make_clamp_extra_rows,
 }  # fmt: skip
 """Functions that make the rows of a place."""

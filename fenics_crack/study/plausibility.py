@@ -56,7 +56,7 @@ from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import word_for_crack_faces
-from fenics_crack.study.prepare import Study, reduction_of
+from fenics_crack.study.prepare import Study, modal_reduction_or_none
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
@@ -64,7 +64,7 @@ from fenics_crack.study.resonance import (
     order_crossing_speed,
 )
 
-N_FIGURE_MODES = 4
+N_KEY_FIGURE_MODES = 4
 """Number of modes among the key figures."""
 MAX_SMALL_ROTATION = 0.1
 """Maximum rotation [rad], displacement over length, of small displacements. Linear theory neglects
@@ -77,7 +77,7 @@ class KeyFigures:
 
     Attributes
     ----------
-    extents : (d,) [m]
+    mesh_extents : (d,) [m]
         Width, height and, for a solid, thickness of the mesh.
     n_face_elements : int or None
         Number of elements along each face of the crack with the fewest; None without a crack.
@@ -92,9 +92,9 @@ class KeyFigures:
         S = d(w^2) / d(W^2) of the open modes under rotation; 0 without rotation.
     face_stiffness : (n_pairs,) [N/m]
         Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
-    stiffness_ratio : (n_pairs,) or None
+    contact_stiffness_ratio : (n_pairs,) or None
         Contact stiffness over ``face_stiffness``; None without a law, or without a stiffness.
-    mean_opening, static_gap_motion : float [m]
+    opening_under_mean_load, largest_static_gap_motion : float [m]
         Largest static opening of an open crack under the mean load, and largest static motion of
         its gaps under the load's amplitude.
     peak_displacement, peak_gap_motion : float [m]
@@ -106,7 +106,7 @@ class KeyFigures:
         Number of pairs that are closed under the mean load and the preload alone.
     breathes : bool
         True if one of these pairs opens, or another pair closes, at the requested frequencies.
-    n_modes_below : int
+    n_modes_below_highest_harmonic : int
         Number of natural frequencies below the frequency of the highest harmonic; 0 without pairs.
     n_kept_modes : int
         Number of modes after the reduction.
@@ -114,7 +114,7 @@ class KeyFigures:
         Resonance at the scene's own load, if it has been sought.
     """
 
-    extents: tuple[float, ...]
+    mesh_extents: tuple[float, ...]
     n_face_elements: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
@@ -122,15 +122,15 @@ class KeyFigures:
     damping_ratios: np.ndarray
     speed_slopes: np.ndarray
     face_stiffness: np.ndarray
-    stiffness_ratio: np.ndarray | None
-    mean_opening: float
-    static_gap_motion: float
+    contact_stiffness_ratio: np.ndarray | None
+    opening_under_mean_load: float
+    largest_static_gap_motion: float
     peak_displacement: float
     peak_rotation: float
     peak_gap_motion: float
     n_closed_pairs: int
     breathes: bool
-    n_modes_below: int
+    n_modes_below_highest_harmonic: int
     n_kept_modes: int
     load_resonance: LoadResonance = UNSOUGHT_RESONANCE
 
@@ -143,7 +143,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     scene, law = study.scene, study.contact
     structure = study.structure.structure_in_few_coordinates()
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
-        _solve_modes_and_statics(structure)
+        _solve_modes_and_static_responses(structure)
     )
     modal_damping_ratios = damping_ratios(structure, modes.omega)
     bilinear_frequencies = BilinearFrequencies(
@@ -152,66 +152,65 @@ def find_key_figures(study: Study) -> KeyFigures:
     static_gaps = structure.apply_bt(static_displacements)
     modal_gaps = structure.apply_bt(modes.shapes.T)
     modal_loads = structure.sum_over_ranks(structure.force @ modes.shapes)
-    harmonic_amplitudes = [
+    static_complex_amplitudes = [
         to_complex(fourier_rows)[1:]
         for fourier_rows in (static_displacements, static_gaps, modal_loads)
     ]
-    resting_gaps = static_gaps[0] - structure.clearance  # of an open crack
+    mean_load_gaps = static_gaps[0] - structure.clearance  # of an open crack
     pressing_forces = (
-        solve_complementarity(face_compliance, resting_gaps) if structure.n_pairs else np.zeros(0)
+        solve_complementarity(face_compliance, mean_load_gaps) if structure.n_pairs else np.zeros(0)
     )
     is_closed = pressing_forces > 0.0
-    watched_dofs = [watched.dof for watched in study.watched]
+    watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
     clamp_distances = distances_from_clamp(structure.whole, watched_dofs)
     peak_displacement, peak_rotation, peak_gap_motion, breathes = 0.0, 0.0, 0.0, False
-    for omega in _requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
-        watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = (
-            _amplitude_bounds(
-                structure, modes, modal_damping_ratios, harmonic_amplitudes, face_compliance,
-                modal_gaps, is_closed, watched_dofs, omega,
-            )
+    for omega in _list_requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
+        (
+            watched_amplitudes, open_crack_gap_amplitudes, closed_pairs_gap_amplitudes,
+            contact_force_amplitudes,
+        ) = _amplitude_bounds(
+            structure, modes, modal_damping_ratios, static_complex_amplitudes, face_compliance,
+            modal_gaps, is_closed, watched_dofs, omega,
         )  # fmt: skip
         peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
         rotation_amplitudes = watched_amplitudes / clamp_distances
         peak_rotation = max(peak_rotation, float(rotation_amplitudes.max(initial=0.0)))
         if structure.n_pairs:
-            peak_gap_motion = max(peak_gap_motion, float(gap_amplitudes.max()))
+            peak_gap_motion = max(peak_gap_motion, float(open_crack_gap_amplitudes.max()))
             is_closing = (
-                resting_gaps - face_compliance @ pressing_forces + open_gap_amplitudes >= 0.0
+                mean_load_gaps - face_compliance @ pressing_forces + closed_pairs_gap_amplitudes
+                >= 0.0
             )
             breathes = breathes or bool(
-                np.any(np.where(is_closed, pressing_forces <= force_amplitudes, is_closing))
+                np.any(np.where(is_closed, pressing_forces <= contact_force_amplitudes, is_closing))
             )
     face_stiffness = 1.0 / np.maximum(np.diagonal(face_compliance), 1e-300)
-    contact_stiffness = (
+    pair_stiffness = (
         None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     )
-    reduction = reduction_of(scene, structure)
+    reduction = modal_reduction_or_none(scene, structure)
     return KeyFigures(
-        extents=mesh_extents(structure.whole),
-        n_face_elements=_count_face_elements(scene, structure),
-        omega_open=modes.omega,
-        omega_tied=bonded_modes.omega,
+        mesh_extents=mesh_extents(structure.whole),
+        n_face_elements=_count_elements_along_face(scene, structure),
+        omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
-        damping_ratios=modal_damping_ratios,
-        speed_slopes=_speed_slopes(modes),
+        damping_ratios=modal_damping_ratios, speed_slopes=_slopes_of_squared_omegas(modes),
         face_stiffness=face_stiffness,
-        stiffness_ratio=None if contact_stiffness is None else contact_stiffness / face_stiffness,
-        mean_opening=float(np.max(-resting_gaps, initial=0.0)) + 0.0,
-        static_gap_motion=float(np.abs(harmonic_amplitudes[1]).sum(axis=0).max(initial=0.0)),
-        peak_displacement=peak_displacement,
-        peak_rotation=peak_rotation,
-        peak_gap_motion=peak_gap_motion,
-        n_closed_pairs=int(is_closed.sum()),
-        breathes=breathes,
-        n_modes_below=_count_modes_below(structure, search_modes, highest_harmonic_omega(scene))
-        if structure.n_pairs
-        else 0,
+        contact_stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
+        opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
+        largest_static_gap_motion=float(
+            np.abs(static_complex_amplitudes[1]).sum(axis=0).max(initial=0.0)
+        ),
+        peak_displacement=peak_displacement, peak_rotation=peak_rotation,
+        peak_gap_motion=peak_gap_motion, n_closed_pairs=int(is_closed.sum()), breathes=breathes,
+        n_modes_below_highest_harmonic=_count_modes_below(
+            structure, search_modes, highest_harmonic_omega(scene)
+        ) if structure.n_pairs else 0,
         n_kept_modes=structure.n_dofs if reduction is None else reduction.n_modes,
-    )
+    )  # fmt: skip
 
 
-def _solve_modes_and_statics(
+def _solve_modes_and_static_responses(
     structure: Structure,
 ) -> tuple[Modes, Modes, Modes, np.ndarray, np.ndarray]:
     """Find modes and static responses with one factor of the stiffness (collective).
@@ -227,15 +226,18 @@ def _solve_modes_and_statics(
     face_compliance : (n_pairs, n_pairs) [m/N]
         B^T K^-1 B.
     """
-    known_modes = structure.known_omega_and_shapes(is_bonded=False)
-    max_modes = structure.n_dofs if known_modes is None else len(known_modes[0])
-    n_modes, n_search_modes = min(N_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
+    known_omega_and_shapes = structure.known_omega_and_shapes(is_bonded=False)
+    n_available_modes = (
+        structure.n_dofs if known_omega_and_shapes is None else len(known_omega_and_shapes[0])
+    )
+    n_modes = min(N_KEY_FIGURE_MODES, n_available_modes)
+    n_search_modes = min(N_SEARCH_MODES, n_available_modes)
     with Factor(structure.stiffness, definite=True) as factor:
         search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
-        static_displacements = _static_response(factor, modes, structure.force)
+        static_displacements = _static_displacements(factor, modes, structure.force)
         face_compliance = structure.apply_bt(
-            _static_response(factor, modes, structure.gap.T.toarray())
+            _static_displacements(factor, modes, structure.gap.T.toarray())
         )
         bonded_modes = (
             solve_bonded_modes(structure, n_modes, factor) if structure.n_pairs else modes
@@ -247,12 +249,12 @@ def _amplitude_bounds(
     structure: Structure,
     modes: Modes,
     modal_damping_ratios: np.ndarray,
-    harmonic_amplitudes: Sequence[np.ndarray],
+    static_complex_amplitudes: Sequence[np.ndarray],
     face_compliance: np.ndarray,
     modal_gaps: np.ndarray,
     is_closed: np.ndarray,
     watched_dofs: Sequence[int],
-    omega: float,
+    load_omega: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return upper bounds of amplitudes at a frequency: sums over all harmonics (collective).
 
@@ -260,7 +262,7 @@ def _amplitude_bounds(
     ----------
     modal_damping_ratios : (n_modes,)
         Ratios of critical damping.
-    harmonic_amplitudes : three arrays of complex
+    static_complex_amplitudes : three arrays of complex
         Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads
         (K, n_modes) of the harmonics 1 to K.
     face_compliance, modal_gaps : (n_pairs, n_pairs) [m/N], (n_modes, n_pairs)
@@ -272,32 +274,50 @@ def _amplitude_bounds(
     -------
     watched_amplitudes : (n_watched,) [m]
         Watched displacements with open crack.
-    gap_amplitudes, open_gap_amplitudes, force_amplitudes : (n_pairs,) [m], [m], [N]
-        Gaps with open crack; gaps and forces with some pairs closed. Without pairs (1,), zero.
+    open_crack_gap_amplitudes : (n_pairs,) [m]
+        Gaps with all pairs open. Without pairs (1,), zero, as the arrays below.
+    closed_pairs_gap_amplitudes, contact_force_amplitudes : (n_pairs,) [m], [N]
+        Gaps and contact forces while the pairs in ``is_closed`` stay closed.
     """
-    watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = np.zeros((4, 1))
+    (
+        watched_amplitudes,
+        open_crack_gap_amplitudes,
+        closed_pairs_gap_amplitudes,
+        contact_force_amplitudes,
+    ) = np.zeros((4, 1))
     for harmonic, (static_displacement, static_gap, modal_load) in enumerate(
-        zip(*harmonic_amplitudes, strict=True), 1
+        zip(*static_complex_amplitudes, strict=True), 1
     ):
-        receptance_increase = _receptance_increase(
-            modes.omega, modal_damping_ratios, harmonic * omega
+        modal_receptance_increase = _modal_receptance_increase(
+            modes.omega, modal_damping_ratios, harmonic * load_omega
         )
-        modal_amplitudes = receptance_increase * modal_load
-        displacement = static_displacement + modal_amplitudes @ modes.shapes.T
-        watched_parts = structure.values_at(
-            np.stack([displacement.real, displacement.imag]), watched_dofs
+        modal_amplitudes = modal_receptance_increase * modal_load
+        displacement_amplitude = static_displacement + modal_amplitudes @ modes.shapes.T
+        real_and_imaginary_parts = structure.values_at(
+            np.stack([displacement_amplitude.real, displacement_amplitude.imag]), watched_dofs
         )
-        watched_amplitudes = watched_amplitudes + np.hypot(*watched_parts)
+        watched_amplitudes = watched_amplitudes + np.hypot(*real_and_imaginary_parts)
         if structure.n_pairs:
-            gap = static_gap + modal_amplitudes @ modal_gaps
-            compliance = face_compliance + (modal_gaps.T * receptance_increase) @ modal_gaps
-            force = np.zeros(structure.n_pairs, dtype=complex)
-            closed_compliance = compliance[np.ix_(is_closed, is_closed)]
-            force[is_closed] = np.linalg.lstsq(closed_compliance, gap[is_closed], rcond=None)[0]
-            gap_amplitudes = gap_amplitudes + np.abs(gap)
-            force_amplitudes = force_amplitudes + np.abs(force)
-            open_gap_amplitudes = open_gap_amplitudes + np.abs(gap - compliance @ force)
-    return watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes
+            gaps = static_gap + modal_amplitudes @ modal_gaps
+            dynamic_compliance = (
+                face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
+            )
+            contact_forces = np.zeros(structure.n_pairs, dtype=complex)
+            closed_compliance = dynamic_compliance[np.ix_(is_closed, is_closed)]
+            contact_forces[is_closed] = np.linalg.lstsq(
+                closed_compliance, gaps[is_closed], rcond=None
+            )[0]
+            open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(gaps)
+            contact_force_amplitudes = contact_force_amplitudes + np.abs(contact_forces)
+            closed_pairs_gap_amplitudes = closed_pairs_gap_amplitudes + np.abs(
+                gaps - dynamic_compliance @ contact_forces
+            )
+    return (
+        watched_amplitudes,
+        open_crack_gap_amplitudes,
+        closed_pairs_gap_amplitudes,
+        contact_force_amplitudes,
+    )
 
 
 def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
@@ -310,7 +330,7 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     return count_below(structure, omega**2)
 
 
-def _static_response(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Return static responses to forces (m, n_local) [N]: (m, n_local) [m] (collective).
 
     For a structure with rigid-body motions it is the deformation alone, while the structure
@@ -327,7 +347,7 @@ def _static_response(factor: Factor, modes: Modes, forces: np.ndarray) -> np.nda
     )
 
 
-def _speed_slopes(modes: Modes) -> np.ndarray:
+def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     """Return S = d(w^2) / d(W^2) of mass-normalised modes phi: (n,); 0 without rotation.
 
     S = phi^T (K_1 + K_2 + 2 W^2 K_3) phi
@@ -336,18 +356,18 @@ def _speed_slopes(modes: Modes) -> np.ndarray:
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
-    second_stiffness, third_stiffness = rotation.displaced_shape_stiffness_terms
-    for mode_index, shape in enumerate(modes.shapes.T):
-        sector_shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
+    K_2, K_3 = rotation.displaced_shape_stiffness_terms
+    for mode_index, mode_shape in enumerate(modes.shapes.T):
+        sector_shapes = np.vstack(list(structure.iterate_sector_displacements(mode_shape[None]))).T
         stiffness_products = multiply(rotation.rotation_stiffness, sector_shapes) + multiply(
-            second_stiffness, sector_shapes
+            K_2, sector_shapes
         )
-        stiffness_products += 2.0 * rotation.speed**2 * multiply(third_stiffness, sector_shapes)
+        stiffness_products += 2.0 * rotation.speed**2 * multiply(K_3, sector_shapes)
         slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 
 
-def _count_face_elements(scene: Scene, structure: Structure) -> int | None:
+def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
     """Return the number of elements along the crack with the fewest; None without pairs.
 
     It is the number of pairs over the order of the elements, rounded up because tips are no pairs.
@@ -356,11 +376,12 @@ def _count_face_elements(scene: Scene, structure: Structure) -> int | None:
     if not structure.n_pairs:
         return None
     crack_indices = structure.pairs.cracks
-    min_pairs = (
+    n_pairs_of_smallest_crack = (
         structure.n_pairs if crack_indices is None else int(np.bincount(crack_indices).min())
     )
     return math.ceil(
-        min_pairs / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order)
+        n_pairs_of_smallest_crack
+        / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order)
     )
 
 
@@ -381,8 +402,8 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     if whole_structure.nodes is None:
         return np.full(len(dofs), np.inf)
     points, node_dofs = (
-        gather_rows(whole_structure.comm, rows)
-        for rows in (whole_structure.nodes.points, whole_structure.nodes.dofs)
+        gather_rows(whole_structure.comm, local_rows)
+        for local_rows in (whole_structure.nodes.points, whole_structure.nodes.dofs)
     )
     clamp_points, longest_side = points[np.all(node_dofs < 0, axis=1)], np.ptp(points, axis=0).max()
     offsets_of_dofs = [
@@ -393,21 +414,24 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     )
 
 
-def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
+def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
     """Return ratios of critical damping of the lowest modes: (n,).
 
-    ``omega`` (n,) [rad/s] are the natural frequencies. Modes without damping, and all modes of a
-    structure with a damping matrix, have 0.
+    ``natural_omegas`` (n,) are in rad/s. Modes without damping, and all modes of a structure with a
+    damping matrix, have 0.
     """
     damping_rule = whole_structure.damping
     if isinstance(damping_rule, RayleighDamping):
-        doubled_omega = 2.0 * omega
+        doubled_omegas = 2.0 * natural_omegas
         return np.divide(
-            damping_rule.rate(omega**2), doubled_omega, out=np.zeros_like(omega), where=omega > 0.0
+            damping_rule.rate(natural_omegas**2),
+            doubled_omegas,
+            out=np.zeros_like(natural_omegas),
+            where=natural_omegas > 0.0,
         )
-    ratios = np.zeros(len(omega))
+    ratios = np.zeros(len(natural_omegas))
     if isinstance(damping_rule, ModalDamping):
-        n_damped_modes = min(count_damped_modes(whole_structure), len(omega))
+        n_damped_modes = min(count_damped_modes(whole_structure), len(natural_omegas))
         given_ratio = np.asarray(damping_rule.ratio)
         ratios[:n_damped_modes] = (
             given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
@@ -415,7 +439,7 @@ def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
     return ratios
 
 
-def _receptance_increase(
+def _modal_receptance_increase(
     natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
 ) -> np.ndarray:
     """Return d_j(w) - 1 / w_j^2 of each mode: (n,) [s^2].
@@ -436,15 +460,15 @@ def _receptance_increase(
 # --- the frequencies that a scene requests --------------------------------------------------------
 
 
-def _requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
+def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
     """Return the requested load frequencies [rad/s], ascending.
 
     They are the scene's frequency, the ends of its ranges, and natural frequencies between them.
     """
     omegas = {scene.excitation.omega}
     for lowest_omega, highest_omega in (
-        load_frequency_range(scene, "curve"),
-        load_frequency_range(scene, "sweep"),
+        lowest_and_highest_load_omega(scene, "curve"),
+        lowest_and_highest_load_omega(scene, "sweep"),
     ):
         omegas |= {
             lowest_omega,
@@ -454,14 +478,16 @@ def _requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
     return sorted(omegas)
 
 
-def load_frequency_range(scene: Scene, command: str) -> tuple[float, float]:
+def lowest_and_highest_load_omega(scene: Scene, command: str) -> tuple[float, float]:
     """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
-    curve = scene.curve if command == "curve" else None
-    if curve is not None and curve.parameter_and_range[0] == "omega":
-        omegas = [*curve.parameter_and_range[1:]]
-    elif curve is not None and curve.parameter_and_range[0] == "speed":
-        omegas = [(scene.excitation.order or 1) * speed for speed in curve.parameter_and_range[1:]]
+    curve_table = scene.curve if command == "curve" else None
+    if curve_table is not None and curve_table.parameter_and_range[0] == "omega":
+        omegas = [*curve_table.parameter_and_range[1:]]
+    elif curve_table is not None and curve_table.parameter_and_range[0] == "speed":
+        omegas = [
+            (scene.excitation.order or 1) * speed for speed in curve_table.parameter_and_range[1:]
+        ]
     if command == "sweep":
         omegas = [*scene.swept_omegas]
     return min(omegas), max(omegas)
@@ -474,27 +500,27 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
     """
     if not command:
         return max(
-            highest_harmonic_omega(scene, single_command)
-            for single_command in ("solve", "curve", "sweep")
+            highest_harmonic_omega(scene, command_name)
+            for command_name in ("solve", "curve", "sweep")
         )
     harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
         harmonic_counts = [
             *scene.swept_values_by_key.get("harmonic_balance.harmonics", harmonic_counts)
         ]
-    return load_frequency_range(scene, command)[1] * max(harmonic_counts)
+    return lowest_and_highest_load_omega(scene, command)[1] * max(harmonic_counts)
 
 
 # --- resonances and curves ------------------------------------------------------------------------
 
-CURVE_UNIT_BY_PARAMETER = {
+FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
     "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
     "rpm": (RAD_PER_S_PER_RPM, "rpm"),
 }  # fmt: skip
 """Factor from a curve's parameter to [rad/s], and the parameter's unit."""
 
 
-def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
+def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
     """Propose a curve through the resonance at the load, or return None.
 
     None is returned if the scene's curve meets the resonance or follows another kind of parameter,
@@ -504,43 +530,46 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     If the resonance is not known, it extends so far beyond the open and bonded frequencies of the
     mode nearest to the load. Ends are rounded outwards to three digits.
     """
-    excitation, scene_curve, resonance = scene.excitation, scene.curve, figures.load_resonance
+    excitation = scene.excitation
+    scene_curve_table = scene.curve
+    load_resonance = key_figures.load_resonance
     is_speed_curve = excitation.order is not None and scene.disk is None
     parameter = "frequency" if scene.is_frequency_in_hertz else "omega"
     if is_speed_curve:
         parameter = "rpm" if scene.is_speed_in_rpm else "speed"
-    if scene_curve is not None:
-        parameter = scene_curve.parameter
-    if parameter not in CURVE_UNIT_BY_PARAMETER:
+    if scene_curve_table is not None:
+        parameter = scene_curve_table.parameter
+    if parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
-    mode_index = int(np.argmin(np.abs(figures.omega_bilinear - excitation.omega)))
-    open_omega = float(figures.omega_open[mode_index])
-    bilinear_omega = float(figures.omega_bilinear[mode_index])
+    mode_index = int(np.argmin(np.abs(key_figures.omega_bilinear - excitation.omega)))
+    open_omega = float(key_figures.omega_open[mode_index])
+    bilinear_omega = float(key_figures.omega_bilinear[mode_index])
     # Three half-power bandwidths from the resonance the response is a sixth of the peak.
-    bandwidth_factor = 1.0 + 3.0 * 2.0 * float(figures.damping_ratios[mode_index])
+    bandwidth_factor = 1.0 + 3.0 * 2.0 * float(key_figures.damping_ratios[mode_index])
     if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
     find_crossing_parameter = partial(
-        _crossing_parameter, scene, parameter, slope=figures.speed_slopes[mode_index]
+        _curve_parameter_at_crossing, scene, parameter, slope=key_figures.speed_slopes[mode_index]
     )
-    lowest_resonance, highest_resonance, start, stop = map(
+    lowest_resonance_parameter, highest_resonance_parameter, start, stop = map(
         find_crossing_parameter,
         (open_omega, bonded_omega, open_omega / bandwidth_factor, bonded_omega * bandwidth_factor),
     )
-    if not resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
-        lowest_resonance = highest_resonance = resonance.value
-        start, stop = min(lowest_resonance, resonance.rest), max(highest_resonance, resonance.rest)
-        start, stop = start - 3.0 * resonance.width, stop + 3.0 * resonance.width
+    if not load_resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
+        lowest_resonance_parameter = highest_resonance_parameter = load_resonance.value
+        start = min(lowest_resonance_parameter, load_resonance.rest)
+        stop = max(highest_resonance_parameter, load_resonance.rest)
+        start, stop = start - 3.0 * load_resonance.width, stop + 3.0 * load_resonance.width
     if (
-        scene_curve is not None
-        and min(scene_curve.parameter_and_range[1:]) <= highest_resonance
-        and max(scene_curve.parameter_and_range[1:]) >= lowest_resonance
+        scene_curve_table is not None
+        and min(scene_curve_table.parameter_and_range[1:]) <= highest_resonance_parameter
+        and max(scene_curve_table.parameter_and_range[1:]) >= lowest_resonance_parameter
     ):
         return None
     if not 0.0 < start < stop < math.inf:
         return None
-    unit_factor = CURVE_UNIT_BY_PARAMETER[parameter][0]
+    unit_factor = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[parameter][0]
     return Curve(
         _round_to_three_digits(start / unit_factor, math.floor),
         _round_to_three_digits(stop / unit_factor, math.ceil),
@@ -554,7 +583,7 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
     return round_function(value * digit_factor) / digit_factor
 
 
-def _crossing_parameter(
+def _curve_parameter_at_crossing(
     scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
     """Return a curve's parameter at which a harmonic meets a natural frequency [rad/s].
@@ -576,8 +605,10 @@ def scales_with_load(scene: Scene) -> bool:
     """
     if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
-    tables = scene.crack_by_name.values() if scene.structure is None else (scene.structure,)
-    return all(table.clearance == 0.0 for table in tables)
+    tables_with_clearance = (
+        scene.crack_by_name.values() if scene.structure is None else (scene.structure,)
+    )
+    return all(table.clearance == 0.0 for table in tables_with_clearance)
 
 
 # --- remarks --------------------------------------------------------------------------------------
@@ -593,7 +624,13 @@ MIN_REPORTED_CORIOLIS_CHANGE = 0.01
 """Minimum reported relative change of a frequency by the Coriolis force. Errors of usual meshes are
 as large."""
 CORIOLIS_TEXT_TEMPLATE = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
-KEY_PREFIXES_OF_FIGURES = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+SCENE_KEY_PREFIXES_OF_KEY_FIGURES = (
+    "material.",
+    "geometry.",
+    "rotation.",
+    "mesh.file",
+    "structure.model",
+)
 """Beginnings of keys on which the key figures depend. After a remark on such a key, the figures get
 no remarks."""
 
@@ -640,22 +677,22 @@ class RemarkRule(NamedTuple):
 
 
 def remarks_on_scene(
-    scene: Scene, structure: Structure | None = None, figures: KeyFigures | None = None
+    scene: Scene, structure: Structure | None = None, key_figures: KeyFigures | None = None
 ) -> list[Remark]:
     """Return the remarks on a scene, its unreduced structure and its key figures (collective)."""
-    remarks = [*_find_remarks(SCENE_RULES, scene)]
+    remarks = [*_iterate_remarks(SCENE_REMARK_RULES, scene)]
     if structure is not None:
-        remarks += _find_remarks(STRUCTURE_RULES, scene, structure)
-    if figures is not None and not any(
-        remark.key.startswith(KEY_PREFIXES_OF_FIGURES) for remark in remarks
+        remarks += _iterate_remarks(STRUCTURE_REMARK_RULES, scene, structure)
+    if key_figures is not None and not any(
+        remark.key.startswith(SCENE_KEY_PREFIXES_OF_KEY_FIGURES) for remark in remarks
     ):
-        remarks += _find_remarks(FIGURE_RULES, scene, figures)
+        remarks += _iterate_remarks(KEY_FIGURE_REMARK_RULES, scene, key_figures)
     if structure is not None:
-        remarks += _find_remarks(MODEL_RULES, scene, structure)
+        remarks += _iterate_remarks(METHOD_REMARK_RULES, scene, structure)
     return remarks
 
 
-def _find_remarks(
+def _iterate_remarks(
     rules: Iterable[RemarkRule], scene: Scene, *rule_arguments: object
 ) -> Iterator[Remark]:
     """Yield the remarks of some rules on a scene.
@@ -663,10 +700,10 @@ def _find_remarks(
     ``rule_arguments`` are the structure or the key figures. A remark names the first unit in which
     the value would be usual.
     """
-    geometry = scene.geometry
-    body_kind = "structure" if geometry is None else geometry.kind
+    geometry_table = scene.geometry
+    body_kind = "structure" if geometry_table is None else geometry_table.kind
     for rule in rules:
-        for key, value in _given_keys_and_values(scene, rule.keys_text):
+        for key, value in _entries_of_first_given_key(scene, rule.keys_text):
             number_and_values = rule.compute_number(value, scene, *rule_arguments)
             number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
@@ -683,13 +720,13 @@ def _find_remarks(
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
-def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
+def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first given key with a nonzero value, and the value.
 
     If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
     that has it. The list is empty if no key is given.
     """
-    entry_lists: list[list[tuple[str, object]]] = []
+    keys_and_values_by_key: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
         table_name, field_name = dotted_key.split(".")
         table_by_name = (
@@ -701,28 +738,34 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
             f"{path}.{field_name}": getattr(table, field_name, None)
             for path, table in table_by_name.items()
         }
-        entry_lists.append(
+        keys_and_values_by_key.append(
             [(path, value) for path, value in value_by_key.items() if value is not None]
         )
-    given_entry_lists = [entry_list for entry_list in entry_lists if entry_list]
-    nonzero_entry_lists = [
-        entry_list
-        for entry_list in given_entry_lists
-        if any(np.any(np.asarray(value) != 0) for _, value in entry_list)
+    given_keys_and_values = [
+        keys_and_values for keys_and_values in keys_and_values_by_key if keys_and_values
     ]
-    return (nonzero_entry_lists or given_entry_lists or [[]])[0]
+    nonzero_keys_and_values = [
+        keys_and_values
+        for keys_and_values in given_keys_and_values
+        if any(np.any(np.asarray(value) != 0) for _, value in keys_and_values)
+    ]
+    return (nonzero_keys_and_values or given_keys_and_values or [[]])[0]
 
 
 # --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _longest_side(value: float, scene: Scene) -> float | None:
+def _side_if_longest(side_length: float, scene: Scene) -> float | None:
     """Return a plate's side [m] if it is the longest one, else None."""
-    geometry = scene.geometry
-    return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
+    geometry_table = scene.geometry
+    return (
+        side_length
+        if side_length == max(geometry_table.width or 0.0, geometry_table.height or 0.0)
+        else None
+    )
 
 
-def _length_ratio(length: float, side: float | None) -> float | None:
+def _length_over_side(length: float, side: float | None) -> float | None:
     """Return a crack's length over a side; None without a side."""
     return None if side is None else length / side
 
@@ -733,22 +776,24 @@ def _shorter_side(scene: Scene) -> float:
     return min((side for side in sides if side is not None), default=math.inf)
 
 
-def _thickness_ratio(value: float, scene: Scene) -> float | None:
+def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None:
     """Return a thickness over the shorter side, or None.
 
     It is None for plane problems of 1 m, which is usual, and for disks.
     """
-    is_unscaled = scene.geometry.kind == "plate" and (value == 1.0 or scene.disk is not None)
-    return None if is_unscaled else value / _shorter_side(scene)
+    is_thickness_irrelevant = scene.geometry.kind == "plate" and (
+        thickness == 1.0 or scene.disk is not None
+    )
+    return None if is_thickness_irrelevant else thickness / _shorter_side(scene)
 
 
-def _distance_to_node(
+def _relative_distance_and_node_text(
     load_point: object, scene: Scene, structure: Structure
 ) -> tuple[float, str] | None:
     """Return relative distance and position of the node nearest to a load.
 
-    The distance is over the mesh's size. It applies to files of parts and models; None if the load
-    acts inside a cell (collective).
+    The distance is over the mesh's longest extent. It applies to files of parts and models; None if
+    the load acts inside a cell (collective).
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -766,11 +811,11 @@ def _distance_to_node(
     points = gather_rows(structure.comm, structure.nodes.points)
     distances = np.linalg.norm(points - load_point, axis=1)
     nearest_index = int(np.argmin(distances))
-    mesh_size, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
-    return distances[nearest_index] / mesh_size, format_point(nearest_point)
+    longest_mesh_extent, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
+    return distances[nearest_index] / longest_mesh_extent, format_point(nearest_point)
 
 
-def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None:
+def _tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
     """Return the speed of the node farthest from the axis [m/s] (collective).
 
     None if the value is not that of the key for the rotor's speed.
@@ -779,33 +824,37 @@ def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None
     if (
         rotation_table is None
         or structure.nodes is None
-        or value != (rotation_table.rpm or rotation_table.speed)
+        or speed_value != (rotation_table.rpm or rotation_table.speed)
     ):
         return None
     if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
         return None
-    point, axis = (
+    axis_point, axis_direction = (
         vector[: structure.nodes.points.shape[1]] for vector in scene.axis_point_and_direction
     )
-    offsets = gather_rows(structure.comm, structure.nodes.points) - point
-    radial_offsets = offsets - np.outer(offsets @ axis, axis)
+    offsets = gather_rows(structure.comm, structure.nodes.points) - axis_point
+    radial_offsets = offsets - np.outer(offsets @ axis_direction, axis_direction)
     return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
 
 
-def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, float] | None:
-    """Return a clamp's offset from y = 0: over the mesh's size, and y [m]."""
+def _clamp_height_ratio_and_height(
+    _: float, scene: Scene, structure: Structure
+) -> tuple[float, float] | None:
+    """Return a clamp's height y over the mesh's longest extent, and y [m]."""
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
         return None
-    points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
-    clamp_heights = points[np.all(dofs < 0, axis=1), 1]
+    points, node_dofs = (
+        gather_rows(structure.comm, local_rows) for local_rows in (nodes.points, nodes.dofs)
+    )
+    clamp_heights = points[np.all(node_dofs < 0, axis=1), 1]
     clamp_height = (
         float(clamp_heights[np.abs(clamp_heights).argmax()]) if len(clamp_heights) else 0.0
     )
     return abs(clamp_height) / float(np.ptp(points, axis=0).max()), clamp_height
 
 
-def _clamp_bending_stress(
+def _clamp_bending_ratio_and_stress(
     _: object, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
     """Return the bending stress in a solid's clamp by an eccentric axis.
@@ -819,31 +868,37 @@ def _clamp_bending_stress(
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
         return None
-    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis_point_and_direction
-    sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
-    normal_axis, free_dofs = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
-    axis_offset = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
-    offset = np.where(np.arange(3) == normal_axis, 0.0, axis_offset)
-    force_and_moment = [
+    is_clamped, (axis_point, axis_direction) = (
+        np.all(nodes.dofs < 0, axis=1),
+        scene.axis_point_and_direction,
+    )
+    clamp_sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
+    normal_axis_index = int(clamp_sides.argmin())
+    free_dofs = nodes.dofs[~is_clamped] - structure.first_dof
+    clamp_offset_from_axis = (np.eye(3) - np.outer(axis_direction, axis_direction)) @ (
+        clamp.center - axis_point
+    )
+    in_plane_offset = np.where(np.arange(3) == normal_axis_index, 0.0, clamp_offset_from_axis)
+    local_force_and_moment = [
         rotation.force[free_dofs].sum(axis=0),
-        (clamp.inertia[3:, free_dofs] @ offset).sum(axis=1),
+        (clamp.inertia[3:, free_dofs] @ in_plane_offset).sum(axis=1),
     ]
-    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(force_and_moment))
-    first_side, second_side = np.delete(sides, normal_axis)
+    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(local_force_and_moment))
+    first_side, second_side = np.delete(clamp_sides, normal_axis_index)
     bending_force = 6.0 * (
-        np.abs(np.delete(moment, normal_axis)) @ [1.0 / second_side, 1.0 / first_side]
+        np.abs(np.delete(moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
     )
     return bending_force / float(np.linalg.norm(force)), 1e-6 * bending_force / (
         first_side * second_side
     )
 
 
-def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
+def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
     """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
     angular_velocity = structure.rotation.speed * scene.axis_point_and_direction[1]
-    modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
+    modes = solve_modes(structure, min(N_KEY_FIGURE_MODES, structure.n_modes))
     return float(np.abs(relative_coriolis_shifts(modes, angular_velocity)).max())
 
 
@@ -860,31 +915,33 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
     )
 
 
-def _count_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
+def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
     """Return the number of rigid contact pairs with mass, or None."""
-    reduction, contact = reduction_of(scene, structure), scene.contact
-    is_massless = reduction is not None and reduction.method == "massless"
+    reduction, contact_table = modal_reduction_or_none(scene, structure), scene.contact
+    has_massless_faces = reduction is not None and reduction.method == "massless"
     return (
-        None if is_massless or contact is None or contact.law != "unilateral" else structure.n_pairs
+        None
+        if has_massless_faces or contact_table is None or contact_table.law != "unilateral"
+        else structure.n_pairs
     )
 
 
-def _make_unit_check(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
+def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
     """Return a function that detects a load frequency in another unit.
 
-    It applies if the load frequency is near no natural frequency, but ``unit_factor`` times the
-    load frequency is near the first one. The function then returns the load frequency over the
+    It applies if the load frequency is near no natural frequency, but ``other_unit_factor`` times
+    the load frequency is near the first one. The function then returns the load frequency over the
     first natural frequency, and the latter in Hz and rad/s.
     """
 
     def compare_in_other_unit(
-        _: float, scene: Scene, figures: KeyFigures
+        _: float, scene: Scene, key_figures: KeyFigures
     ) -> tuple[float, ...] | None:
-        first_omega, omega = float(figures.omega_open[0]), scene.excitation.omega
-        natural_omegas = np.concatenate([figures.omega_open, figures.omega_tied])
-        first_omegas = natural_omegas[[0, len(figures.omega_open)]]
+        first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
+        natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
+        first_omegas = natural_omegas[[0, len(key_figures.omega_open)]]
         is_other_unit = not _is_near(omega, natural_omegas) and _is_near(
-            unit_factor * omega, first_omegas
+            other_unit_factor * omega, first_omegas
         )
         return (
             (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
@@ -900,8 +957,8 @@ def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
-def _missed_first_frequency(
-    _: float, scene: Scene, figures: KeyFigures
+def _missed_first_omega_and_text(
+    _: float, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the first natural frequency [rad/s] if a curve meets no resonance.
 
@@ -909,77 +966,91 @@ def _missed_first_frequency(
     harmonics 1/2, 1, 2 and 3. The second output is a text with the curve's end and a proposed
     range.
     """
-    curve = scene.curve
-    if curve is None or curve.parameter not in CURVE_UNIT_BY_PARAMETER:
+    curve_table = scene.curve
+    if curve_table is None or curve_table.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
     find_crossing_parameters = np.vectorize(
-        partial(_crossing_parameter, scene, curve.parameter, slope=figures.speed_slopes[0])
+        partial(
+            _curve_parameter_at_crossing,
+            scene,
+            curve_table.parameter,
+            slope=key_figures.speed_slopes[0],
+        )
     )
-    curve_start, curve_end = sorted(curve.parameter_and_range[1:])
-    natural_omegas = figures.omega_open, figures.omega_tied
+    curve_start, curve_end = sorted(curve_table.parameter_and_range[1:])
+    open_and_bonded_omegas = key_figures.omega_open, key_figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (
-            find_crossing_parameters(omega, harmonic=harmonic) for omega in natural_omegas
+            find_crossing_parameters(omega, harmonic=harmonic) for omega in open_and_bonded_omegas
         )
         if np.any((curve_start <= bonded_parameters) & (curve_end >= open_parameters)):
             return None
     # Modes above the last one are not computed.
-    if curve_end >= find_crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
+    if curve_end >= find_crossing_parameters(key_figures.omega_tied[-1], harmonic=1.0):
         return None
-    curve_proposal = propose_curve(scene, figures)
-    unit = CURVE_UNIT_BY_PARAMETER[curve.parameter][1]
-    first_range = figures.omega_open[0], figures.omega_tied[0]
-    range_text = format_in_unit(frequency_axis(True), *first_range)
-    text = f"{curve.stop:g} {unit}: the first is between {range_text}"
-    if curve_proposal is not None:
-        text += f"; start = {curve_proposal.start:g} and stop = {curve_proposal.stop:g} hold one"
-    return float(first_range[0]), text
+    proposed_curve_table = propose_curve_or_none(scene, key_figures)
+    unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
+    first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
+    range_text = format_in_unit(frequency_axis(True), *first_omega_range)
+    text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
+    if proposed_curve_table is not None:
+        text += (
+            f"; start = {proposed_curve_table.start:g} and stop = {proposed_curve_table.stop:g} "
+            "hold one"
+        )
+    return float(first_omega_range[0]), text
 
 
 def _peak_rotation_and_displacement(
-    _: object, scene: Scene, figures: KeyFigures
+    _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, float] | None:
     """Return peak rotation [rad] and displacement [m] under the force of [excitation] alone.
 
     None with other loads, or without damping.
     """
-    is_unbounded = scene.has_other_loads or figures.damping_ratios.min() == 0.0
-    return None if is_unbounded else (figures.peak_rotation, figures.peak_displacement)
+    has_other_loads_or_no_damping = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
+    return (
+        None
+        if has_other_loads_or_no_damping
+        else (key_figures.peak_rotation, key_figures.peak_displacement)
+    )
 
 
-def _elements_along_faces(_: object, scene: Scene, figures: KeyFigures) -> int | None:
+def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face.
 
-    None for grids, which choose it, and for contact at the mouth alone.
+    None for a grid, whose columns and rows set the number, and for contact at the mouth alone.
     """
-    has_mouth_pair = scene.contact is not None and scene.contact.pairs == "mouth"
-    is_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
-    return None if has_mouth_pair or is_grid else figures.n_face_elements
+    has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
+    is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
+    return (
+        None if has_mouth_contact_only or is_grid_without_patches else key_figures.n_face_elements
+    )
 
 
-def _motion_without_contact_change(
-    _: object, scene: Scene, figures: KeyFigures
+def _linear_gap_motion_and_verb(
+    _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the motion of the crack faces [m] if no pair opens or closes.
 
     The second output is the verb for the remark: "opens" or "closes". None if a pair breathes.
     """
-    if scene.contact is None or scene.structure is not None or figures.breathes:
+    if scene.contact is None or scene.structure is not None or key_figures.breathes:
         return None
-    return figures.peak_gap_motion, "opens" if figures.n_closed_pairs else "closes"
+    return key_figures.peak_gap_motion, "opens" if key_figures.n_closed_pairs else "closes"
 
 
 # --- tables of remarks ----------------------------------------------------------------------------
 
-MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
+FACTOR_BY_MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
 ROTOR_SIZE_TEXT = "larger than any rotor"
 METAL_DAMPING_TEXT = "of critical damping, metals have 0.0001 to 0.01"
-LOAD_KEYS = "excitation.force_sin excitation.force_cos"
-STIFFNESS_KEYS = "contact.stiffness contact.stiffness_per_area"
-FIRST_FREQUENCY_TEMPLATE = (
+FORCE_KEYS_TEXT = "excitation.force_sin excitation.force_cos"
+STIFFNESS_KEYS_TEXT = "contact.stiffness contact.stiffness_per_area"
+FIRST_FREQUENCY_TEXT_TEMPLATE = (
     "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
 )
-SCENE_RULES = (
+SCENE_REMARK_RULES = (
     RemarkRule(
         "material.young",
         1e7,
@@ -1001,8 +1072,8 @@ SCENE_RULES = (
             0.0,
             MAX_PLAUSIBLE_SIDE,
             "a {kind} of {:g} m",
-            _longest_side,
-            MILLIMETRE_UNIT,
+            _side_if_longest,
+            FACTOR_BY_MILLIMETRE_UNIT,
         )
         for side in ("width", "height")
     ),
@@ -1011,22 +1082,22 @@ SCENE_RULES = (
         0.0,
         1.0,
         "thicker than the {kind} is wide or high",
-        _thickness_ratio,
-        MILLIMETRE_UNIT,
+        _thickness_over_shorter_side,
+        FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "crack.length",
         0.01,
         0.9,
         "{:.3g} of the {kind}'s width; 0.01 to 0.9 are usual",
-        lambda length, scene: _length_ratio(length, scene.geometry.width),
+        lambda length, scene: _length_over_side(length, scene.geometry.width),
     ),
     RemarkRule(
         "crack.depth",
         0.01,
         0.9,
         "{:.3g} of the {kind}'s thickness; 0.01 to 0.9 are usual",
-        lambda depth, scene: _length_ratio(depth, scene.geometry.thickness),
+        lambda depth, scene: _length_over_side(depth, scene.geometry.thickness),
     ),
     RemarkRule(
         "mesh.size",
@@ -1034,21 +1105,21 @@ SCENE_RULES = (
         1.0,
         "longer than the {kind}'s shorter side",
         lambda size, scene: size / _shorter_side(scene),
-        MILLIMETRE_UNIT,
+        FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "rotation.hub_radius",
         0.0,
         MAX_PLAUSIBLE_SIDE,
         ROTOR_SIZE_TEXT,
-        factor_by_unit=MILLIMETRE_UNIT,
+        factor_by_unit=FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "tip_timing.tip_radius",
         0.0,
         MAX_PLAUSIBLE_SIDE,
         ROTOR_SIZE_TEXT,
-        factor_by_unit=MILLIMETRE_UNIT,
+        factor_by_unit=FACTOR_BY_MILLIMETRE_UNIT,
     ),
     RemarkRule(
         "tip_timing.probes",
@@ -1082,14 +1153,14 @@ SCENE_RULES = (
         ),
     ),
     RemarkRule(
-        LOAD_KEYS,
+        FORCE_KEYS_TEXT,
         1.0,
         1.0,
         "no force at all: excitation.force_sin, force_cos and force_mean are zero",
         lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key),
     ),
 )
-STRUCTURE_RULES = (
+STRUCTURE_REMARK_RULES = (
     RemarkRule(
         "structure.model mesh.file",
         0.0,
@@ -1102,7 +1173,7 @@ STRUCTURE_RULES = (
         0.0,
         RELATIVE_POSITION_TOLERANCE,
         "no node is there: the force acts on the nearest one, at {1}",
-        _distance_to_node,
+        _relative_distance_and_node_text,
     ),
     RemarkRule(
         "rotation.speed",
@@ -1118,7 +1189,7 @@ STRUCTURE_RULES = (
         0.0,
         0.01,
         "counted from a clamp at y = 0; that of the mesh is at y = {1:.4g} m",
-        _clamp_offset,
+        _clamp_height_ratio_and_height,
     ),
     RemarkRule(
         "rotation.hub_radius rotation.center",
@@ -1127,27 +1198,29 @@ STRUCTURE_RULES = (
         "the axis is not below the middle of "
         "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
         "{0:.2g} of its direct stress",
-        _clamp_bending_stress,
+        _clamp_bending_ratio_and_stress,
     ),
 )
-FIGURE_RULES = (
+KEY_FIGURE_REMARK_RULES = (
     RemarkRule(
         "excitation.omega",
         1.0,
         0.0,
-        FIRST_FREQUENCY_TEMPLATE + "Hz? then use excitation.frequency",
-        _make_unit_check(RAD_PER_TURN),
+        FIRST_FREQUENCY_TEXT_TEMPLATE + "Hz? then use excitation.frequency",
+        _make_frequency_unit_check(RAD_PER_TURN),
     ),
     RemarkRule(
         "excitation.frequency",
         1.0,
         0.0,
-        FIRST_FREQUENCY_TEMPLATE + "rad/s? then use excitation.omega",
-        _make_unit_check(1.0 / RAD_PER_TURN),
+        FIRST_FREQUENCY_TEXT_TEMPLATE + "rad/s? then use excitation.omega",
+        _make_frequency_unit_check(1.0 / RAD_PER_TURN),
     ),
-    RemarkRule("curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_frequency),
     RemarkRule(
-        LOAD_KEYS,
+        "curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_omega_and_text
+    ),
+    RemarkRule(
+        FORCE_KEYS_TEXT,
         0.0,
         MAX_SMALL_ROTATION,
         "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
@@ -1159,23 +1232,23 @@ FIGURE_RULES = (
         4,
         math.inf,
         "elements or patches longer than a quarter of the crack; 4 to 20 along each face are usual",
-        _elements_along_faces,
+        _n_face_elements_if_chosen,
     ),
     RemarkRule(
-        STIFFNESS_KEYS,
+        STIFFNESS_KEYS_TEXT,
         1.0,
         math.inf,
         "at most {:.2g} of the {faces}' static stiffness: they "
         "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
-        lambda _, __, figures: np.max(figures.stiffness_ratio),
+        lambda _, __, figures: np.max(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
-        STIFFNESS_KEYS,
+        STIFFNESS_KEYS_TEXT,
         0.0,
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "
         "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
-        lambda _, __, figures: np.min(figures.stiffness_ratio),
+        lambda _, __, figures: np.min(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
         "contact.sharpness",
@@ -1191,7 +1264,7 @@ FIGURE_RULES = (
         0.0,
         "the crack never {1}: the load moves open crack faces by {0:.2g} m at most; the response "
         "is linear",
-        _motion_without_contact_change,
+        _linear_gap_motion_and_verb,
     ),
     RemarkRule(
         "damping.mass damping.stiffness",
@@ -1206,20 +1279,20 @@ FIGURE_RULES = (
         0,
         "harmonics up to H w reach {1} modes, and {2} are kept: raise {3}",
         lambda _, scene, figures: (
-            max(figures.n_modes_below - figures.n_kept_modes, 0),
-            figures.n_modes_below,
+            max(figures.n_modes_below_highest_harmonic - figures.n_kept_modes, 0),
+            figures.n_modes_below_highest_harmonic,
             figures.n_kept_modes,
             scene.modes_key,
         ),
     ),
 )
-MODEL_RULES = (
+METHOD_REMARK_RULES = (
     RemarkRule(
         "rotation.rpm rotation.speed",
         0.0,
         MIN_REPORTED_CORIOLIS_CHANGE,
         CORIOLIS_TEXT_TEMPLATE,
-        _coriolis_change,
+        _largest_coriolis_change,
     ),
     RemarkRule(
         "contact.law",
@@ -1228,6 +1301,6 @@ MODEL_RULES = (
         "rigid contact of pairs that keep their mass: solve gives no "
         "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
         "'massless'",
-        _count_pairs_with_mass,
+        _count_rigid_pairs_with_mass,
     ),
 )

@@ -33,7 +33,7 @@ from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Contact, Reduction
-from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse
+from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse_structure
 
 REFUSAL_EXCEPTIONS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Exceptions that fail a single run while other runs continue."""
@@ -62,7 +62,7 @@ class WatchedDisplacement:
     dof: int
     distance: float = 0.0
 
-    def column(self, quantity: str) -> str:
+    def column_name(self, quantity: str) -> str:
         """Return the column name of a quantity: "tip.ux.ratio_2_1", or "ratio_2_1"."""
         return f"{self.name}.{quantity}" if self.name else quantity
 
@@ -89,8 +89,8 @@ class Study:
     watched: tuple[WatchedDisplacement, ...]
 
     def __repr__(self) -> str:
-        parts = (self.structure, self.contact, self.scene)
-        return f"{type(self).__name__}({', '.join(map(repr, parts))})"
+        shown_objects = (self.structure, self.contact, self.scene)
+        return f"{type(self).__name__}({', '.join(map(repr, shown_objects))})"
 
 
 def prepare(
@@ -144,9 +144,11 @@ def prepare(
         from fenics_crack.fem.build import with_crack_length  # DOLFINx
 
         scene = with_crack_length(scene, comm)
-    reused_structure = None if like is None else _structure_from_reference_study(scene, like)
+    reused_structure = None if like is None else _find_structure_in_reference_study(scene, like)
     structure = (
-        assemble_or_reuse(scene, comm, last) if reused_structure is None else reused_structure
+        assemble_or_reuse_structure(scene, comm, last)
+        if reused_structure is None
+        else reused_structure
     )
     structure = structure.with_tangents() if scene.has_friction else structure
     watched_displacements = _find_watched_displacements(scene, structure)
@@ -172,26 +174,31 @@ def _find_watched_displacements(
     if not scene.output_points:
         dof = structure.watched_dof
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
-    displacements, sector = [], structure.sector_structure  # the points belong to a blade
+    watched_displacements = []
+    sector_structure = structure.sector_structure
     for point in scene.output_points:
-        point_key = f"output.points.{point.key}"
-        if sector.nodes is None:
-            raise InputError(point_key, point.values, "left out: the structure has no positions")
-        node_position, node_dofs = sector.nodes.find_nearest_position_and_dofs(
-            sector.comm, point_key, point.values
+        full_point_key = f"output.points.{point.key}"
+        if sector_structure.nodes is None:
+            raise InputError(
+                full_point_key, point.values, "left out: the structure has no positions"
+            )
+        node_position, node_dofs = sector_structure.nodes.find_nearest_position_and_dofs(
+            sector_structure.comm, full_point_key, point.values
         )
         distance = float(np.linalg.norm(node_position - point.values).round(12))
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
-                name = f"{point.key}.u{axis}"
-                words = scene.label_by_point_name[name]
+                quantity_prefix = f"{point.key}.u{axis}"
+                words = scene.label_by_point_name[quantity_prefix]
                 watched_sector_index = structure.watched_sector_index
                 global_dof = structure.dof_of(watched_sector_index + 1, int(dof))
-                displacements.append(WatchedDisplacement(name, words, global_dof, distance))
-    return tuple(displacements)
+                watched_displacements.append(
+                    WatchedDisplacement(quantity_prefix, words, global_dof, distance)
+                )
+    return tuple(watched_displacements)
 
 
-def _structure_from_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
+def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
     """Return a scene's structure from a reference study; None if they differ (collective).
 
     Rotor speed and load frequency may differ; for a bladed disk mistuning and load frequency.
@@ -227,18 +234,20 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
     Raises
     ------
     InputError
-        As :func:`estimate_checked_memory` and :func:`reduce_structure`.
+        As :func:`estimate_and_check_memory` and :func:`reduce_structure`.
     """
     scene, whole_structure = study.scene, study.structure
     if whole_structure.whole is not whole_structure:
         return study
     if whole_structure.has_matrices:
-        estimate_checked_memory(scene, whole_structure)
-    if (disk := scene.disk) is not None:
+        estimate_and_check_memory(scene, whole_structure)
+    if (disk_table := scene.disk) is not None:
         wheel = study.structure.whole
-        structure = reduce_wheel(wheel, disk.families, more=disk.modes, reference=with_reference)
+        structure = reduce_wheel(
+            wheel, disk_table.families, more=disk_table.modes, reference=with_reference
+        )
         return replace(study, structure=structure)
-    reduction = reduction_of(scene, whole_structure)
+    reduction = modal_reduction_or_none(scene, whole_structure)
     if reduction is None:
         return study
     scene_with_reduction = scene.replace(
@@ -257,7 +266,7 @@ class ModalReduction(NamedTuple):
     n_modes: int
 
 
-def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
+def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReduction | None:
     """Return the reduction of a scene's structure; None if it is not reduced.
 
     Without the table ``[reduction]``, a structure with at most 100 dofs is not reduced on one rank.
@@ -287,7 +296,7 @@ def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
     )
 
 
-def estimate_checked_memory(
+def estimate_and_check_memory(
     scene: Scene, structure: Structure, *, is_run_up: bool = False
 ) -> float:
     """Estimate the memory to solve a scene, or its run-up [byte] (collective).
@@ -314,8 +323,8 @@ def estimate_checked_memory(
                 "structure.mass", mass_path, f"that of a smaller structure: {size_text}"
             )
         mesh_key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        mesh_value = getattr(scene.mesh, mesh_key)
-        raise InputError(f"mesh.{mesh_key}", mesh_value, f"that of a coarser mesh: {size_text}")
+        mesh_key_value = getattr(scene.mesh, mesh_key)
+        raise InputError(f"mesh.{mesh_key}", mesh_key_value, f"that of a coarser mesh: {size_text}")
     return needed_bytes
 
 
@@ -325,7 +334,7 @@ def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool)
         return estimate_wheel_memory(
             structure.whole, count_basis_families(disk.families, disk.modes)
         )
-    reduction = reduction_of(scene, structure)
+    reduction = modal_reduction_or_none(scene, structure)
     if reduction is None:
         return estimate_unreduced_memory(structure, scene.harmonic_balance.harmonics)
     if is_run_up:
@@ -338,11 +347,11 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
 
     The estimate is a sum over all ranks and includes the memory held already.
     """
-    n_dofs, n_columns = structure.n_dofs, structure.n_pairs + 1
+    n_dofs, n_static_columns = structure.n_dofs, structure.n_pairs + 1
     n_reference_modes = n_modes + max(n_modes // 2, 10) if method == "massless" else n_modes
     # Blocks of static responses, or all static responses in a basis and its reference's basis.
     static_bytes = (
-        8.0 * n_dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * n_columns)
+        8.0 * n_dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * n_static_columns)
     )
     peak_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
     return (
@@ -365,13 +374,15 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     solver_bytes = 2.0 * estimate_factor_bytes(
         n_real_dofs, solid=is_solid
     ) + 16.0 * n_real_dofs * krylov_size(n_families)
-    mode_bytes = 16.0 * len(sector.nodal_diameter_range) * n_dofs * n_families
+    bytes_of_modes = 16.0 * len(sector.nodal_diameter_range) * n_dofs * n_families
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
-    n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members))
-    opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_columns
+    n_opening_columns = min(
+        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members)
+    )
+    opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_opening_columns
     return _measure_held_memory(wheel) + wheel.comm.size * (
-        solver_bytes + mode_bytes + opening_bytes
+        solver_bytes + bytes_of_modes + opening_bytes
     )
 
 
@@ -390,13 +401,13 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
     old basis, the addition, and their union. The memory held already is included.
     """
     basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
-    mode_bytes = (
+    bytes_of_modes = (
         _estimate_factor_memory(structure) + _estimate_mode_memory(structure, n_modes) + basis_bytes
     )
     return (
         _measure_held_memory(structure)
         + _estimate_matrix_memory(structure)
-        + max(mode_bytes, 3.0 * basis_bytes)
+        + max(bytes_of_modes, 3.0 * basis_bytes)
     )
 
 
@@ -413,9 +424,9 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
 
 def _estimate_matrix_memory(structure: Structure) -> float:
     """Return the memory of a matrix as sparse as the stiffness [byte] (collective)."""
-    entry_bytes = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
+    bytes_per_entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
     n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    return entry_bytes * n_entries
+    return bytes_per_entry * n_entries
 
 
 def _estimate_factor_memory(structure: Structure) -> float:
@@ -446,15 +457,17 @@ def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
     """
     if structure.n_pairs == 0 or scene.contact is None:
         return None
-    contact, reduction = scene.contact, reduction_of(scene, structure)
-    is_massless = structure.light_lips or (reduction is not None and reduction.method == "massless")
-    if contact.friction and not is_massless:  # pairs that stick must give a little
+    contact_table, reduction = scene.contact, modal_reduction_or_none(scene, structure)
+    has_massless_faces = structure.light_lips or (
+        reduction is not None and reduction.method == "massless"
+    )
+    if contact_table.friction and not has_massless_faces:  # pairs that stick must give a little
         condition_text = (
             "with friction of crack faces that keep their mass; or reduction.method = 'massless'"
         )
-        contact.require(contact.law == "penalty", "law", f"'penalty' {condition_text}")
-        contact.given("tangential_stiffness_per_area", f"given [N/m^3] {condition_text}")
-    return contact_law(contact, structure)
+        contact_table.require(contact_table.law == "penalty", "law", f"'penalty' {condition_text}")
+        contact_table.given("tangential_stiffness_per_area", f"given [N/m^3] {condition_text}")
+    return contact_law(contact_table, structure)
 
 
 def contact_law(contact: Contact, structure: Structure | None = None) -> ContactLaw:
@@ -487,7 +500,7 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     """
     if not isinstance(contact, Contact):
         raise InputError("contact", contact, "the contact table of a scene")
-    law = _normal_law(contact, structure)
+    law = _make_normal_contact_law(contact, structure)
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
@@ -517,17 +530,17 @@ def _required_pair_areas(
     return structure.pair_areas
 
 
-def _normal_law(contact: Contact, structure: Structure | None) -> ContactLaw:
+def _make_normal_contact_law(contact_table: Contact, structure: Structure | None) -> ContactLaw:
     """Make the normal contact law of a contact table, without friction."""
-    if contact.law == "unilateral":
+    if contact_table.law == "unilateral":
         return UnilateralConstraint()
-    pair_stiffness: float | np.ndarray | None = contact.stiffness
-    if (stiffness_per_area := contact.stiffness_per_area) is not None:
+    pair_stiffness: float | np.ndarray | None = contact_table.stiffness
+    if (stiffness_per_area := contact_table.stiffness_per_area) is not None:
         pair_stiffness = stiffness_per_area * _required_pair_areas(
             "stiffness_per_area", stiffness_per_area, structure
         )
     assert pair_stiffness is not None
-    if contact.law == "smoothed":
-        assert contact.sharpness is not None
-        return SmoothedPenalty(pair_stiffness, contact.sharpness)
+    if contact_table.law == "smoothed":
+        assert contact_table.sharpness is not None
+        return SmoothedPenalty(pair_stiffness, contact_table.sharpness)
     return UnilateralPenalty(pair_stiffness)

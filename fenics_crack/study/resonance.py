@@ -29,11 +29,16 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RitzProjection, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, reduce_study, reduction_of
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    modal_reduction_or_none,
+    reduce_study,
+)
 
 N_SEARCH_MODES = 10
 """Number of modes of the structure in which a resonance is sought."""
-AMPLITUDE_TOLERANCE = 0.1
+RELATIVE_AMPLITUDE_TOLERANCE = 0.1
 """Maximum relative error of a stated resonance amplitude."""
 SEVERAL_MODES_TEXT = "several modes answer together: see the curve"
 
@@ -148,7 +153,8 @@ def find_study_resonance(
     scene, whole_structure, law = study.scene, study.structure, study.contact
     if law is None:
         return LoadResonance(unknown="there is no crack")
-    engine_order, reduction = scene.excitation.order, reduction_of(scene, whole_structure)
+    engine_order = scene.excitation.order
+    reduction = modal_reduction_or_none(scene, whole_structure)
     n_modes = min(
         N_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
     )
@@ -166,7 +172,12 @@ def find_study_resonance(
                 crossing_speed,
             )
             return find_load_resonance(
-                scene, law, run_up_structure, engine_order * crossing_speed, "speed", with_rest=True
+                scene,
+                law,
+                run_up_structure,
+                engine_order * crossing_speed,
+                "speed",
+                with_small_load_resonance=True,
             )
         if scene.disk is not None or (reduction is None and is_small(whole_structure)):
             structure = reduce_study(study, with_reference=False).structure
@@ -174,7 +185,9 @@ def find_study_resonance(
             structure = reduce_structure(
                 whole_structure, modes=n_modes, method="massless", reference=False
             )
-        return find_load_resonance(scene, law, structure, estimated_omega, with_rest=True)
+        return find_load_resonance(
+            scene, law, structure, estimated_omega, with_small_load_resonance=True
+        )
     except REFUSAL_EXCEPTIONS as error:
         return LoadResonance(unknown=str(error))
 
@@ -186,7 +199,7 @@ def find_load_resonance(
     start_omega: float,
     parameter: str = "omega",
     *,
-    with_rest: bool = False,
+    with_small_load_resonance: bool = False,
 ) -> LoadResonance:
     """Find the resonance of a small structure under a scene's load, without friction.
 
@@ -196,7 +209,7 @@ def find_load_resonance(
         Load frequency at which the search begins.
     parameter : "omega" or "speed"
         Quantity that follows the resonance, as in :func:`fenics_crack.resonance_at`.
-    with_rest : bool
+    with_small_load_resonance : bool
         Find the resonance under a small load, too.
 
     Raises
@@ -209,22 +222,24 @@ def find_load_resonance(
         resonance_at,
     )
 
-    balance_table, friction = scene.harmonic_balance, friction_of(law)
-    law = law if friction is None else friction.law
+    balance_table, friction_law = scene.harmonic_balance, friction_of(law)
+    law = law if friction_law is None else friction_law.law
     problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
-    resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
-    rest_value = resonance.value if with_rest else math.nan
+    resonance = resonance_at(problem, parameter=parameter, tolerance=RELATIVE_AMPLITUDE_TOLERANCE)
+    small_load_value = resonance.value if with_small_load_resonance else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
-    if with_rest and (np.any(structure.force[0]) or np.any(structure.clearance)):
-        rest_value = resonance_at(problem_at_small_load(problem), resonance.omega, parameter).value
+    if with_small_load_resonance and (np.any(structure.force[0]) or np.any(structure.clearance)):
+        small_load_value = resonance_at(
+            problem_at_small_load(problem), resonance.omega, parameter
+        ).value
     if resonance.several:
         return LoadResonance(
-            resonance.value, resonance.width, rest_value, unknown=SEVERAL_MODES_TEXT
+            resonance.value, resonance.width, small_load_value, unknown=SEVERAL_MODES_TEXT
         )
     solution, verdict = resonance.solution, "undecided"
     with suppress(*REFUSAL_EXCEPTIONS):
         verdict = floquet(solution.structure, solution).verdict
     amplitude = solution.amplitude()
     return LoadResonance(
-        resonance.value, resonance.width, rest_value, amplitude, resonance.error, verdict
+        resonance.value, resonance.width, small_load_value, amplitude, resonance.error, verdict
     )

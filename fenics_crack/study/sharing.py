@@ -32,7 +32,7 @@ class SharedStructure(NamedTuple):
     comm : MPI.Comm
         Ranks that were asked to share the structure.
     dependencies : tuple of three
-        As :func:`structure_dependencies` returns them.
+        As :func:`dependencies_of_structure` returns them.
     """
 
     structure: Structure
@@ -44,7 +44,7 @@ LAST_STRUCTURES: list[SharedStructure] = []
 """The last structure made in this process: at most one entry."""
 
 
-def coarser_structure_cache(structure: Structure) -> list[SharedStructure]:
+def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStructure]:
     """Return an empty list for the structure of the coarser mesh.
 
     :meth:`Structure.compute_once` keeps the list with the finer structure.
@@ -57,85 +57,95 @@ STRUCTURE_FILES: list[Any] = []
 (:class:`fenics_crack.study.shelf.StructureFile`)."""
 
 
-def assemble_or_reuse(
-    scene: Scene, comm: MPI.Comm, last_entries: list[SharedStructure] = LAST_STRUCTURES
+def assemble_or_reuse_structure(
+    scene: Scene, comm: MPI.Comm, last_shared_structures: list[SharedStructure] = LAST_STRUCTURES
 ) -> Structure:
     """Return a scene's structure, reused if possible (collective).
 
-    The scene's crack length must be known. A structure with the same mesh in ``last_entries``, or
-    in a file, is reused. ``last_entries`` then holds the result alone. Errors are as for
-    :func:`fenics_crack.build_structure`.
+    The scene's crack length must be known. A structure with the same mesh in
+    ``last_shared_structures``, or in a file, is reused. The list then holds the result alone.
+    Errors are as for :func:`fenics_crack.build_structure`.
     """
-    dependencies = structure_dependencies(scene, comm)
-    needs_all_equal = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
+    dependencies = dependencies_of_structure(scene, comm)
+    needs_equal_dependencies = (
+        scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
+    )
     structure_files = [] if (  # what is integrated over a mesh of DOLFINx needs one
-        needs_all_equal or last_entries is not LAST_STRUCTURES or scene.geometry.file is not None
+        needs_equal_dependencies or last_shared_structures is not LAST_STRUCTURES
+        or scene.geometry.file is not None
         or any(
             OBSERVABLES_BY_NAME[name].place.is_made_on_request for name in scene.quantities or ()
         )
     ) else STRUCTURE_FILES  # fmt: skip
     if not comm.allreduce(
-        bool(last_entries) and _can_reuse(last_entries[0], dependencies, comm, needs_all_equal),
+        bool(last_shared_structures)
+        and _can_reuse(last_shared_structures[0], dependencies, comm, needs_equal_dependencies),
         MPI.LAND,
     ):
-        last_entries.clear()
-        last_entries += [
-            entry
+        last_shared_structures.clear()
+        last_shared_structures += [
+            shared_structure
             for structure_file in structure_files
-            if (entry := structure_file.read_structure(scene, comm)) is not None
+            if (shared_structure := structure_file.read_structure(scene, comm)) is not None
         ]
-    if not last_entries:
+    if not last_shared_structures:
         from fenics_crack.fem.build import assemble_structure  # DOLFINx
 
-        last_entries.append(SharedStructure(assemble_structure(scene, comm), comm, dependencies))
-    elif (last_entry := last_entries[0]).dependencies != dependencies:
-        pairs = last_entry.structure.pairs
+        last_shared_structures.append(
+            SharedStructure(assemble_structure(scene, comm), comm, dependencies)
+        )
+    elif (last_shared_structure := last_shared_structures[0]).dependencies != dependencies:
+        pairs = last_shared_structure.structure.pairs
         setting_changes = {
             "clearance": clearance_of(scene, pairs),
             "damping": damping_rule_of(scene.damping),
         }
-        if last_entry.dependencies[1] != dependencies[1]:
+        if last_shared_structure.dependencies[1] != dependencies[1]:
             from fenics_crack.fem.build import assemble_body_fields_of_load
 
-            setting_changes |= assemble_body_fields_of_load(scene, last_entry.structure)
-        last_entries[:] = [
+            setting_changes |= assemble_body_fields_of_load(scene, last_shared_structure.structure)
+        last_shared_structures[:] = [
             SharedStructure(
-                last_entry.structure._in_setting(DEFAULT_SETTING, **setting_changes),
+                last_shared_structure.structure._in_setting(DEFAULT_SETTING, **setting_changes),
                 comm,
                 dependencies,
             )
         ]
     for structure_file in structure_files:
-        structure_file.note_structure(last_entries[0], scene)
-    return last_entries[0].structure
+        structure_file.note_structure(last_shared_structures[0], scene)
+    return last_shared_structures[0].structure
 
 
 def _can_reuse(
-    entry: SharedStructure,
+    shared_structure: SharedStructure,
     dependencies: tuple[Any, Any, Any],
     comm: MPI.Comm,
-    needs_all_equal: bool,
+    needs_equal_dependencies: bool,
 ) -> bool:
     """Return True if a structure can serve a scene with some dependencies.
 
-    Mesh and ranks must be the same; without a DOLFINx mesh also the loads. If ``needs_all_equal``,
-    clearances and damping must be the same, too. A structure with matrices from a file can be used
-    only while a command has a structure file.
+    Mesh and ranks must be the same; without a DOLFINx mesh also the loads. If
+    ``needs_equal_dependencies``, clearances and damping must be the same, too. A structure with
+    matrices from a file can be used only while a command has a structure file.
     """
-    has_mesh = getattr(entry.structure.nodes, "mesh_dofs", None) is not None
-    has_same_ranks = MPI.Comm.Compare(entry.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-    is_available = has_mesh or bool(STRUCTURE_FILES) or not entry.structure.has_matrices
-    is_compatible = (
-        entry.dependencies[0] == dependencies[0]
-        and (has_mesh or entry.dependencies[1] == dependencies[1])
-        and is_available
+    has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
+    has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+    has_usable_matrices = (
+        has_mesh or bool(STRUCTURE_FILES) or not shared_structure.structure.has_matrices
     )
-    return (entry.comm == comm if has_mesh else has_same_ranks) and (
-        entry.dependencies == dependencies if needs_all_equal else is_compatible
+    has_same_mesh_and_loads = (
+        shared_structure.dependencies[0] == dependencies[0]
+        and (has_mesh or shared_structure.dependencies[1] == dependencies[1])
+        and has_usable_matrices
+    )
+    return (shared_structure.comm == comm if has_mesh else has_same_ranks) and (
+        shared_structure.dependencies == dependencies
+        if needs_equal_dependencies
+        else has_same_mesh_and_loads
     )
 
 
-def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
+def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
     """Return the values in a scene on which a structure depends (collective).
 
     Returns
@@ -143,31 +153,31 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
     mesh_dependencies : tuple
         Tables for mesh and matrices, and digests of files.
     loads : tuple
-        As :func:`load_dependencies` returns them.
+        As :func:`dependencies_of_load` returns them.
     clearances_and_damping : tuple
         Clearance of each crack, and the table ``[damping]``.
     """
     cracks = [*scene.crack_by_name.values()]
     pair_kind = scene.contact is not None and scene.contact.pairs
     mesh_dependencies = (
-        scene.geometry, scene.material, _values_without_keys(scene.mesh, "error", "coarser"),
-        pair_kind, [_values_without_keys(crack, "clearance") for crack in cracks],
+        scene.geometry, scene.material, _value_by_key_without(scene.mesh, "error", "coarser"),
+        pair_kind, [_value_by_key_without(crack, "clearance") for crack in cracks],
         scene.rotation, scene.disk, scene.structure,
         on_root(comm, lambda: list_scene_file_digests(scene)),
     )  # fmt: skip
     return (
         mesh_dependencies,
-        load_dependencies(scene),
+        dependencies_of_load(scene),
         ([crack.clearance for crack in cracks], scene.damping),
     )
 
 
-def load_dependencies(scene: Scene) -> tuple[Any, ...]:
+def dependencies_of_load(scene: Scene) -> tuple[Any, ...]:
     """Return the scene's tables for the load: excitation, other loads, base."""
-    return _values_without_keys(scene.excitation, "omega", "frequency"), scene.loads, scene.base
+    return _value_by_key_without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 
 
-def _values_without_keys(table: Any, *omitted_keys: str) -> Any:
+def _value_by_key_without(table: Any, *omitted_keys: str) -> Any:
     """Return a table's values by key, without some keys; None without a table."""
     return table and {
         field.name: getattr(table, field.name)

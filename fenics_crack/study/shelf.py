@@ -1,8 +1,8 @@
 """The structure of a command in a file beside its results, for later commands.
 
 The file has the matrices and modes of a mesh at rest, and of its coarser mesh. A scene with the
-same :func:`dependencies_key` can use the file. Frequency, load amplitude, damping, clearance, law
-and tolerance may differ; the mesh may not.
+same :func:`digest_of_dependencies` can use the file. Frequency, load amplitude, damping, clearance,
+law and tolerance may differ; the mesh may not.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from fenics_crack.study.artefact import (
     PreparedFile,
     PreparedStructure,
     SparseRows,
-    load_weights_from_rows,
-    loads_without_amplitudes,
+    excitation_and_loads_without_amplitudes,
+    weight_matrix_of_load_rows,
 )
 from fenics_crack.study.sharing import (
     SharedStructure,
-    coarser_structure_cache,
-    structure_dependencies,
+    dependencies_of_structure,
+    make_empty_coarser_structure_list,
 )
 
 FILE_KIND = "structure of a command"
@@ -39,18 +39,18 @@ MAX_DATASET_BYTES = 500 * 10**6
 """Maximum size of the arrays in a file [byte]; a larger structure is not kept."""
 
 
-def dependencies_key(dependencies: tuple[Any, ...]) -> str:
+def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
     """Return the SHA-256 digest of a structure's dependencies, without load amplitudes.
 
-    ``dependencies`` come from :func:`structure_dependencies`. Clearances and damping do not count;
-    the program's and the libraries' files do.
+    ``dependencies`` come from :func:`dependencies_of_structure`. Clearances and damping do not
+    count; the program's and the libraries' files do.
     """
-    key_dependencies = (
+    digested_values = (
         dependencies[0],
-        loads_without_amplitudes(dependencies[1]),
+        excitation_and_loads_without_amplitudes(dependencies[1]),
         program_fingerprint_text(),
     )
-    return hashlib.sha256(repr(key_dependencies).encode()).hexdigest()
+    return hashlib.sha256(repr(digested_values).encode()).hexdigest()
 
 
 class StructureFile:
@@ -68,91 +68,104 @@ class StructureFile:
 
     def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
         self._path, self._print_line, self._n_file_bytes = path, print_line, 0
-        self._cached_files: list[PreparedFile | None] = [] if is_read else [None]
-        self._noted_entries: list[tuple[SharedStructure, Scene]] = []
+        self._cached_prepared_files: list[PreparedFile | None] = [] if is_read else [None]
+        self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
     def read_structure(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
         """Return the structure of a scene from the file; None without it (collective)."""
         try:
-            if not self._cached_files:
+            if not self._cached_prepared_files:
                 stored_file = read_result_file(self._path, comm)
                 stored_file.check_kind(FILE_KIND)
                 with stored_file.yield_checked_datasets() as datasets:
-                    self._cached_files.append(unpack_dataclass(PreparedFile, datasets))
-            prepared_file = self._cached_files[0]
-            if prepared_file is None or prepared_file.structure.key != dependencies_key(
-                structure_dependencies(scene, comm)
+                    self._cached_prepared_files.append(unpack_dataclass(PreparedFile, datasets))
+            prepared_file = self._cached_prepared_files[0]
+            if prepared_file is None or prepared_file.structure.key != digest_of_dependencies(
+                dependencies_of_structure(scene, comm)
             ):
                 return None
-            entry = prepared_file.make_structures(
-                scene, load_weights_from_rows(prepared_file.structure.excitation, scene), comm
+            shared_structure = prepared_file.make_shared_structure(
+                scene, weight_matrix_of_load_rows(prepared_file.structure.excitation, scene), comm
             )
         except (InputError, *DATASET_ERROR_CLASSES) as error:
-            self._cached_files[:] = [None]
+            self._cached_prepared_files[:] = [None]
             self._print_line(f"{self._path}: not used, {error}")
             return None
-        self._noted_entries[:], self._n_file_bytes = (
-            [(entry, scene)],
-            _count_bytes(pack_dataclass(prepared_file)),
+        self._noted_structures_and_scenes[:], self._n_file_bytes = (
+            [(shared_structure, scene)],
+            _count_dataset_bytes(pack_dataclass(prepared_file)),
         )
         source_text = f"the structure is taken from here ({self._n_file_bytes / 1e6:.3g} MB)"
         self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
-        return entry
+        return shared_structure
 
-    def note_structure(self, entry: SharedStructure, scene: Scene) -> None:
+    def note_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
         """Note a structure for the file, if it has the first one's mesh."""
         if (
-            not self._noted_entries
-            or self._noted_entries[0][0].dependencies[0] == entry.dependencies[0]
+            not self._noted_structures_and_scenes
+            or self._noted_structures_and_scenes[0][0].dependencies[0]
+            == shared_structure.dependencies[0]
         ):
-            self._noted_entries[:] = [(entry, scene)]
+            self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
 
     def write_structure(self, comm: MPI.Comm) -> None:
         """Write the noted structure unless the file has as much (collective)."""
-        for entry, scene in self._noted_entries:
-            if entry.comm.size < comm.size and comm.rank:
+        for shared_structure, scene in self._noted_structures_and_scenes:
+            if shared_structure.comm.size < comm.size and comm.rank:
                 return  # each rank has a structure for itself
-            coarser_entries = entry.structure.compute_once(
-                coarser_structure_cache, from_matrices=True
+            coarser_shared_structures = shared_structure.structure.compute_once(
+                make_empty_coarser_structure_list, from_matrices=True
             )
-            coarser_entries = [
-                coarser_entry
-                for coarser_entry in coarser_entries
-                if coarser_entry.dependencies[1] == entry.dependencies[1]
+            coarser_shared_structures = [
+                coarser_shared_structure
+                for coarser_shared_structure in coarser_shared_structures
+                if coarser_shared_structure.dependencies[1] == shared_structure.dependencies[1]
             ]  # of this load
-            datasets = pack_dataclass(
+            dataset_by_name = pack_dataclass(
                 PreparedFile(
                     *(
-                        _gather_datasets(stored_entry, scene)
-                        for stored_entry in (entry, *coarser_entries)
+                        _gather_prepared_structure(stored_structure, scene)
+                        for stored_structure in (shared_structure, *coarser_shared_structures)
                     )
                 )
             )
-            if not self._n_file_bytes < (n_bytes := _count_bytes(datasets)):
+            if not self._n_file_bytes < (n_dataset_bytes := _count_dataset_bytes(dataset_by_name)):
                 return
             try:
-                if n_bytes > MAX_DATASET_BYTES:
+                if n_dataset_bytes > MAX_DATASET_BYTES:
                     raise InputError(
                         "path", str(self._path), f"of at most {MAX_DATASET_BYTES / 1e6:g} MB"
                     )
                 write_result_file(
-                    datasets, self._path, FILE_KIND, scene, entry.comm, is_compressed=False
+                    dataset_by_name,
+                    self._path,
+                    FILE_KIND,
+                    scene,
+                    shared_structure.comm,
+                    is_compressed=False,
                 )
             except InputError as error:
                 self._print_line(f"the structure is not kept: {error}")
 
 
-def _gather_datasets(entry: SharedStructure, scene: Scene) -> PreparedStructure:
+def _gather_prepared_structure(
+    shared_structure: SharedStructure, scene: Scene
+) -> PreparedStructure:
     """Gather the datasets of a structure with its matrices (collective)."""
     return PreparedStructure.gather(
-        entry.structure, entry.structure.nodes.vtk_type,  # type: ignore[union-attr]
-        mass=SparseRows.gather(local_rows(entry.structure.mass), entry.comm),
-        key=dependencies_key(entry.dependencies),
-        stiffness=SparseRows.gather(local_rows(entry.structure.stiffness), entry.comm),
+        shared_structure.structure,
+        shared_structure.structure.nodes.vtk_type,  # type: ignore[union-attr]
+        mass=SparseRows.gather(local_rows(shared_structure.structure.mass), shared_structure.comm),
+        key=digest_of_dependencies(shared_structure.dependencies),
+        stiffness=SparseRows.gather(
+            local_rows(shared_structure.structure.stiffness), shared_structure.comm
+        ),
         excitation=np.array(list_force_harmonic_vectors(scene), dtype=float),
     )  # fmt: skip
 
 
-def _count_bytes(datasets: Mapping[str, Any]) -> int:
+def _count_dataset_bytes(dataset_by_name: Mapping[str, Any]) -> int:
     """Return the total size of the arrays among datasets [byte]."""
-    return sum(dataset.nbytes for dataset in datasets.values() if isinstance(dataset, np.ndarray))
+    return sum(
+        dataset.nbytes for dataset in dataset_by_name.values() if isinstance(dataset, np.ndarray)
+    )

@@ -27,13 +27,13 @@ from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,
     Study,
+    modal_reduction_or_none,
     prepare,
     reduce_study,
-    reduction_of,
 )
 
 
@@ -44,7 +44,7 @@ class SolvedStudy(Study):
     result: PeriodicSolution
 
 
-def _solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
+def _make_solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
     """Return a study together with its solution."""
     return SolvedStudy(study.scene, study.structure, study.contact, study.watched, solution)
 
@@ -58,13 +58,13 @@ def solve_study(
     Newton's method starts from ``initial_solution`` (same structure), and ``omega`` [rad/s]
     replaces the scene's load frequency.
     """
-    make_requested_rows(study)  # before anything is solved: this may raise InputError
+    make_requested_extra_rows(study)  # before anything is solved: this may raise InputError
     scene, law = study.scene, study.contact
     omega, balance_table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
         reduced_study = reduce_study(study)
         solution = solve_linear(reduced_study.structure, omega, harmonics=balance_table.harmonics)
-        return _solved_study(reduced_study, solution)
+        return _make_solved_study(reduced_study, solution)
     if balance_table.tolerance is None:
         reduced_study = with_friction_lines(reduce_study(study), omega)
         law = reduced_study.contact
@@ -76,7 +76,7 @@ def solve_study(
         solution = solver.solve(initial_solution)
         solution = solution if balance_table.error else solution.reported(UNESTIMATED_REPORT)
     else:
-        smallest_structure = next(reduce_with_more_modes(study)).structure  # reused below
+        smallest_structure = next(iterate_studies_with_more_modes(study)).structure  # reused below
         study = replace(study, contact=slide_along_lines(smallest_structure, omega, law))
         reduced_study, solution = _solve_to_tolerance(study)
     structure = reduced_study.structure
@@ -87,12 +87,16 @@ def solve_study(
     if solution.converged and is_stability_quick and is_small(structure) and balance_table.error:
         begin_stage("stability")
         solution = replace(solution, stability=floquet(structure, solution))
-    return _solved_study(reduced_study, solution)
+    return _make_solved_study(reduced_study, solution)
 
 
-def prepare_unreduced_study(source: Scene | Study, comm: MPI.Comm) -> Study:
+def prepare_unreduced_if_scene(scene_or_study: Scene | Study, comm: MPI.Comm) -> Study:
     """Prepare a scene without reduction; return a study as it is (collective)."""
-    return source if isinstance(source, Study) else prepare(source, comm, whole=True)
+    return (
+        scene_or_study
+        if isinstance(scene_or_study, Study)
+        else prepare(scene_or_study, comm, whole=True)
+    )
 
 
 def required_contact_law(study: Study) -> ContactLaw:
@@ -127,7 +131,7 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
     assert law is not None
 
     def iterate_structures() -> Iterator[Structure]:
-        for study in reduce_with_more_modes(unreduced_study):
+        for study in iterate_studies_with_more_modes(unreduced_study):
             reduced_studies.append(study)
             yield study.structure
 
@@ -162,7 +166,7 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
     scene, structure = study.scene, study.structure
     if structure.whole is not structure:
         return []
-    reduction, reduction_table = reduction_of(scene, structure), scene.reduction
+    reduction, reduction_table = modal_reduction_or_none(scene, structure), scene.reduction
     has_given_modes = scene.disk is not None or (
         reduction_table is not None and reduction_table.modes is not None
     )
@@ -184,12 +188,12 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
 
 def reduce_to_modes(study: Study, n_modes: int) -> Study:
     """Reduce a study to a number of modes (collective)."""
-    reduction = reduction_of(study.scene, study.structure)
+    reduction = modal_reduction_or_none(study.scene, study.structure)
     changes = {"reduction.method": reduction and reduction.method, "reduction.modes": n_modes}
     return reduce_study(replace(study, scene=study.scene.replace(changes)))
 
 
-def reduce_with_more_modes(
+def iterate_studies_with_more_modes(
     study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
 ) -> Iterator[Study]:
     """Yield a study reduced with more and more modes, on demand (collective).

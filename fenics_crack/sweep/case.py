@@ -33,7 +33,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
-from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.observer import make_requested_extra_rows
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
@@ -52,7 +52,7 @@ from fenics_crack.sweep.file import (
     UNDECIDED_PREFIX,
     UNIT_BY_HARMONIC_PART,
     UNIT_BY_POINT_QUANTITY,
-    load_column_name,
+    column_name_at_load,
 )
 from fenics_crack.sweep.plan import Chunk
 
@@ -73,7 +73,7 @@ class CaseRequest:
         True if the stability of each case is assessed.
     with_reduction_error : bool
         True if the reduction error of each case is estimated.
-    frequencies_only_by_position : tuple of bool
+    has_only_frequencies_by_position : tuple of bool
         For each position on the last axis, True if only natural frequencies are computed.
     """
 
@@ -82,7 +82,7 @@ class CaseRequest:
     at_resonance: bool = False
     with_verdicts: bool = True
     with_reduction_error: bool = True
-    frequencies_only_by_position: tuple[bool, ...] = (False,)
+    has_only_frequencies_by_position: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class SweepGeometry:
         return replace(
             self,
             study=study_with_more_modes,
-            watched_row_by_name=_find_watched_rows(study_with_more_modes),
+            watched_row_by_name=_find_watched_row_by_name(study_with_more_modes),
             mode_counts=self.mode_counts[1:],
         )
 
@@ -138,15 +138,15 @@ class SweepGeometry:
 
     def structure_of_case(self, scene: Scene) -> Structure:
         """Return the structure with the load and clearance of a case."""
-        load_factors: float | np.ndarray = 1.0
+        load_weight_matrix: float | np.ndarray = 1.0
         if self.has_unit_loads:
-            load_factors = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
+            load_weight_matrix = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
             force_vectors = np.array(
                 [getattr(scene.excitation, force_key) for force_key in FORCE_KEYS]
             )
-            load_factors[:, -scene.dimension :] = force_vectors[:, ::-1]
+            load_weight_matrix[:, -scene.dimension :] = force_vectors[:, ::-1]
         clearance = clearance_of(scene, self.structure.pairs) if scene.crack_by_name else 0.0
-        return self.structure.varied(load=load_factors, clearance=clearance)
+        return self.structure.varied(load=load_weight_matrix, clearance=clearance)
 
 
 def build_geometry(
@@ -157,18 +157,18 @@ def build_geometry(
     ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
     mesh, for another rotor speed.
     """
-    scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.crack_by_name})
+    scene = scene.replace({f"{crack_key}.clearance": 0.0 for crack_key in scene.crack_by_name})
     if request.has_unit_loads:
         dimension = scene.dimension
-        unit_force_by_key = zip(
+        keys_and_unit_forces = zip(
             FORCE_KEYS,
             np.eye(len(FORCE_KEYS), dimension, dimension - len(FORCE_KEYS))[:, ::-1],
             strict=True,
         )
         scene = scene.replace(
             {
-                f"excitation.{key_name}": tuple(unit_force)
-                for key_name, unit_force in unit_force_by_key
+                f"excitation.{force_key}": tuple(unit_force)
+                for force_key, unit_force in keys_and_unit_forces
             }
         )
     unreduced_study = prepare(
@@ -188,12 +188,12 @@ def build_geometry(
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
         requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", reduction_method, requirement)
-    make_requested_rows(many_mode_study)
+    make_requested_extra_rows(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
     study = reduce_to_modes(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
-    watched_row_by_name = _find_watched_rows(study)
+    watched_row_by_name = _find_watched_row_by_name(study)
     return SweepGeometry(
         study,
         request.has_unit_loads,
@@ -205,7 +205,9 @@ def build_geometry(
     )
 
 
-def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[SweepGeometry]:
+def iterate_geometries_with_more_modes(
+    scene: Scene, request: CaseRequest
+) -> Iterator[SweepGeometry]:
     """Build geometries with each number of modes that may have solved a case."""
     first_geometry = build_geometry(scene, MPI.COMM_SELF, request)
     geometry: SweepGeometry | None = first_geometry
@@ -216,17 +218,25 @@ def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[Sw
         yield build_geometry(scene, MPI.COMM_SELF, replace(request, with_reduction_error=False))
 
 
-def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
+def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
     """Return rows for displacements at the load and named points, by name (collective)."""
-    named_watches = [watch for watch in study.watched if watch.name]
-    displacement_rows = dof_selection_rows(study.structure, [watch.dof for watch in named_watches])
+    named_watched_displacements = [
+        watched_displacement for watched_displacement in study.watched if watched_displacement.name
+    ]
+    displacement_rows = dof_selection_rows(
+        study.structure,
+        [watched_displacement.dof for watched_displacement in named_watched_displacements],
+    )
     row_by_name = {
-        watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
+        watched_displacement.name: row
+        for watched_displacement, row in zip(
+            named_watched_displacements, displacement_rows, strict=True
+        )
     }
-    return _find_watched_load_rows(study.scene, study.structure) | row_by_name
+    return _find_load_point_row_by_name(study.scene, study.structure) | row_by_name
 
 
-def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
+def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     """Return the row for the displacement at the load, with the key "" (collective).
 
     For matrices it is the dof with the largest load. The dictionary is empty if the structure
@@ -291,10 +301,12 @@ def solve_chunk(
             "crack_length": geometry.crack_length,
             "harmonics": n_harmonics,
         }
-        value_by_column |= _frequency_values(case.excitation.omega, geometry.bilinear_frequencies)
-        value_by_column |= _natural_frequency_values(geometry.bilinear_frequencies)
-        if request.frequencies_only_by_position[
-            case_number % len(request.frequencies_only_by_position)
+        value_by_column |= _load_and_nearest_frequency_by_column(
+            case.excitation.omega, geometry.bilinear_frequencies
+        )
+        value_by_column |= _natural_frequency_by_column(geometry.bilinear_frequencies)
+        if request.has_only_frequencies_by_position[
+            case_number % len(request.has_only_frequencies_by_position)
         ]:
             chunk_case_values.append(
                 value_by_column
@@ -310,15 +322,15 @@ def solve_chunk(
                 geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
                 solver = CaseSolver(geometry)
                 solution = solver.solve_as_requested(case, request)
-            value_by_column |= _observe_values(solution, case, geometry)
+            value_by_column |= _observe_value_by_column(solution, case, geometry)
             value_by_column |= (
-                _frequency_values(solution.omega, geometry.bilinear_frequencies)
+                _load_and_nearest_frequency_by_column(solution.omega, geometry.bilinear_frequencies)
                 | solution.to_dict()
             )
             if not request.with_reduction_error:
                 value_by_column.pop("reduction_error")
             if request.with_verdicts and case.harmonic_balance.error:
-                value_by_column |= solver.assess_stability(solution)
+                value_by_column |= solver.assess_stability_by_name(solution)
                 value_by_column["status"] += value_by_column.pop("remark", "")
             value_by_column |= {
                 "gap": solution.row_gap_coefficients,
@@ -357,17 +369,17 @@ class CaseSolver:
             return solve_linear(structure, omega, harmonics=balance_table.harmonics)
         check_memory(structure, balance_table.harmonics)
         problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
-        neighbour, self._last_solution = self._last_solution, None
+        neighbour_solution, self._last_solution = self._last_solution, None
         self._last_solution = solve_from_neighbour(
-            problem, neighbour, balance_table.tolerance, with_errors=balance_table.error
+            problem, neighbour_solution, balance_table.tolerance, with_errors=balance_table.error
         )
         return self._last_solution
 
     def _set_structure_and_law(self, case: Scene) -> None:
         """Set structure and law for a case, unless only its frequency differs."""
-        comparable_case = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last_case != comparable_case:
-            self._last_case = comparable_case
+        case_without_frequency = case.replace({"excitation.omega": 1.0, "curve": None})
+        if self._last_case != case_without_frequency:
+            self._last_case = case_without_frequency
             self._structure = self._geometry.structure_of_case(case)
             self._law = scene_contact_law(case, self._structure)
 
@@ -387,16 +399,16 @@ class CaseSolver:
         )
         resonance = None
         if is_unilateral(law) and not problem.has_friction:
-            nearest_mode = self._geometry.bilinear_frequencies.nearest(omega)
-            bilinear_frequency = float(nearest_mode["omega_bilinear"])
-            resonance = resonance_at(problem, bilinear_frequency, tolerance=balance_table.tolerance)
+            nearest_value_by_name = self._geometry.bilinear_frequencies.nearest(omega)
+            bilinear_omega = float(nearest_value_by_name["omega_bilinear"])
+            resonance = resonance_at(problem, bilinear_omega, tolerance=balance_table.tolerance)
         if resonance is None or resonance.several:
-            omega, self._last_solution = self._find_response_peak(problem)
+            omega, self._last_solution = self._find_peak_omega_and_solution(problem)
         else:
             omega, self._last_solution = resonance.omega, resonance.solution
         return self.solve(case.replace({"excitation.omega": omega}))
 
-    def _find_response_peak(self, problem: Problem) -> tuple[float, PeriodicSolution]:
+    def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Return frequency and solution at the peak of the response curve.
 
         The curve covers the nearest mode, from below the open to above the bonded frequency.
@@ -409,16 +421,16 @@ class CaseSolver:
             Solution at the nearest curve point.
         """
         natural_frequencies = self._geometry.bilinear_frequencies
-        nearest_mode = natural_frequencies.nearest(problem.omega)
+        nearest_value_by_name = natural_frequencies.nearest(problem.omega)
         mode_damping_ratios = damping_ratios(
             self._geometry.structure.whole, natural_frequencies.omega_open
         )
-        damping_ratio = float(mode_damping_ratios[int(nearest_mode["mode"]) - 1])
+        damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
         if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
             requirement = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
             raise InputError("damping", damping_ratio, requirement)
-        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_mode["omega_open"])
-        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_mode["omega_tied"])
+        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])
+        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_value_by_name["omega_tied"])
         response_curve = continue_frequency(
             problem.structure, start_omega, stop_omega, problem.contact,
             harmonics=problem.harmonics, samples=problem.samples, stability=False,
@@ -426,13 +438,13 @@ class CaseSolver:
         peak = response_curve.top()
         return peak.value, response_curve.solution(peak.index)
 
-    def assess_stability(self, solution: PeriodicSolution) -> CaseValues:
+    def assess_stability_by_name(self, solution: PeriodicSolution) -> CaseValues:
         """Return "verdict", "multiplier" (largest modulus) and "remark" by name.
 
         The remark says why stability is undecided, or how more modes contradict the verdict. The
         dictionary is empty without a law, and for rigid contact between crack faces with mass.
         """
-        structure, law, remark = solution.structure, solution.contact, ""
+        structure, law, remark_text = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
@@ -443,46 +455,50 @@ class CaseSolver:
                 "remark": f"; {UNDECIDED_PREFIX}no multipliers were found",
             }
         if stability.reason:
-            remark = f"; {stability.verdict}: {stability.reason}"
-        elif structure.light_lips and (more_modes := solution.assessment.more_modes):
-            contradiction = more_modes.describe_contradiction(stability.verdict)
-            remark = CONTRADICTION_PREFIX + contradiction if contradiction else ""
+            remark_text = f"; {stability.verdict}: {stability.reason}"
+        elif structure.light_lips and (more_modes_assessment := solution.assessment.more_modes):
+            contradiction_text = more_modes_assessment.describe_contradiction(stability.verdict)
+            remark_text = CONTRADICTION_PREFIX + contradiction_text if contradiction_text else ""
         return {
             "verdict": stability.verdict,
             "multiplier": abs(stability.multipliers[0]),
-            "remark": remark,
+            "remark": remark_text,
         }
 
 
-def _frequency_values(omega: float, natural_frequencies: BilinearFrequencies) -> CaseValues:
+def _load_and_nearest_frequency_by_column(
+    omega: float, natural_frequencies: BilinearFrequencies
+) -> CaseValues:
     """Return the load frequency and the nearest natural frequencies by column name."""
     return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
-def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseValues:
+def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Return natural frequencies by column name; there may be fewer than columns."""
-    frequency_rows = (
+    omegas_of_kinds = (
         natural_frequencies.omega_open,
         np.sort(natural_frequencies.omega_tied),
         natural_frequencies.omega_bilinear,
     )
-    kinds_and_frequencies = zip(FREQUENCY_KIND_NAMES, frequency_rows, strict=True)
+    kinds_and_omegas = zip(FREQUENCY_KIND_NAMES, omegas_of_kinds, strict=True)
     return {
         f"omega_{kind}_{mode_number}": omega
-        for kind, frequencies in kinds_and_frequencies
-        for mode_number, omega in enumerate(frequencies, 1)
+        for kind, omegas in kinds_and_omegas
+        for mode_number, omega in enumerate(omegas, 1)
     }
 
 
-def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeometry) -> CaseValues:
+def _observe_value_by_column(
+    solution: PeriodicSolution, case: Scene, geometry: SweepGeometry
+) -> CaseValues:
     """Return all quantities of a solution by column name.
 
     They are indicators at the load, at named points, and quantities on request.
     """
-    row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
+    row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
     observed_displacements, value_by_column = solution.observe_rows(
-        row_matrix, make_requested_rows(geometry.study)
+        row_matrix, make_requested_extra_rows(geometry.study)
     )
     for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
         value_by_quantity = {
@@ -495,21 +511,25 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
             strict=False,
         )
         value_by_column |= {
-            f"{point_name}.{quantity}" if point_name else load_column_name(quantity): quantity_value
+            f"{point_name}.{quantity}"
+            if point_name
+            else column_name_at_load(quantity): quantity_value
             for quantity, quantity_value in value_by_quantity.items()
         }
     return value_by_column
 
 
-def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
+def _find_load_direction_row_by_name(
+    solution: PeriodicSolution, case: Scene
+) -> dict[str, np.ndarray]:
     """Return the row for the displacement in the load's direction, with the key "".
 
     The direction follows the largest sine or cosine part, or the mean if both are zero. A force F
     at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
     """
     force_norms = np.linalg.norm(list_force_harmonic_vectors(case), axis=1)
-    row_index = (
+    part_index = (
         len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if np.any(force_norms[1:]) else 0
     )
-    norm = force_norms[row_index]
-    return {"": solution.structure.force[row_index] / norm} if norm else {}
+    force_norm = force_norms[part_index]
+    return {"": solution.structure.force[part_index] / force_norm} if force_norm else {}

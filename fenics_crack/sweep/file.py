@@ -50,7 +50,7 @@ from fenics_crack.version import VERSION
 KIND = "sweep"
 
 
-class State(IntEnum):
+class CaseState(IntEnum):
     """State of a case."""
 
     PENDING = 0
@@ -64,21 +64,21 @@ CONTRADICTION_PREFIX = "; yet "
 """Text in a case's status before the remark that more modes contradict the verdict."""
 
 
-def load_column_name(quantity: str) -> str:
+def column_name_at_load(quantity: str) -> str:
     """Return the column name for a quantity at the load, in the load's direction."""
     return "response" if quantity == "amplitude" else quantity
 
 
-MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
+KEPT_MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
 """Numbers of the modes whose natural frequencies each case keeps."""
-FREQUENCY_COLUMN_LABELS_AND_UNITS = {
+LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
         ("open", "natural frequency {}, crack open"),
         ("tied", "natural frequency {}, crack bonded"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
-    for mode in MODE_NUMBERS
+    for mode in KEPT_MODE_NUMBERS
 }
 """Label and unit of natural frequencies, by column name."""
 UNIT_BY_POINT_QUANTITY = {
@@ -99,14 +99,14 @@ UNIT_BY_HARMONIC_PART = {
 """
 UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
-        load_column_name(name): (unit, "f8")
+        column_name_at_load(name): (unit, "f8")
         for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     },
     **{
         name: (UNIT_BY_NAME[name], "f8")
         for name in observable_names(Place.FACES, Place.MODES, excluded_flags=REQUIRES_FRICTION)
     },
-    **{name: (unit, "f8") for name, (_, unit) in FREQUENCY_COLUMN_LABELS_AND_UNITS.items()},
+    **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
     **{f"{by}_error": ("1", "f8") for by in ("residual", "truncation", "sampling", "reduction")},
@@ -144,7 +144,7 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
 
     Named points have columns such as "tip.ux.ratio_2_1".
     """
-    requested_quantities = (
+    requested_quantity_names = (
         *(observable_names(required_flags=REQUIRES_FRICTION) if scene.has_friction else ()),
         *list_requested_extra_quantities(scene),
     )
@@ -155,7 +155,10 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     }
     return (
         UNIT_AND_TYPE_BY_COLUMN
-        | {column_name: (UNIT_BY_NAME[column_name], "f8") for column_name in requested_quantities}
+        | {
+            column_name: (UNIT_BY_NAME[column_name], "f8")
+            for column_name in requested_quantity_names
+        }
         | unit_and_type_by_point_column
     )
 
@@ -169,7 +172,7 @@ class SweepFile:
         File.
     scene : Scene
         Scene with its sweep.
-    harmonics_upper_bound, gap_rows_upper_bound : int
+    n_harmonics_upper_bound, n_gap_rows_upper_bound : int
         Upper bounds for all cases; without gap rows no waves are kept.
     omitted_options : sequence of str
         Options that the cases lack.
@@ -194,8 +197,8 @@ class SweepFile:
         self,
         path: Path,
         scene: Scene,
-        harmonics_upper_bound: int,
-        gap_rows_upper_bound: int,
+        n_harmonics_upper_bound: int,
+        n_gap_rows_upper_bound: int,
         omitted_options: Sequence[str] = (),
     ) -> None:
         self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
@@ -205,33 +208,35 @@ class SweepFile:
             new_header = (
                 None
                 if os.path.lexists(path)
-                else _make_file(
-                    path, scene, harmonics_upper_bound, gap_rows_upper_bound, omitted_options
+                else _make_file_and_header_or_none(
+                    path, scene, n_harmonics_upper_bound, n_gap_rows_upper_bound, omitted_options
                 )
             )
             regular_file_size(path, None, follows_links=False)  # nothing is written elsewhere
             self._file_descriptor = os.open(path, os.O_RDWR)
             try:
-                lock_error = _lock_file(self._file_descriptor)
+                lock_error = _lock_file_or_return_error(self._file_descriptor)
                 self.sweep_header = new_header or _read_matching_header(path, scene)
                 self.case_states = _read_intact_states(self.sweep_header, scene)
-                if np.any(self.case_states == State.PENDING):  # else nothing is written
+                if np.any(self.case_states == CaseState.PENDING):  # else nothing is written
                     if lock_error:
                         raise lock_error
-                    _check_omitted(self.sweep_header, omitted_options)
+                    _check_omitted_options_match(self.sweep_header, omitted_options)
             except BaseException:
                 os.close(self._file_descriptor)
                 raise
         self.is_new = new_header is not None
 
-    def record(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+    def write_pending_cases(
+        self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
+    ) -> None:
         """Write the given cases that are still pending.
 
         Parameters
         ----------
         case_numbers : (n,) int
             Numbers of the cases.
-        cases : sequence of mappings
+        values_of_cases : sequence of mappings
             Values by column name, with waves if a case converged.
 
         Raises
@@ -239,36 +244,43 @@ class SweepFile:
         InputError
             The disk is full, or the file was moved; earlier cases stay written.
         """
-        pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == State.PENDING)
+        pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == CaseState.PENDING)
         if len(pending_positions):
-            self.write(
+            self.write_cases(
                 case_numbers[pending_positions],
-                [cases[pending_position] for pending_position in pending_positions],
+                [values_of_cases[pending_position] for pending_position in pending_positions],
             )
 
-    def write(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+    def write_cases(
+        self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
+    ) -> None:
         """Write cases by number (n,): all values first, then the states."""
-        if not self._is_at_path():
+        if not self._is_file_still_at_path():
             requirement = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement)
         case_states = np.array(
-            [State.CONVERGED if "gap" in case else State.FAILED for case in cases]
+            [
+                CaseState.CONVERGED if "gap" in case_values else CaseState.FAILED
+                for case_values in values_of_cases
+            ]
         )
         waves_by_name = {
-            wave_name: [case.get(wave_name, np.zeros((0, 0))) for case in cases]
+            wave_name: [
+                case_values.get(wave_name, np.zeros((0, 0))) for case_values in values_of_cases
+            ]
             for wave_name in UNIT_BY_WAVE
         }
         column_by_name = {}
         for column_name in self._unit_and_type_by_column:
             column_type = self.sweep_header.columns[column_name].dtype
-            encoded_column = [
+            encoded_column_values = [
                 _encode_value(
-                    case.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
+                    case_values.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
                     column_type.itemsize,
                 )
-                for case in cases
+                for case_values in values_of_cases
             ]
-            column_by_name[column_name] = np.array(encoded_column, column_type)
+            column_by_name[column_name] = np.array(encoded_column_values, column_type)
         wave_checksums = [
             _compute_waves_checksum(*gap_and_force)
             for gap_and_force in zip(*waves_by_name.values(), strict=True)
@@ -278,7 +290,7 @@ class SweepFile:
             column_by_name, case_states
         )
         with report_write_errors(self._path, "path"):
-            self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
+            self._write_column("state", case_numbers, np.full(len(case_states), CaseState.PENDING))
             for wave_name, waves in waves_by_name.items():
                 if wave_name in self.sweep_header.columns:
                     self._write_column(
@@ -295,7 +307,7 @@ class SweepFile:
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it too; raise InputError on failure."""
         with report_write_errors(self._path, "path"):
-            if remove and self._is_at_path():
+            if remove and self._is_file_still_at_path():
                 self._path.unlink()
             os.close(self._file_descriptor)
 
@@ -314,7 +326,7 @@ class SweepFile:
                 stored_column.offset + int(case_number) * bytes_per_case,
             )
 
-    def _is_at_path(self) -> bool:
+    def _is_file_still_at_path(self) -> bool:
         """Return True if the path still leads to the open file."""
         try:
             return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
@@ -322,10 +334,10 @@ class SweepFile:
             return False
 
 
-def _lock_file(descriptor: int) -> OSError | None:
+def _lock_file_or_return_error(file_descriptor: int) -> OSError | None:
     """Lock an open file; return the error if another program holds the lock."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file_descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         return error
     return None
@@ -346,11 +358,11 @@ def _encode_value(value: Any, max_bytes: int) -> Any:
     return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
 
 
-def _make_file(
+def _make_file_and_header_or_none(
     path: Path,
     scene: Scene,
-    harmonics_upper_bound: int,
-    gap_rows_upper_bound: int,
+    n_harmonics_upper_bound: int,
+    n_gap_rows_upper_bound: int,
     omitted_options: Sequence[str],
 ) -> store.StoredFile | None:
     """Make a new file and return its header; None if another program made one first."""
@@ -359,8 +371,8 @@ def _make_file(
         dataset_name: (unit, type_name, axes_shape)
         for dataset_name, (unit, type_name) in _unit_and_type_by_dataset(scene).items()
     }
-    if gap_rows_upper_bound:
-        wave_shape = (*axes_shape, 2 * harmonics_upper_bound + 1, gap_rows_upper_bound)
+    if n_gap_rows_upper_bound:
+        wave_shape = (*axes_shape, 2 * n_harmonics_upper_bound + 1, n_gap_rows_upper_bound)
         unit_type_shape_by_dataset |= {
             dataset_name: (unit, "f8", wave_shape) for dataset_name, unit in UNIT_BY_WAVE.items()
         }
@@ -368,23 +380,25 @@ def _make_file(
         with (
             partial_file(path, must_be_new=True) as hidden_path,
             open(hidden_path, "wb", buffering=0) as new_file,
-            open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
+            open(
+                os.memfd_create("sweep"), "w+b", buffering=0
+            ) as memory_file,  # zeros take no memory
         ):
-            dataset_bytes = (
+            byte_counts_of_datasets = (
                 math.prod(dataset_shape) * np.dtype(type_name).itemsize
                 for _, type_name, dataset_shape in unit_type_shape_by_dataset.values()
             )
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
-            new_file.truncate(sum(dataset_bytes))
-            sweep_header = _write_image(
-                image, path, scene, unit_type_shape_by_dataset, omitted_options
+            new_file.truncate(sum(byte_counts_of_datasets))
+            sweep_header = _write_datasets_and_make_header(
+                memory_file, path, scene, unit_type_shape_by_dataset, omitted_options
             )
-            _copy_written_parts(image.fileno(), new_file.fileno())
+            _copy_written_parts(memory_file.fileno(), new_file.fileno())
         return sweep_header
     return None
 
 
-def _write_image(
+def _write_datasets_and_make_header(
     memory_file: BinaryIO,
     path: Path,
     scene: Scene,
@@ -401,13 +415,13 @@ def _write_image(
         store.write_header(hdf5_file, KIND, scene)
         hdf5_file.attrs["omitted"] = " ".join(omitted_options)
         # Kept as written, since reading them takes longer.
-        attribute_by_path, column_by_name = store.attribute_texts(hdf5_file), {}
+        attribute_text_by_path, located_column_by_name = store.attribute_texts(hdf5_file), {}
         for dataset_name, (unit, type_name, dataset_shape) in unit_type_shape_by_dataset.items():
             creation_properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             creation_properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
             # A new file has zeros: State.PENDING.
             creation_properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-            column = hdf5_file.create_dataset(
+            hdf5_dataset = hdf5_file.create_dataset(
                 dataset_name, dataset_shape, type_name, dcpl=creation_properties
             )
             description_text = _describe_column(dataset_name)
@@ -415,14 +429,14 @@ def _write_image(
                 {"about": description_text} if description_text else {}
             )
             for attribute_name, attribute_text in attribute_text_by_name.items():
-                column.attrs[attribute_name] = attribute_text
-                attribute_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
-            column_by_name[dataset_name] = store.locate_column(column)
-        attribute_by_path["digest"] = store.content_digest(
-            attribute_by_path, store.column_texts(column_by_name)
+                hdf5_dataset.attrs[attribute_name] = attribute_text
+                attribute_text_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
+            located_column_by_name[dataset_name] = store.locate_column(hdf5_dataset)
+        attribute_text_by_path["digest"] = store.content_digest(
+            attribute_text_by_path, store.column_texts(located_column_by_name)
         )
-        hdf5_file.attrs["digest"] = attribute_by_path["digest"]
-        return store.StoredFile(path, attribute_by_path, {}, column_by_name)
+        hdf5_file.attrs["digest"] = attribute_text_by_path["digest"]
+        return store.StoredFile(path, attribute_text_by_path, {}, located_column_by_name)
 
 
 def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
@@ -454,7 +468,8 @@ def _describe_column(column_name: str) -> str:
         column_name: observable.words for column_name, observable in OBSERVABLES_BY_NAME.items()
     }
     return (
-        words_by_quantity.get(quantity) or FREQUENCY_COLUMN_LABELS_AND_UNITS.get(quantity, ("",))[0]
+        words_by_quantity.get(quantity)
+        or LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.get(quantity, ("",))[0]
     )
 
 
@@ -512,18 +527,20 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
     return sweep_header
 
 
-def _check_omitted(sweep_header: store.StoredFile, omitted_options: Sequence[str]) -> None:
+def _check_omitted_options_match(
+    sweep_header: store.StoredFile, omitted_options: Sequence[str]
+) -> None:
     """Raise InputError if a file was begun with other omitted options.
 
     Files from earlier versions do not state the options and are accepted.
     """
-    stored_options = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
-    changed_options = [
-        f"{option_name}={option_name not in stored_options}"
-        for option_name in sorted({*stored_options} ^ {*omitted_options})
+    stored_option_names = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
+    changed_option_texts = [
+        f"{option_name}={option_name not in stored_option_names}"
+        for option_name in sorted({*stored_option_names} ^ {*omitted_options})
     ]
-    if changed_options:
-        path_text = f"{sweep_header.path}, begun with {', '.join(changed_options)}"
+    if changed_option_texts:
+        path_text = f"{sweep_header.path}, begun with {', '.join(changed_option_texts)}"
         requirement = "continued as it was begun; for other columns choose a new folder"
         raise InputError("path", path_text, requirement)
 
@@ -533,10 +550,10 @@ def _check_omitted(sweep_header: store.StoredFile, omitted_options: Sequence[str
 
 def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return unit and type of all columns in a file, by name."""
-    checksum_formats = dict.fromkeys(
+    unit_and_type_by_checksum = dict.fromkeys(
         (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")
     )
-    return {"state": ("", "u1")} | unit_and_type_by_column(scene) | checksum_formats
+    return {"state": ("", "u1")} | unit_and_type_by_column(scene) | unit_and_type_by_checksum
 
 
 def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
@@ -545,7 +562,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refusal("a sweep with its scene")
-    n_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
+    n_column_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
     for column_name in sorted(
         unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
     ):
@@ -556,13 +573,13 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
             raise sweep_header.refusal("a whole sweep")
-        n_bytes += stored_column.n_bytes
-    if n_bytes > MAX_FILE_BYTES:
+        n_column_bytes += stored_column.n_bytes
+    if n_column_bytes > MAX_FILE_BYTES:
         raise sweep_header.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene
 
 
-def _read_cases(
+def _read_columns_and_find_damage(
     sweep_header: store.StoredFile, scene: Scene
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Read all cases, as flat columns, and find damaged ones.
@@ -576,9 +593,13 @@ def _read_cases(
     is_damaged : (n_cases,) bool
         True for cases whose stored state does not match the checksum.
     """
-    column_by_name, is_damaged = _confirm_states(_read_flat_columns(sweep_header, scene))
+    column_by_name, is_damaged = _replace_unconfirmed_states(
+        _read_flat_columns(sweep_header, scene)
+    )
     if is_damaged.any():  # or is being written at this moment
-        column_by_name, is_damaged_again = _confirm_states(_read_flat_columns(sweep_header, scene))
+        column_by_name, is_damaged_again = _replace_unconfirmed_states(
+            _read_flat_columns(sweep_header, scene)
+        )
         is_damaged &= is_damaged_again
     return column_by_name, is_damaged
 
@@ -599,7 +620,7 @@ def _read_flat_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str
         raise sweep_header.refusal("a whole sweep") from None
 
 
-def _confirm_states(
+def _replace_unconfirmed_states(
     column_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Replace stored states by states that match the checksums.
@@ -613,12 +634,12 @@ def _confirm_states(
     """
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
-    case_states = np.full(len(stored_states), State.PENDING, stored_states.dtype)
+    case_states = np.full(len(stored_states), CaseState.PENDING, stored_states.dtype)
     written_column_by_name = {
         column_name: column_values[written_case_numbers]
         for column_name, column_values in column_by_name.items()
     }
-    for candidate_state in (State.CONVERGED, State.FAILED):
+    for candidate_state in (CaseState.CONVERGED, CaseState.FAILED):
         is_confirmed = (
             _compute_case_checksums(
                 written_column_by_name, np.full(len(written_case_numbers), candidate_state)
@@ -626,18 +647,18 @@ def _confirm_states(
             == stored_checksums[written_case_numbers]
         )
         case_states[written_case_numbers[is_confirmed]] = candidate_state
-    is_damaged = (case_states == State.PENDING) & (stored_states != State.PENDING)
+    is_damaged = (case_states == CaseState.PENDING) & (stored_states != CaseState.PENDING)
     return {"state": case_states} | column_by_name, is_damaged
 
 
 def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndarray:
     """Return states in the shape of the axes; State.PENDING for damaged cases."""
-    case_states: np.ndarray = _read_cases(sweep_header, scene)[0]["state"].reshape(
-        scene.given("sweep").shape
-    )
-    for index in np.argwhere(case_states == State.CONVERGED):
+    case_states: np.ndarray = _read_columns_and_find_damage(sweep_header, scene)[0][
+        "state"
+    ].reshape(scene.given("sweep").shape)
+    for index in np.argwhere(case_states == CaseState.CONVERGED):
         if _read_intact_waves(sweep_header, tuple(map(int, index))) is None:
-            case_states[tuple(index)] = State.PENDING
+            case_states[tuple(index)] = CaseState.PENDING
     return case_states
 
 
@@ -646,7 +667,7 @@ def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.n
 
     Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
     """
-    flat_column_by_name, is_damaged = _read_cases(sweep_header, scene)
+    flat_column_by_name, is_damaged = _read_columns_and_find_damage(sweep_header, scene)
     axes_shape, column_by_name = scene.given("sweep").shape, {}
     if is_damaged.any():
         first_damaged_index = tuple(
@@ -668,9 +689,9 @@ def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.n
             ),
         )
         if column_name != "state":
-            column_values[flat_column_by_name["state"] == State.PENDING] = BLANK_VALUE_BY_TYPE_KIND[
-                column_values.dtype.kind
-            ]
+            column_values[flat_column_by_name["state"] == CaseState.PENDING] = (
+                BLANK_VALUE_BY_TYPE_KIND[column_values.dtype.kind]
+            )
         is_text = column_values.dtype.kind == "S"
         column_by_name[column_name] = (
             np.char.decode(column_values, "utf-8", "replace") if is_text else column_values
@@ -702,7 +723,7 @@ def _read_intact_waves(
     stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:
         case_number = int(np.ravel_multi_index(index, stored_column_by_name["state"].shape))
-        n_rows = (
+        n_coefficients = (
             2 * int(stored_column_by_name["harmonics"].read_numbers(file_path, case_number, 1)[0])
             + 1
         )
@@ -710,22 +731,25 @@ def _read_intact_waves(
             file_path, case_number, 1
         )[0]
         for wave_name in UNIT_BY_WAVE:
-            max_rows, n_columns = (
+            n_stored_coefficients, n_gap_rows = (
                 stored_column_by_name[wave_name].shape[-2:]
                 if wave_name in stored_column_by_name
-                else (n_rows, 0)
+                else (n_coefficients, 0)
             )
-            wave_start = case_number * max_rows * n_columns
-            n_values = n_rows * n_columns
+            wave_start = case_number * n_stored_coefficients * n_gap_rows
+            n_values = n_coefficients * n_gap_rows
             wave = (
                 stored_column_by_name[wave_name].read_numbers(file_path, wave_start, n_values)
                 if n_values
                 else np.zeros(0)
             )
-            waves.append(wave.reshape(n_rows, n_columns))
+            waves.append(wave.reshape(n_coefficients, n_gap_rows))
     except (OSError, ValueError, KeyError):
         return None
-    is_finite_column = np.isfinite(waves[0][0])
-    gap, force = (np.ascontiguousarray(wave[:, is_finite_column]) for wave in waves)
-    is_intact = n_rows <= max_rows and _compute_waves_checksum(gap, force) == stored_checksum
+    is_used_gap_row = np.isfinite(waves[0][0])
+    gap, force = (np.ascontiguousarray(wave[:, is_used_gap_row]) for wave in waves)
+    is_intact = (
+        n_coefficients <= n_stored_coefficients
+        and _compute_waves_checksum(gap, force) == stored_checksum
+    )
     return (gap, force) if is_intact else None

@@ -32,7 +32,7 @@ from fenics_crack.sweep.case import (
     build_geometry,
     solve_chunk,
 )
-from fenics_crack.sweep.file import State, SweepFile
+from fenics_crack.sweep.file import CaseState, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
 
@@ -85,7 +85,7 @@ class Worker:
         gc.collect()  # structures and their rotations know each other
         collect_garbage(MPI.COMM_SELF, was_stopped=is_stopped)
 
-    def run_job(
+    def iterate_chunk_outcomes(
         self, job: Job, may_continue: Callable[[], bool]
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
         """Solve a job's chunks, and yield case numbers and outcome of each.
@@ -126,7 +126,7 @@ class Worker:
         except REFUSAL_EXCEPTIONS as error:
             self._geometry_or_error = error
         except Exception:
-            self._geometry_or_error = _make_unforeseen_error()
+            self._geometry_or_error = _make_error_with_traceback()
         self._geometry_number = geometry_number
 
     def _solve_chunk(
@@ -141,7 +141,7 @@ class Worker:
                 )
                 return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
             except Exception:
-                return chunk.case_numbers, _make_unforeseen_error()
+                return chunk.case_numbers, _make_error_with_traceback()
         is_too_large = (
             isinstance(geometry_or_error, InputError)
             and geometry_or_error.key == "reduction.method"
@@ -158,7 +158,7 @@ class Worker:
         return chunk.case_numbers, geometry_or_error
 
 
-def _make_unforeseen_error() -> RuntimeError:
+def _make_error_with_traceback() -> RuntimeError:
     """Return an error with the traceback of the present exception."""
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
@@ -168,7 +168,9 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     send_requests: list[MPI.Request] = []
 
     def may_continue() -> bool:
-        send_requests[:] = [request for request in send_requests if not request.Test()]
+        send_requests[:] = [
+            send_request for send_request in send_requests if not send_request.Test()
+        ]
         return not comm.iprobe(source=0, tag=Tag.END)
 
     message_status = MPI.Status()
@@ -176,7 +178,8 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
         job = _receive_message(comm, message_status)
         if message_status.tag == Tag.JOB:
             send_requests += [
-                comm.isend(outcome, 0) for outcome in worker.run_job(job, may_continue)
+                comm.isend(outcome, 0)
+                for outcome in worker.iterate_chunk_outcomes(job, may_continue)
             ]
             send_requests.append(comm.isend(None, 0))
     MPI.Request.waitall(send_requests)
@@ -190,14 +193,14 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
     receive_request = comm.irecv(message_buffer, message_status.source, message_status.tag)
-    test_result = list[Any]()
+    arrival_and_message = list[Any]()
 
     def has_arrived() -> bool:
-        test_result[:] = receive_request.test()
-        return bool(test_result[0])
+        arrival_and_message[:] = receive_request.test()
+        return bool(arrival_and_message[0])
 
     wait_until(has_arrived)
-    return test_result[1]
+    return arrival_and_message[1]
 
 
 class Manager:
@@ -206,28 +209,32 @@ class Manager:
     def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
         self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
-        chunks_by_geometry = {
+        chunk_case_numbers_by_geometry = {
             geometry_number: [
                 case_numbers
-                for case_numbers in chunks
-                if np.any(sweep_file.case_states.flat[case_numbers] == State.PENDING)
+                for case_numbers in chunk_case_numbers
+                if np.any(sweep_file.case_states.flat[case_numbers] == CaseState.PENDING)
             ]
-            for geometry_number, chunks in enumerate(plan.chunks_by_geometry)
+            for geometry_number, chunk_case_numbers in enumerate(
+                plan.chunk_case_numbers_by_geometry
+            )
         }
         # The longest jobs first: the last ones are what ranks wait for.
         ordered_geometry_numbers = sorted(
-            chunks_by_geometry, key=plan.pair_bounds_and_lengths.__getitem__, reverse=True
+            chunk_case_numbers_by_geometry,
+            key=plan.pair_bounds_and_crack_lengths.__getitem__,
+            reverse=True,
         )
-        self._remaining_chunks_by_geometry = {
-            geometry_number: chunks_by_geometry[geometry_number]
+        self._remaining_case_numbers_by_geometry = {
+            geometry_number: chunk_case_numbers_by_geometry[geometry_number]
             for geometry_number in ordered_geometry_numbers
-            if chunks_by_geometry[geometry_number]
+            if chunk_case_numbers_by_geometry[geometry_number]
         }
         self._geometry_by_rank: dict[int, int] = {}
         """Number of the present or next geometry, by rank."""
         self._n_jobs_sent, self._n_recorded_chunks = 0, 0
         """Jobs at the other ranks, and chunks written."""
-        self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == State.FAILED))
+        self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == CaseState.FAILED))
         from tqdm import tqdm
 
         bar_options = {"desc": "sweep", "unit": "case", "disable": not progress}
@@ -238,7 +245,7 @@ class Manager:
     @property
     def _n_finished_cases(self) -> int:
         """Number of converged and failed cases."""
-        return int(np.count_nonzero(self._sweep_file.case_states != State.PENDING))
+        return int(np.count_nonzero(self._sweep_file.case_states != CaseState.PENDING))
 
     def progress_text(self) -> str:
         """Return how many cases are finished, as a text."""
@@ -262,20 +269,20 @@ class Manager:
         def may_continue() -> bool:
             while self._n_jobs_sent and comm.iprobe():
                 if stop_request.is_requested(MPI.COMM_SELF):
-                    self._remaining_chunks_by_geometry.clear()  # no job is handed out any more
+                    self._remaining_case_numbers_by_geometry.clear()  # no further job
                 self._receive_outcome(comm)
             return self._error is None and not stop_request.is_requested(MPI.COMM_SELF)
 
         try:
             for rank in other_ranks:
                 self._send_job(comm, rank)
-            job = self._next_job(0)
+            job = self._take_next_job(0)
             for rank in other_ranks:  # a second job, to go on with
                 self._send_job(comm, rank)
             while job is not None and may_continue():
-                for case_numbers, outcome in worker.run_job(job, may_continue):
+                for case_numbers, outcome in worker.iterate_chunk_outcomes(job, may_continue):
                     self._record_outcome(case_numbers, outcome)
-                job = self._next_job(0)
+                job = self._take_next_job(0)
             while may_continue() and self._n_jobs_sent:
                 self._receive_outcome(comm)
         except BaseException as error:
@@ -283,8 +290,8 @@ class Manager:
                 error, KeyboardInterrupt
             ) and stop_request.is_requested(MPI.COMM_SELF)
             if not is_second_interrupt:  # else what is written is all
-                self._end_with_error(error)
-        self._remaining_chunks_by_geometry.clear()
+                self._keep_error_and_discard_jobs(error)
+        self._remaining_case_numbers_by_geometry.clear()
         for rank in other_ranks:
             comm.send(None, rank, tag=Tag.END)
         while self._n_jobs_sent:
@@ -296,11 +303,11 @@ class Manager:
         try:
             self._sweep_file.close(remove=is_useless_file)
         except InputError as error:
-            self._end_with_error(error)
+            self._keep_error_and_discard_jobs(error)
 
     def _send_job(self, comm: MPI.Comm, rank: int) -> None:
         """Send a job to a rank if one remains."""
-        job = self._next_job(rank)
+        job = self._take_next_job(rank)
         if job is not None:
             comm.send(job, rank, tag=Tag.JOB)
             self._n_jobs_sent += 1
@@ -308,65 +315,71 @@ class Manager:
     def _receive_outcome(self, comm: MPI.Comm) -> None:
         """Receive a rank's message: record an outcome, or answer a finished job."""
         message_status = MPI.Status()
-        numbers_and_outcome = _receive_message(comm, message_status)
-        if numbers_and_outcome is not None:
-            self._record_outcome(*numbers_and_outcome)
+        case_numbers_and_outcome = _receive_message(comm, message_status)
+        if case_numbers_and_outcome is not None:
+            self._record_outcome(*case_numbers_and_outcome)
             return
         self._n_jobs_sent -= 1
         self._send_job(comm, message_status.source)
 
-    def _next_job(self, rank: int) -> Job | None:
+    def _take_next_job(self, rank: int) -> Job | None:
         """Choose the next job for a rank; None if no chunk remains.
 
         First comes the rank's geometry, then a geometry without a rank, then the geometry with most
         chunks. A geometry is a single job with one rank, or while more geometries than ranks are
         unassigned. Otherwise jobs shrink so that ranks finish together.
         """
-        if not self._remaining_chunks_by_geometry:
+        if not self._remaining_case_numbers_by_geometry:
             return None
         unassigned_geometry_numbers = [
             geometry_number
-            for geometry_number in self._remaining_chunks_by_geometry
+            for geometry_number in self._remaining_case_numbers_by_geometry
             if geometry_number not in self._geometry_by_rank.values()
         ]
         geometry_number = self._geometry_by_rank.get(rank, -1)
-        if geometry_number not in self._remaining_chunks_by_geometry:
+        if geometry_number not in self._remaining_case_numbers_by_geometry:
             geometry_number = max(
-                unassigned_geometry_numbers[:1] or self._remaining_chunks_by_geometry,
-                key=lambda number: len(self._remaining_chunks_by_geometry[number]),
+                unassigned_geometry_numbers[:1] or self._remaining_case_numbers_by_geometry,
+                key=lambda number: len(self._remaining_case_numbers_by_geometry[number]),
             )
         self._geometry_by_rank[rank] = geometry_number
-        chunks = self._remaining_chunks_by_geometry[geometry_number]
-        is_one_job = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
-        n_job_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
-        self._remaining_chunks_by_geometry[geometry_number] = chunks[n_job_chunks:]
-        if not self._remaining_chunks_by_geometry[geometry_number]:
-            del self._remaining_chunks_by_geometry[geometry_number]
-        return Job(geometry_number, tuple(chunks[:n_job_chunks]))
+        chunk_case_numbers = self._remaining_case_numbers_by_geometry[geometry_number]
+        is_whole_geometry = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
+        n_job_chunks = (
+            len(chunk_case_numbers)
+            if is_whole_geometry
+            else -(-len(chunk_case_numbers) // (2 * self._n_ranks))
+        )
+        self._remaining_case_numbers_by_geometry[geometry_number] = chunk_case_numbers[
+            n_job_chunks:
+        ]
+        if not self._remaining_case_numbers_by_geometry[geometry_number]:
+            del self._remaining_case_numbers_by_geometry[geometry_number]
+        return Job(geometry_number, tuple(chunk_case_numbers[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
         """Write a chunk's cases; an error ends the sweep."""
         if isinstance(outcome, Exception):
-            self._end_with_error(outcome)
+            self._keep_error_and_discard_jobs(outcome)
             return
         try:
-            self._sweep_file.record(case_numbers, outcome)
+            self._sweep_file.write_pending_cases(case_numbers, outcome)
         except InputError as error:
-            self._end_with_error(error)
+            self._keep_error_and_discard_jobs(error)
             return
         self._n_recorded_chunks += 1
-        cases_without_solution = (
+        values_without_solution = (
             value_by_column for value_by_column in outcome if "gap" not in value_by_column
         )
         self._n_failed_cases += sum(
             value_by_column["status"] != FREQUENCIES_ONLY_STATUS
-            for value_by_column in cases_without_solution
+            for value_by_column in values_without_solution
         )
         if self._n_failed_cases:
             self._progress_bar.set_postfix_str(f"{self._n_failed_cases} failed", refresh=False)
         self._progress_bar.update(len(outcome))
 
-    def _end_with_error(self, error: BaseException) -> None:
+    def _keep_error_and_discard_jobs(self, error: BaseException) -> None:
         """Discard all remaining jobs and keep the first error."""
         self._error = self._error or error
-        self._remaining_chunks_by_geometry.clear()
+        self._remaining_case_numbers_by_geometry.clear()

@@ -54,13 +54,13 @@ class Plan:
     ----------
     shape : tuple of int
         Number of values on each axis.
-    sweeps_reduction : bool
+    sweeps_reduction_method : bool
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
         True if geometries are built with unit loads, since the sweep changes the force.
-    chunks_by_geometry : list of list of (n,) int
+    chunk_case_numbers_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
-    harmonics_upper_bound : int
+    n_harmonics_upper_bound : int
         Upper bound for the harmonics in all cases.
 
     Raises
@@ -72,18 +72,18 @@ class Plan:
     def __init__(self, scene: Scene) -> None:
         sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept_values_by_key
         self._scene_without_sweep = scene.replace({"sweep": None})
-        self._gap_rows_per_pair = 2 if scene.has_friction else 1
+        self._n_gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
-        self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
-        free_keys = _find_free_keys(scene, self._swept_values_by_key)
+        self.sweeps_reduction_method = "reduction.method" in self._swept_values_by_key
+        geometry_independent_keys = _find_keys_sharing_geometry(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
-        self.has_unit_loads = not free_keys.isdisjoint(
+        self.has_unit_loads = not geometry_independent_keys.isdisjoint(
             FULL_FORCE_KEYS & self._swept_values_by_key.keys()
         )
-        self.chunks_by_geometry = self._split_into_chunks(free_keys)
+        self.chunk_case_numbers_by_geometry = self._split_into_chunks(geometry_independent_keys)
         """Case numbers (n,) of each chunk, by geometry."""
         balance_table = scene.harmonic_balance
-        self.harmonics_upper_bound = max(
+        self.n_harmonics_upper_bound = max(
             self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
         )
         """Upper bound for the harmonics of all cases."""
@@ -91,92 +91,116 @@ class Plan:
             balance_table.tolerance is not None
             or "harmonic_balance.tolerance" in self._swept_values_by_key
         ):
-            self.harmonics_upper_bound = max(self.harmonics_upper_bound, MAX_HARMONIC_ORDER)
+            self.n_harmonics_upper_bound = max(self.n_harmonics_upper_bound, MAX_HARMONIC_ORDER)
         if not any(
-            isinstance(self._case_by_number(case_number), Scene)
+            isinstance(self._scene_or_reason_by_number(case_number), Scene)
             for case_number in range(math.prod(self.shape))
         ):
-            reason = self._case_by_number(0)
+            reason = self._scene_or_reason_by_number(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
-    def _split_into_chunks(self, free_keys: set[str]) -> list[list[np.ndarray]]:
+    def _split_into_chunks(self, geometry_independent_keys: set[str]) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks with at most 16 cases.
 
         Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
         axis without effect on the geometry.
         """
         swept_keys = list(self._swept_values_by_key)
-        free_axes = [axis for axis, swept_key in enumerate(swept_keys) if swept_key in free_keys]
-        frequency_axes = [axis for axis in free_axes if swept_keys[axis] in FREQUENCY_KEYS]
-        chunk_axes = (frequency_axes or free_axes)[-1:]
-        inner_axes = [axis for axis in free_axes if axis not in chunk_axes]
-        geometry_axes = [axis for axis in range(len(swept_keys)) if axis not in free_axes]
-        chunk_axis_length = self.shape[chunk_axes[0]] if chunk_axes else 1
+        independent_axis_indices = [
+            axis_index
+            for axis_index, swept_key in enumerate(swept_keys)
+            if swept_key in geometry_independent_keys
+        ]
+        frequency_axis_indices = [
+            axis_index
+            for axis_index in independent_axis_indices
+            if swept_keys[axis_index] in FREQUENCY_KEYS
+        ]
+        chunk_axis_indices = (frequency_axis_indices or independent_axis_indices)[-1:]
+        inner_axis_indices = [
+            axis_index
+            for axis_index in independent_axis_indices
+            if axis_index not in chunk_axis_indices
+        ]
+        geometry_axis_indices = [
+            axis_index
+            for axis_index in range(len(swept_keys))
+            if axis_index not in independent_axis_indices
+        ]
+        chunk_axis_length = self.shape[chunk_axis_indices[0]] if chunk_axis_indices else 1
         case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
-        case_numbers = case_numbers.transpose([*geometry_axes, *inner_axes, *chunk_axes])
+        case_numbers = case_numbers.transpose(
+            [*geometry_axis_indices, *inner_axis_indices, *chunk_axis_indices]
+        )
         case_numbers_by_geometry = case_numbers.reshape(
-            math.prod(self.shape[axis] for axis in geometry_axes), -1, chunk_axis_length
+            math.prod(self.shape[axis_index] for axis_index in geometry_axis_indices),
+            -1,
+            chunk_axis_length,
         )
         n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
         return [
             [
-                chunk
+                chunk_case_numbers
                 for case_number_row in geometry_case_numbers
-                for chunk in np.array_split(case_number_row, n_chunks)
+                for chunk_case_numbers in np.array_split(case_number_row, n_chunks)
             ]
             for geometry_case_numbers in case_numbers_by_geometry
         ]
 
     @property
-    def gap_rows_upper_bound(self) -> int:
+    def n_gap_rows_upper_bound(self) -> int:
         """Upper bound for the gap rows in all geometries; friction doubles them."""
-        return self._gap_rows_per_pair * max(n_pairs for n_pairs, _ in self.pair_bounds_and_lengths)
+        return self._n_gap_rows_per_pair * max(
+            n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
+        )
 
     @cached_property
-    def pair_bounds_and_lengths(self) -> list[tuple[int, float]]:
+    def pair_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs and length of the first crack [m], by geometry.
 
         Solids are meshed for the bound and mesh files read. Both are 0 if all cases are refused.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         bounds_and_lengths: list[tuple[int, float]] = []
-        for chunks in self.chunks_by_geometry:
-            scenes_and_reasons = map(self._case_by_number, itertools.chain(*chunks))
+        for chunk_case_numbers in self.chunk_case_numbers_by_geometry:
+            scenes_and_reasons = map(
+                self._scene_or_reason_by_number, itertools.chain(*chunk_case_numbers)
+            )
             scene = next(
                 (scene for scene in scenes_and_reasons if not isinstance(scene, str)), None
             )
             if scene is None:
                 bounds_and_lengths.append((0, 0.0))
                 continue
-            pair_selection = scene.contact and scene.contact.pairs
+            pair_kind = scene.contact and scene.contact.pairs
             cracks = tuple(replace(crack, clearance=0.0) for crack in scene.crack_by_name.values())
-            mesh_key = scene.structure, scene.mesh, pair_selection, cracks, scene.geometry
-            if mesh_key not in pair_bound_by_mesh:
-                pair_bound_by_mesh[mesh_key] = _find_pair_upper_bound(scene)
+            mesh_dependencies = scene.structure, scene.mesh, pair_kind, cracks, scene.geometry
+            if mesh_dependencies not in pair_bound_by_mesh:
+                pair_bound_by_mesh[mesh_dependencies] = _find_pair_upper_bound(scene)
             bounds_and_lengths.append(
-                (pair_bound_by_mesh[mesh_key], cracks[0].length or 0.0 if cracks else 0.0)
+                (pair_bound_by_mesh[mesh_dependencies], cracks[0].length or 0.0 if cracks else 0.0)
             )
         return bounds_and_lengths
 
-    def case_at(self, index: Sequence[int]) -> Scene | str:
+    def scene_or_reason_at(self, index: Sequence[int]) -> Scene | str:
         """Return the scene at an index, or the reason why it is refused."""
-        axes_and_positions = zip(self._swept_values_by_key.items(), index, strict=True)
+        axes_and_value_indices = zip(self._swept_values_by_key.items(), index, strict=True)
         changes = {
-            swept_key: axis_values[position]
-            for (swept_key, axis_values), position in axes_and_positions
+            swept_key: axis_values[value_index]
+            for (swept_key, axis_values), value_index in axes_and_value_indices
         }
         try:
             return self._scene_without_sweep.replace(changes)
         except InputError as error:
             return str(error)
 
-    def _case_by_number(self, case_number: int) -> Scene | str:
+    def _scene_or_reason_by_number(self, case_number: int) -> Scene | str:
         """Return the scene of a case, or the reason why it is refused."""
-        return self.case_at(np.unravel_index(case_number, self.shape))
+        return self.scene_or_reason_at(np.unravel_index(case_number, self.shape))
 
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
         """Return the chunk with the given case numbers (n,)."""
-        return Chunk(case_numbers, tuple(map(self._case_by_number, case_numbers)))
+        return Chunk(case_numbers, tuple(map(self._scene_or_reason_by_number, case_numbers)))
 
 
 def _find_pair_upper_bound(scene: Scene) -> int:
@@ -187,35 +211,35 @@ def _find_pair_upper_bound(scene: Scene) -> int:
     if scene.structure is not None:
         return table_pair_upper_bound(scene.structure)
     mesh_table = scene.mesh
-    has_mouth_pairs = scene.contact is not None and scene.contact.pairs == "mouth"
-    max_pairs_per_crack = 1 if has_mouth_pairs else mesh_table.patches or math.inf
+    has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
+    max_pairs_per_crack = 1 if has_mouth_contact_only else mesh_table.patches or math.inf
     if mesh_table.layout == "file" or scene.dimension == 3:
         try:
-            plate_mesh = build_mesh(scene, MPI.COMM_SELF)
+            mesh = build_mesh(scene, MPI.COMM_SELF)
         except InputError:
             return 0  # its cases will fail
-        if not plate_mesh.has_cracks:
+        if not mesh.has_cracks:
             return 0
-        n_cracks = len(plate_mesh.crack_paths_or_surfaces)
-        n_face_nodes = len(plate_mesh.facets("lower_lip")) * mesh_table.order + n_cracks
+        n_cracks = len(mesh.crack_paths_or_surfaces)
+        n_face_nodes = len(mesh.facets("lower_lip")) * mesh_table.order + n_cracks
     else:
         n_cracks = len(scene.crack_by_name)
         n_face_nodes = plate_pair_upper_bound(scene) if n_cracks else 0
     return int(min(max_pairs_per_crack * n_cracks, n_face_nodes)) if n_cracks else 0
 
 
-def _find_free_keys(scene: Scene, swept_keys: Collection[str]) -> set[str]:
+def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
     """Return the keys whose values can share a geometry.
 
     Forces are not among them if a geometry contains other loads, harmonics or rotation.
     """
-    free_keys = GEOMETRY_INDEPENDENT_KEYS | {
+    geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)
     }
     has_harmonics = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
-    has_fixed_load = scene.has_other_loads or scene.rotation is not None or has_harmonics
-    if has_fixed_load or any(
+    has_unscaled_load = scene.has_other_loads or scene.rotation is not None or has_harmonics
+    if has_unscaled_load or any(
         swept_key.startswith(("base.", "loads.", "rotation.")) for swept_key in swept_keys
     ):
-        free_keys -= FULL_FORCE_KEYS
-    return free_keys
+        geometry_independent_keys -= FULL_FORCE_KEYS
+    return geometry_independent_keys

@@ -60,19 +60,19 @@ from fenics_crack.basics.tables import (
 from fenics_crack.files.results import rebuild_solution
 from fenics_crack.files.store import StoredFile, read_result_file_without_numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.conclusion import describe_linearity
+from fenics_crack.runs.conclusion import list_linearity_sentences
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import scene_contact_law
-from fenics_crack.sweep.case import CaseRequest, build_possible_geometries
+from fenics_crack.sweep.case import CaseRequest, iterate_geometries_with_more_modes
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
     KIND,
     UNDECIDED_PREFIX,
-    State,
+    CaseState,
     SweepFile,
-    load_column_name,
+    column_name_at_load,
     read_columns,
     read_waves,
     scene_of_sweep,
@@ -83,7 +83,7 @@ from fenics_crack.sweep.plan import Plan
 
 SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
 """Describes scenes for which no largest response over the frequency is sought."""
-STATE_NAMES = np.array([state.name.lower() for state in State])
+CASE_STATE_NAMES = np.array([state.name.lower() for state in CaseState])
 """Names of the states, by state."""
 
 
@@ -159,22 +159,27 @@ def run_sweep(
         omitted_options += [f"vibration_{position}" for position in sorted(natural)]
         file_path = Path(path or make_folder_until_exit() / "sweep.h5")
         sweep_file = SweepFile(
-            file_path, scene, plan.harmonics_upper_bound, plan.gap_rows_upper_bound, omitted_options
+            file_path,
+            scene,
+            plan.n_harmonics_upper_bound,
+            plan.n_gap_rows_upper_bound,
+            omitted_options,
         )
         managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
         return CaseRequest(
             plan.has_unit_loads,
-            ends_at_large_structure=not plan.sweeps_reduction,
+            ends_at_large_structure=not plan.sweeps_reduction_method,
             at_resonance=sweep_table.at_resonance,
             with_verdicts=verdicts,
             with_reduction_error=judged,
-            frequencies_only_by_position=tuple(
+            has_only_frequencies_by_position=tuple(
                 position in natural for position in range(last_axis_length)
             ),
         )
 
-    request = on_root(comm, start)
-    worker, job_comm = Worker(request, managers[0].plan if managers else Plan(scene)), comm.Dup()
+    case_request = on_root(comm, start)
+    worker = Worker(case_request, managers[0].plan if managers else Plan(scene))
+    job_comm = comm.Dup()
     with StopRequest() as stop_request:
         if managers:
             with add_progress_text(managers[0].progress_text):
@@ -273,12 +278,12 @@ class SweepResult(Tabular):
     @property
     def complete(self) -> bool:
         """True if all cases were tried."""
-        return not np.any(self["state"] == State.PENDING)
+        return not np.any(self["state"] == CaseState.PENDING)
 
     @property
     def converged(self) -> np.ndarray:
         """True for cases that were solved: bool in the shape of the axes."""
-        return self["state"] == State.CONVERGED
+        return self["state"] == CaseState.CONVERGED
 
     @property
     def errors(self) -> np.ndarray:
@@ -286,7 +291,7 @@ class SweepResult(Tabular):
 
         The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`.
         """
-        return np.nan_to_num([self[f"{error_part}_error"] for error_part in ERROR_PARTS])
+        return np.nan_to_num([self[f"{error_part_name}_error"] for error_part_name in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
@@ -301,12 +306,12 @@ class SweepResult(Tabular):
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case that could not be solved."""
-        return self._find_cases_and_statuses(self["state"] == State.FAILED)
+        return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
     @property
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case with undecided stability."""
-        indices_and_statuses = self._find_cases_and_statuses(
+        indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] == "undecided")
         )
         return [
@@ -322,16 +327,16 @@ class SweepResult(Tabular):
         mass. This step finds two in three. :func:`fenics_crack.solve` finds the orbit of a single
         case.
         """
-        indices_and_statuses = self._find_cases_and_statuses(
+        indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
         )
         return [
-            (index, contradiction)
+            (index, contradiction_text)
             for index, status in indices_and_statuses
-            if (contradiction := status.partition(CONTRADICTION_PREFIX)[2])
+            if (contradiction_text := status.partition(CONTRADICTION_PREFIX)[2])
         ]
 
-    def _find_cases_and_statuses(
+    def _find_indices_and_statuses(
         self, is_selected: np.ndarray
     ) -> list[tuple[tuple[int, ...], str]]:
         """Return index and status of each selected case."""
@@ -354,7 +359,8 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         case_index = self._find_converged_index(index)
-        gap_rows, case = read_waves(self.path, case_index)[0], Plan(self.scene).case_at(case_index)
+        gap_rows = read_waves(self.path, case_index)[0]
+        case = Plan(self.scene).scene_or_reason_at(case_index)
         assert isinstance(case, Scene)
         return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
 
@@ -369,12 +375,12 @@ class SweepResult(Tabular):
         case_index = self._find_converged_index(index)
         read_result_file_without_numbers(self.path).check_files(self.scene)
         plan = Plan(self.scene)
-        case = plan.case_at(case_index)
+        case = plan.scene_or_reason_at(case_index)
         assert isinstance(case, Scene)
         crack_length = float(self["crack_length"][case_index])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
-        for geometry in build_possible_geometries(case, CaseRequest(plan.has_unit_loads)):
+        for geometry in iterate_geometries_with_more_modes(case, CaseRequest(plan.has_unit_loads)):
             try:
                 return self._restore_solution(geometry.structure_of_case(case), case, case_index)
             except InputError as error:  # the file's waves may be of other modes
@@ -404,8 +410,8 @@ class SweepResult(Tabular):
             "error_displacement": 0.0,
         }
         value_by_field |= {
-            f"error_{error_part}": float(self[f"{error_part}_error"][case_index])
-            for error_part in ERROR_PARTS
+            f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
+            for error_part_name in ERROR_PARTS
         }
         if problem.has_projected_constraint:
             value_by_field["weight"] = default_projection_weight(problem.compliance_model())
@@ -442,11 +448,11 @@ class SweepResult(Tabular):
                 label_and_unit_by_column[quantity_name] = label, unit
             elif label_by_point:
                 label_and_unit_by_column |= {
-                    f"{point}.{quantity_name}": (f"{label}, {point_label}", unit)
-                    for point, point_label in label_by_point.items()
+                    f"{point_name}.{quantity_name}": (f"{label}, {point_label}", unit)
+                    for point_name, point_label in label_by_point.items()
                 }
             else:
-                label_and_unit_by_column[load_column_name(quantity_name)] = (
+                label_and_unit_by_column[column_name_at_load(quantity_name)] = (
                     f"{label} at the load's point",
                     unit,
                 )
@@ -463,7 +469,7 @@ class SweepResult(Tabular):
             axis.key: list(axis_column)
             for axis, axis_column in zip(self.axes, axis_columns, strict=True)
         }
-        values_by_column["state"] = STATE_NAMES[self["state"]].ravel().tolist()
+        values_by_column["state"] = CASE_STATE_NAMES[self["state"]].ravel().tolist()
         column_names = (column_name for column_name in self.columns if column_name != "state")
         return values_by_column | {
             column_name: self[column_name].ravel().tolist() for column_name in column_names
@@ -509,27 +515,30 @@ class SweepResult(Tabular):
 
     def build_conclusion(self) -> Conclusion:
         """Return what the last printed sentence says about the sweep."""
-        is_converged, clauses = self.converged, []
+        is_converged, clause_texts = self.converged, []
         total_errors = self.errors.sum(axis=0)[is_converged]
         cases_text = format_count(is_converged.size, "case")
         if np.any(
-            np.isfinite(converged_responses := np.where(is_converged, self["response"], np.nan))
+            np.isfinite(
+                responses_nan_unless_converged := np.where(is_converged, self["response"], np.nan)
+            )
         ):
             peak_index = np.unravel_index(
-                int(np.nanargmax(converged_responses)), converged_responses.shape
+                int(np.nanargmax(responses_nan_unless_converged)),
+                responses_nan_unless_converged.shape,
             )
-            response_text = format_quantity(float(converged_responses[peak_index]), "m")
-            clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
-            clauses[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
-        max_error = total_errors.max(initial=0.0)
+            response_text = format_quantity(float(responses_nan_unless_converged[peak_index]), "m")
+            clause_texts.append(f"the largest response is {response_text} half peak-to-peak at ")
+            clause_texts[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
+        largest_error = total_errors.max(initial=0.0)
         n_unknown_errors = int(np.sum(total_errors >= ERROR_IF_UNKNOWN))
         if not self.scene.harmonic_balance.error:
-            clauses.append(
+            clause_texts.append(
                 "errors and stability are not estimated (harmonic_balance.error = false)"
             )
-        elif max_error > 0.0 and not n_unknown_errors:
-            error_text = format_error(max_error)
-            clauses.append(f"largest estimated error by modes and harmonics {error_text}")
+        elif largest_error > 0.0 and not n_unknown_errors:
+            error_text = format_error(largest_error)
+            clause_texts.append(f"largest estimated error by modes and harmonics {error_text}")
         verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
         verdict_texts = [
             f"{verdict_count} {verdict}"
@@ -540,17 +549,20 @@ class SweepResult(Tabular):
             "sweep complete"
             if is_converged.all()
             else f"{is_converged.sum()} of {cases_text} converged",
-            ", ".join(clauses),
+            ", ".join(clause_texts),
             f"it could not be estimated in {format_count(n_unknown_errors, 'case')}"
             if n_unknown_errors
             else "",
-            [*describe_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
+            [
+                *list_linearity_sentences(self["closed_share"][is_converged]),
+                ", ".join(verdict_texts),
+            ],
         )
 
     def _title(self) -> str:
         """Return the numbers of values on the axes and of cases in each state."""
-        states_and_counts = zip(
-            STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
+        state_names_and_case_counts = zip(
+            CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
         )
         axes_text = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join(
@@ -558,14 +570,14 @@ class SweepResult(Tabular):
                 axes_text,
                 *(
                     f"{n_cases} {state_name}"
-                    for state_name, n_cases in states_and_counts
+                    for state_name, n_cases in state_names_and_case_counts
                     if n_cases
                 ),
             ]
         )
 
 
-def is_partial_sweep(sweep_header: StoredFile) -> bool:
+def has_omitted_options(sweep_header: StoredFile) -> bool:
     """Return True for a sweep with omitted options, made by another computation."""
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
@@ -573,21 +585,29 @@ def is_partial_sweep(sweep_header: StoredFile) -> bool:
 # --- cases in words -------------------------------------------------------------------------------
 
 
-def describe_by_reason(
-    sweep: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], outcome_text: str
+def iterate_texts_by_reason(
+    sweep_result: SweepResult,
+    indices_and_reasons: Sequence[tuple[tuple[int, ...], str]],
+    outcome_text: str,
 ) -> Iterator[str]:
-    """Describe cases with reasons, grouped; reasons that differ only in numbers are equal."""
-    cases_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in reasons:
-        cases_by_pattern.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append(
-            (index, reason)
+    """Yield a text for each case group with a common reason.
+
+    Differences in numbers do not count. Small groups share the last text.
+    """
+    indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
+    for index, reason in indices_and_reasons:
+        indices_and_reasons_by_pattern.setdefault(
+            re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []
+        ).append((index, reason))
+    groups = sorted(indices_and_reasons_by_pattern.values(), key=len, reverse=True)
+    n_described_groups = 4
+    for group_indices_and_reasons in groups[:n_described_groups]:
+        index, reason = group_indices_and_reasons[0]
+        count_text = (
+            f"{format_count(len(group_indices_and_reasons), 'case')} {outcome_text}, the first at"
         )
-    case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
-    for group_cases in case_groups[:n_shown]:
-        index, reason = group_cases[0]
-        count_text = f"{format_count(len(group_cases), 'case')} {outcome_text}, the first at"
-        yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
-    if further_groups := case_groups[n_shown:]:
+        yield f"{count_text} {describe_swept_values(sweep_result.axes, index)}: {reason}"
+    if further_groups := groups[n_described_groups:]:
         n_further_cases = sum(map(len, further_groups))
         yield (
             f"{format_count(n_further_cases, 'case')} {outcome_text} for other reasons: "
@@ -598,6 +618,6 @@ def describe_by_reason(
 def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
     """Return the swept values of a case as a text."""
     return ", ".join(
-        f"{axis.key.rpartition('.')[2]} = {axis.values[position]}"
-        for axis, position in zip(axes, index, strict=True)
+        f"{axis.key.rpartition('.')[2]} = {axis.values[value_index]}"
+        for axis, value_index in zip(axes, index, strict=True)
     )

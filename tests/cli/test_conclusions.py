@@ -172,7 +172,7 @@ def test_one_sentence_holds_the_answer(
     assert rows["conclusion"]["value"] == last_line
     run = fc.load_run(tmp_path / "solution.h5")
     size, opening = (fc_quantity(rows[name]["value"]) for name in ("amplitude", "opening"))
-    assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in last_line
+    assert f"at 2000 rad/s the {run.watched_description} is {size} half peak-to-peak" in last_line
     error = format_error(run.stated.stated("opening")[0])
     expected_end = f"; the crack opens by {opening}, estimated error {error}, and is closed for "
     assert expected_end in last_line

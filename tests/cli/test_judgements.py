@@ -34,7 +34,7 @@ from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import describe_differences, key_in_words, value_in_words
 from fenics_crack.sweep import result
-from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, State
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, CaseState
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -143,14 +143,14 @@ def swept(scene: fc.Scene, path: Path) -> SweepResult:
     columns: dict[str, np.ndarray] = {
         name: generator.random((31, 6)) for name in UNIT_AND_TYPE_BY_COLUMN
     }
-    columns["state"] = np.full((31, 6), State.CONVERGED)
+    columns["state"] = np.full((31, 6), CaseState.CONVERGED)
     columns["verdict"] = generator.choice(["stable", "unstable", "undecided"], (31, 6))
     columns["status"] = np.full((31, 6), "full Newton steps", dtype=object)
     for place in ((0, 1), (3, 3), (8, 2)):
-        columns["state"][place] = State.FAILED
+        columns["state"][place] = CaseState.FAILED
         columns["response"][place] = np.nan
         columns["status"][place] = f"no convergence, |F| = {generator.random()}"
-    columns["state"][5, 5], columns["status"][5, 5] = State.FAILED, "singular"
+    columns["state"][5, 5], columns["status"][5, 5] = CaseState.FAILED, "singular"
     columns["response"][5, 5] = np.nan
     return SweepResult(path, scene, columns)
 

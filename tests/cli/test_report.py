@@ -253,13 +253,15 @@ def test_every_kind_is_known_by_one_table() -> None:
         ):
             assert callable(load_function(name)), name
         reader = kind.reader_function_path.partition(":")[2].partition(".")[0]
-        if reader != "read_run":
+        if reader != "make_run_on_this_rank":
             assert (
                 load_function(f"{kind.reader_function_path.partition(':')[0]}:{reader}").KIND == key
             )
     runs = (fc.Modes, fc.PeriodicSolution, fc.ResponseCurve, fc.TimeHistory)
     assert {run.KIND for run in runs} == {
-        k for k, v in RESULT_KINDS.items() if v.reader_function_path.endswith("read_run")
+        k
+        for k, v in RESULT_KINDS.items()
+        if v.reader_function_path.endswith("make_run_on_this_rank")
     }
 
 

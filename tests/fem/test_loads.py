@@ -45,7 +45,10 @@ def test_resonance_of_a_shaken_cantilever() -> None:
         1.8751**2 / HEIGHT**2 * math.sqrt(2.1e11 / DENSITY) * WIDTH / math.sqrt(12.0), rel=5e-3
     )
     run = fc.solve(scene.replace({"excitation.omega": omega, "reduction": "off"}), MPI.COMM_SELF)
-    assert run.watched_name.startswith("x displacement at ") and ", 0.4)" in run.watched_name
+    assert (
+        run.watched_description.startswith("x displacement at ")
+        and ", 0.4)" in run.watched_description
+    )
     exact_amplitude = 2.0 * 0.782992 * 3.0 / (2.0 * 0.01 * omega**2)
     assert run.result.amplitude(run.watched_dof) == pytest.approx(exact_amplitude, rel=5e-3)
 
@@ -283,7 +286,7 @@ def loads_on(text: str, comm: MPI.Comm) -> tuple[list[float], str]:
     run = fc.modes(Scene.from_text(text), 1, comm)
     force = run.structure.force
     sums = [comm.allreduce((force**2).sum(axis=1)), comm.allreduce(force.sum(axis=1))]
-    return np.concatenate(sums).tolist(), run.watched_name
+    return np.concatenate(sums).tolist(), run.watched_description
 
 
 @pytest.mark.mpi

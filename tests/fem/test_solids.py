@@ -361,12 +361,16 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as patch:
         patch.setattr("fenics_crack.sweep.plan.build_mesh", None)
         plan = Plan(sweep_scene)
-        is_scene = [isinstance(plan.case_at((place,)), Scene) for place in range(3)]
+        is_scene = [isinstance(plan.scene_or_reason_at((place,)), Scene) for place in range(3)]
         assert is_scene == [True, True, False]
         with pytest.raises(InputError, match="a combination can be used"):
             Plan(sweep_scene.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
-    assert plan.gap_rows_upper_bound == max(bound for bound, _ in plan.pair_bounds_and_lengths) > 0
-    assert plan.pair_bounds_and_lengths[2] == (0, 0.0)
+    assert (
+        plan.n_gap_rows_upper_bound
+        == max(bound for bound, _ in plan.pair_bounds_and_crack_lengths)
+        > 0
+    )
+    assert plan.pair_bounds_and_crack_lengths[2] == (0, 0.0)
 
 
 @pytest.mark.nightly

@@ -68,7 +68,7 @@ def test_turning_is_stated() -> None:
     )
     contact = run.result.contact
     assert isinstance(contact, fc.CoulombFriction) and contact.turning
-    name, dof = run.watched[0].column("amplitude"), run.watched_dof
+    name, dof = run.watched[0].column_name("amplitude"), run.watched_dof
     with_it, frictionless_amplitude = (
         solved_run.result.amplitude(dof) for solved_run in (run, frictionless_run)
     )

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.fem.fronts import Front, _rows_by_station, front_functionals
-from fenics_crack.study.observer import make_tips_and_rows
+from fenics_crack.study.observer import make_tips_and_intensity_rows
 from fenics_crack.study.prepare import prepare
 
 YOUNG, POISSON, STRESS = 2.1e11, 0.3, 1e6
@@ -46,7 +46,7 @@ def test_patches(elements: int, limit: float) -> None:
     whose crack is pressed open by what they are: no K at any station."""
     study = whole(elements)
     structure = study.structure
-    stations, rows, of_forces = make_tips_and_rows(study)
+    stations, rows, of_forces = make_tips_and_intensity_rows(study)
     radius = DEEP / elements  # about the domain's
     offsets = structure.nodes.points - np.array([0.015, 0.03, 0.006])
     restrict_to_free = structure.nodes.mesh_dofs.restrict_to_free

@@ -27,14 +27,14 @@ from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.study import prepare
-from fenics_crack.study.meshes import refine_scene
+from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.study.observer import compute_tip_histories
 from fenics_crack.study.plausibility import (
     KeyFigures,
     _round_to_three_digits,
     find_key_figures,
     highest_harmonic_omega,
-    load_frequency_range,
+    lowest_and_highest_load_omega,
     remarks_on_scene,
     scales_with_load,
 )
@@ -76,7 +76,9 @@ def test_of_what_nothing_holds() -> None:
     compliance = (elastic_shapes / squares[2:]) @ elastic_shapes.T
     assert list(figures.omega_open[:2]) == [0.0, 0.0]
     assert figures.face_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
-    assert figures.static_gap_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
+    assert figures.largest_static_gap_motion == pytest.approx(
+        abs(gap @ compliance @ force), rel=1e-9
+    )
     omega = np.sqrt(np.abs(squares))
     omega[:2] = 0.0
     modal_response = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
@@ -102,7 +104,7 @@ def test_all_harmonics_of_a_load_count() -> None:
     assert figures.peak_gap_motion == pytest.approx(
         moved(1.1, first_force) + moved(3.3, third), rel=1e-9
     )
-    assert figures.static_gap_motion == pytest.approx(
+    assert figures.largest_static_gap_motion == pytest.approx(
         moved(0.0, first_force) + moved(0.0, third), rel=1e-9
     )
 
@@ -145,13 +147,17 @@ def test_against_dense_algebra() -> None:
     gap = structure.gap.toarray()
     compliance = gap.T @ np.linalg.solve(stiffness, gap)
     np.testing.assert_allclose(figures.face_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
-    np.testing.assert_allclose(figures.stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9)
+    np.testing.assert_allclose(
+        figures.contact_stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9
+    )
     mean, cosine, sine = (gap.T @ np.linalg.solve(stiffness, f) for f in structure.force)
-    assert figures.mean_opening == pytest.approx(max(0.0, -mean.min()), rel=1e-9)
-    assert figures.static_gap_motion == pytest.approx(np.hypot(cosine, sine).max(), rel=1e-9)
+    assert figures.opening_under_mean_load == pytest.approx(max(0.0, -mean.min()), rel=1e-9)
+    assert figures.largest_static_gap_motion == pytest.approx(
+        np.hypot(cosine, sine).max(), rel=1e-9
+    )
     omega = np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_open, omega[:4], rtol=1e-8)
-    assert figures.n_modes_below == np.sum(omega < 5 * 2000.0)
+    assert figures.n_modes_below_highest_harmonic == np.sum(omega < 5 * 2000.0)
     tied_omega = np.sqrt(scipy.linalg.eigh(stiffness + 1e16 * gap @ gap.T, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_tied, tied_omega[:4], rtol=1e-3)
     ratio = scene.damping.ratio
@@ -198,7 +204,9 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
         words = []
         for sign in (1.0, -1.0):
             scene = PAPER.replace({"excitation.force_mean": (sign * force[0], 0.0)})
-            words += [str(remark) for remark in remarks_on_scene(scene, figures=figures_of(scene))]
+            words += [
+                str(remark) for remark in remarks_on_scene(scene, key_figures=figures_of(scene))
+            ]
         assert len(words) == len(texts)
         assert all(any(text in word for word in words) for text in texts)
 
@@ -233,7 +241,7 @@ def test_uncracked_plate() -> None:
     figures = figures_of(scene)
     assert figures.n_face_elements is None and not figures.face_stiffness.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
-    assert not remarks_on_scene(scene, figures=figures)
+    assert not remarks_on_scene(scene, key_figures=figures)
 
 
 def test_breathing_frequency() -> None:
@@ -259,10 +267,10 @@ def test_breathing_frequency_is_of_one_shape() -> None:
 def test_frequencies_asked_for() -> None:
     """Of each command, from its own table or the excitation."""
     scene = PAPER.replace({"curve.start": 3000.0, "curve.stop": 1000.0})
-    assert load_frequency_range(scene, "curve") == (1000.0, 3000.0)
+    assert lowest_and_highest_load_omega(scene, "curve") == (1000.0, 3000.0)
     assert (
-        load_frequency_range(scene, "solve")
-        == load_frequency_range(scene, "sweep")
+        lowest_and_highest_load_omega(scene, "solve")
+        == lowest_and_highest_load_omega(scene, "sweep")
         == (2000.0, 2000.0)
     )
     assert highest_harmonic_omega(scene, "curve") == 5 * 3000.0
@@ -289,7 +297,7 @@ def test_a_rotor_that_keeps_its_crack_open() -> None:
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
     open_by_speed = replace(figures, breathes=False, n_closed_pairs=0)
     turning_scene = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
-    [remark] = remarks_on_scene(turning_scene, figures=open_by_speed)
+    [remark] = remarks_on_scene(turning_scene, key_figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
 
 
@@ -301,7 +309,7 @@ def test_elements_along_each_lip() -> None:
     inner_crack = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     for changed_scene in (scene, scene.replace(inner_crack)):
         assert figures_of(changed_scene).n_face_elements == 4
-        remarks = remarks_on_scene(changed_scene, figures=figures_of(changed_scene))
+        remarks = remarks_on_scene(changed_scene, key_figures=figures_of(changed_scene))
         assert not any("elements" in str(remark) for remark in remarks)
 
 
@@ -359,14 +367,14 @@ def test_memory_that_is_freed_does_not_count(
 ) -> None:
     """It is given back where there would not be enough otherwise."""
     prepare.release_freed_memory()
-    needed_memory = prepare.estimate_checked_memory(paper_scene, wide_plate)
+    needed_memory = prepare.estimate_and_check_memory(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (needed_memory + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
-        prepare.estimate_checked_memory(paper_scene, wide_plate)
+        prepare.estimate_and_check_memory(paper_scene, wide_plate)
     pieces[:-1] = []  # the last one holds the others' memory for the process
-    assert prepare.estimate_checked_memory(paper_scene, wide_plate) < needed_memory + 1e7
+    assert prepare.estimate_and_check_memory(paper_scene, wide_plate) < needed_memory + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:
@@ -457,7 +465,7 @@ def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
 def test_meshes_of_a_solid_are_similar() -> None:
     """Elements at the front, and what each next one is longer by, have the same ratio in all."""
     solid = fc.Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml")
-    finer_scenes = [refine_scene(solid, factor) for factor in (1.5, 2.0)]
+    finer_scenes = [refine_scene_or_none(solid, factor) for factor in (1.5, 2.0)]
     meshes = [solid.mesh, *(scene.mesh for scene in finer_scenes if scene is not None)]
     fronts, rises = [], []
     for mesh in meshes:

@@ -71,7 +71,7 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
     assert relative(histories[1].gap, histories[0].gap) < 1e-9
     runs = [fc.solve(source_scene, comm) for source_scene in (plate, scene)]
     assert runs[0].watched_dof == runs[1].watched_dof
-    assert runs[1].watched_name == f"displacement of dof {runs[1].watched_dof}"
+    assert runs[1].watched_description == f"displacement of dof {runs[1].watched_dof}"
 
 
 def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from rotating import cracked
 from surroundings import RunCommand
 
 import fenics_crack as fc
-from fenics_crack.study.plausibility import find_key_figures, propose_curve
+from fenics_crack.study.plausibility import find_key_figures, propose_curve_or_none
 from fenics_crack.study.resonance import (
     SEVERAL_MODES_TEXT,
     LoadResonance,
@@ -115,7 +115,7 @@ def test_proposed_curve_meets_its_peak() -> None:
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
     resonance = find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
-    curve = propose_curve(study.scene, replace(figures, load_resonance=resonance))
+    curve = propose_curve_or_none(study.scene, replace(figures, load_resonance=resonance))
     start, stop = curve.parameter_and_range[1:]
     assert (
         start
@@ -125,4 +125,4 @@ def test_proposed_curve_meets_its_peak() -> None:
     )
     keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}
     curve_scene = study.scene.replace(keys)
-    assert propose_curve(curve_scene, replace(figures, load_resonance=resonance)) is None
+    assert propose_curve_or_none(curve_scene, replace(figures, load_resonance=resonance)) is None

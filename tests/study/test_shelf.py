@@ -23,8 +23,8 @@ from test_artefact import FORGERIES, PLATE, put_number, shortened
 import fenics_crack as fc
 from fenics_crack.files.store import read_result_file
 from fenics_crack.scene.scene import known_keys
-from fenics_crack.study.sharing import LAST_STRUCTURES, STRUCTURE_FILES, structure_dependencies
-from fenics_crack.study.shelf import StructureFile, dependencies_key
+from fenics_crack.study.sharing import LAST_STRUCTURES, STRUCTURE_FILES, dependencies_of_structure
+from fenics_crack.study.shelf import StructureFile, digest_of_dependencies
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -176,7 +176,7 @@ def test_digest_has_what_a_structure_follows_from() -> None:
             )
             vars(other_scene)[table] = (value,) if number else value
             earlier_key, later_key = (
-                dependencies_key(structure_dependencies(keyed_scene, MPI.COMM_SELF))
+                digest_of_dependencies(dependencies_of_structure(keyed_scene, MPI.COMM_SELF))
                 for keyed_scene in (scene, other_scene)
             )
             assert (earlier_key == later_key) == bool(FREE.match(key)), key

@@ -403,7 +403,7 @@ def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path
     ]
     scene, path = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}), tmp_path / "new.h5"
     file = SweepFile(path, scene, 5, 1)
-    file.record(np.arange(2), cases)
+    file.write_pending_cases(np.arange(2), cases)
     file.close()
     stored_sweep = SweepResult.load(path)
     assert stored_sweep.undecided == [((0,), reason)] and stored_sweep.contradicted == [
@@ -429,7 +429,7 @@ def test_a_file_from_before_an_observable(
     monkeypatch.setattr(sweep_file, "unit_and_type_by_column", before)
     file = SweepFile(path, scene, 5, 1)
     waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
-    file.record(np.arange(1), [number | waves])
+    file.write_pending_cases(np.arange(1), [number | waves])
     file.close()
     monkeypatch.undo()
     stored_sweep = SweepResult.load(path)
@@ -478,7 +478,7 @@ def test_removed_while_it_runs(
     paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replaced: bool
 ) -> None:
     """Told at the next write; what has taken its place is left alone."""
-    path, write = tmp_path / "sweep.h5", SweepFile.write
+    path, write = tmp_path / "sweep.h5", SweepFile.write_cases
     writes = []
 
     def removing(self: SweepFile, *given: Any) -> None:
@@ -488,7 +488,7 @@ def test_removed_while_it_runs(
         if replaced:
             path.write_text("another")
 
-    monkeypatch.setattr(SweepFile, "write", removing)
+    monkeypatch.setattr(SweepFile, "write_cases", removing)
     with pytest.raises(WriteError, match=r"sweep\.h5.*removed or replaced"):
         run_sweep(swept(paper_scene, FAST), path)
     assert len(writes) == 1
@@ -541,9 +541,9 @@ def test_a_complete_sweep_is_not_computed_again(
         lambda *given, **how: chunks.append(1) or solve_chunk(*given, **how),
     )
     written = []
-    write = sweep.SweepFile.write
+    write = sweep.SweepFile.write_cases
     monkeypatch.setattr(
-        sweep.SweepFile, "write", lambda *given: written.append(given[1]) or write(*given)
+        sweep.SweepFile, "write_cases", lambda *given: written.append(given[1]) or write(*given)
     )
     assert_same(run_sweep(scene, path), first)
     assert len(chunks) == 1 and [places.tolist() for places in written] == [[3]]
@@ -691,7 +691,7 @@ def test_stops_at_ctrl_c(
         record(*given)
 
     with monkeypatch.context() as patch:
-        wrap(patch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
+        wrap(patch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", interrupted)
         stopped_sweep = run_sweep(scene, path)
     assert not stopped_sweep.complete and 0 < np.count_nonzero(stopped_sweep["state"]) < 4
     assert_same(run_sweep(scene, tmp_path / "whole.h5"), run_sweep(scene, path))

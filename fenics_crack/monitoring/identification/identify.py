@@ -48,8 +48,8 @@ from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, Sweep
-from fenics_crack.study.meshes import refine_scene
-from fenics_crack.sweep.result import SweepResult, describe_by_reason, run_sweep
+from fenics_crack.study.meshes import refine_scene_or_none
+from fenics_crack.sweep.result import SweepResult, iterate_texts_by_reason, run_sweep
 
 IRRELEVANT_SCENE_TABLES = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Scene tables without effect on a sweep of the forward model."""
@@ -266,7 +266,7 @@ def _select_predictable_rows(
         ]
         doubt_texts += [
             f"{sweep_path.name}: {failure_text}"
-            for failure_text in describe_by_reason(sweep_result, failures, "failed")
+            for failure_text in iterate_texts_by_reason(sweep_result, failures, "failed")
         ]
     used_rows = list(itertools.compress(measurement_rows, is_predictable))
     if all(measurement.quantity == "frequency_uncracked" for measurement in used_rows):
@@ -778,7 +778,7 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
             "harmonic_balance.harmonics": n_harmonics,
             "harmonic_balance.samples": None,
         }
-    other_scene = None if mesh_ratio == 1.0 else refine_scene(scene, mesh_ratio)
+    other_scene = None if mesh_ratio == 1.0 else refine_scene_or_none(scene, mesh_ratio)
     if other_scene is None and not finer_changes:
         return scene, None
     return (

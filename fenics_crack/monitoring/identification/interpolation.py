@@ -53,7 +53,7 @@ from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, MODE_NUMBERS, State
+from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, KEPT_MODE_NUMBERS, CaseState
 from fenics_crack.sweep.result import SweepResult
 
 
@@ -435,13 +435,15 @@ class SolvedCases:
             is_missing, 0.0, (cosine_amplitudes - 1j * sine_amplitudes)[:, load_index]
         )
         return np.where(
-            self.get_column("state")[:, load_index] == State.CONVERGED, complex_amplitudes, np.nan
+            self.get_column("state")[:, load_index] == CaseState.CONVERGED,
+            complex_amplitudes,
+            np.nan,
         )
 
     def count_harmonics(self, load_frequency: float) -> int:
         """Return the minimum number of harmonics of solved cases at a load; 1 without any."""
         load_index = self.find_load_index(load_frequency)
-        is_solved = self.get_column("state")[:, load_index] == State.CONVERGED
+        is_solved = self.get_column("state")[:, load_index] == CaseState.CONVERGED
         return (
             int(self.get_column("harmonics")[is_solved, load_index].min()) if is_solved.any() else 1
         )
@@ -472,7 +474,8 @@ class SolvedCases:
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
-                [self.get_natural_frequency(crack_state, mode) for mode in MODE_NUMBERS], axis=2
+                [self.get_natural_frequency(crack_state, mode) for mode in KEPT_MODE_NUMBERS],
+                axis=2,
             )
             for crack_state in ("tied", "open", "bilinear", "uncracked")
         )
@@ -591,7 +594,7 @@ def compute_ratios_and_poles(
     scale_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = scale_and_frequencies[..., MODE_NUMBERS]
+    mode_frequencies = scale_and_frequencies[..., KEPT_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )

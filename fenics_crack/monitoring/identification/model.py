@@ -40,7 +40,7 @@ from fenics_crack.monitoring.identification.nuisance import (
 )
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import scales_with_load
-from fenics_crack.sweep.file import MODE_NUMBERS
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 
 # --- displacements at probes ----------------------------------------------------------------------
 
@@ -409,7 +409,7 @@ class MeasurementPredictor:
         self._node_data_interpolation = Interpolation(
             model.unknown_grid, node_data.reshape(len(node_data), -1)
         )
-        self._highest_frequency = float(np.nanmax(node_data[..., MODE_NUMBERS], initial=0.0))
+        self._highest_frequency = float(np.nanmax(node_data[..., KEPT_MODE_NUMBERS], initial=0.0))
         self._load_indices = [
             model.coarse_cases.find_load_index(feature.load_frequency) for feature in self._features
         ]
@@ -844,7 +844,7 @@ class MeasurementPredictor:
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
-            np.nan_to_num(scale_and_frequencies[..., MODE_NUMBERS], nan=np.inf) ** -4.0
+            np.nan_to_num(scale_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf) ** -4.0
         )
         relative_squares = np.sum(
             squared_compliances

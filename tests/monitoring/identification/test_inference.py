@@ -770,7 +770,7 @@ def test_stops_at_ctrl_c(
             signal.raise_signal(signal.SIGINT)
         record(*arguments)
 
-    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
+    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", interrupted)
     messages = run_command(*little, code=3).err
     assert "fenics-crack: identification was stopped; the same command goes on" in messages
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
@@ -811,7 +811,7 @@ def test_cases_that_failed(
             case["status"] = "no luck"
         record(file, numbers, cases)
 
-    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", failing)
+    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", failing)
     scene = fc.Scene.load(tmp_path / "plate.toml").replace(
         {"identify.unknown": {"crack.length": [0.01, 0.015, 0.02, 0.025, 0.03]}}
     )
