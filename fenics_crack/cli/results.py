@@ -41,7 +41,7 @@ from fenics_crack.curves.curve import (
 )
 from fenics_crack.curves.peak import LargestResponse
 from fenics_crack.curves.stability import attractors
-from fenics_crack.errors.numbers import largest_left_out, natural_name
+from fenics_crack.errors.numbers import find_largest_omitted_harmonic, natural_frequency_name
 from fenics_crack.model.modes import (
     FREQUENCY_KIND_NAMES,
     BilinearFrequencies,
@@ -74,7 +74,7 @@ def report_of_modes(run: Run[Modes]) -> Report:
     """Report natural frequencies with the crack open."""
     table = run.result.table()
     frequency_names = [
-        natural_name(run.scene, "open", mode_number)
+        natural_frequency_name(run.scene, "open", mode_number)
         for mode_number in range(1, len(table.rows) + 1)
     ]
     if run.stated is not None:
@@ -98,7 +98,7 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
         Further fields of the :class:`Report`.
     """
     friction_notes, friction_warnings = account.describe_friction_lines(run)
-    incomplete_notes = () if run.stated is None else run.stated.incomplete
+    incomplete_notes = () if run.stated is None else run.stated.incomplete_error_notes
     report_fields["notes"] = [
         *report_fields.get("notes", ()),
         *friction_notes,
@@ -173,7 +173,8 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         )
     if (
         solution.converged
-        and (omitted_harmonic := largest_left_out(solution, run.watched_dof)) is not None
+        and (omitted_harmonic := find_largest_omitted_harmonic(solution, run.watched_dof))
+        is not None
     ):
         ratio_text = (
             f"{omitted_harmonic[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
@@ -200,7 +201,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         warning_texts += account.describe_instability(scene, run, stability, motion_text)
         warning_texts += account.describe_large_motion(run, account.find_largest_displacements(run))
         warning_texts += account.describe_ambiguous_contact(solution)
-        warning_texts += run.stated.dents if run.stated is not None else ()
+        warning_texts += run.stated.point_force_warnings if run.stated is not None else ()
     return _make_report(
         run,
         table,
@@ -433,13 +434,15 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
     frequency_kind = quantity_name.rpartition("_")[2]
     if frequency_kind in FREQUENCY_KIND_NAMES:
         mode_number = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
-        quantity_name = natural_name(run.scene, frequency_kind, int(mode_number))
+        quantity_name = natural_frequency_name(run.scene, frequency_kind, int(mode_number))
     relative_error, cause_text = run.stated.stated(quantity_name)
     error_percent = (
         100.0 * max(relative_error, MIN_REPORTED_ERROR) if relative_error < np.inf else np.nan
     )
     missing_causes = (
-        run.stated.missing_causes(quantity_name) if quantity_name in run.stated.values else {}
+        run.stated.find_missing_cause_reasons(quantity_name)
+        if quantity_name in run.stated.values
+        else {}
     )
     if missing_causes:
         cause_text += f"; not included: {', '.join(missing_causes)}"
@@ -675,7 +678,7 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
             f"the stability is undecided at {format_count(n_further_points, 'other point')}, "
             f"{reason_hint}"
         )
-    yield from run.stated.dents if run.stated is not None else ()
+    yield from run.stated.point_force_warnings if run.stated is not None else ()
     if not curve.complete:
         yield f"the curve ended early: {curve.status}"
 

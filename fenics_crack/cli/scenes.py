@@ -22,7 +22,7 @@ from fenics_crack.basics.tables import (
     format_range,
 )
 from fenics_crack.cli.given import CommandInputs, Console
-from fenics_crack.errors.stated import errors_of_natural
+from fenics_crack.errors.stated import estimate_frequency_mesh_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_count_and_max_omega
@@ -73,7 +73,7 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     with console.report_stage("errors due to the mesh"):
         bonded_frequencies = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
         frequencies_by_kind = {"open": key_figures.omega_open} | bonded_frequencies
-        mesh_errors = errors_of_natural(
+        mesh_errors = estimate_frequency_mesh_errors(
             study, frequencies_by_kind, load_resonance, key_figures.speed_slopes
         )
         vibration_mesh_error = (
@@ -225,16 +225,12 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         label += ", without friction"
     values_by_label: dict[str, object] = {}
     if math.isfinite(load_resonance.value) and (engine_order is None or scene.disk is not None):
-        values_by_label[f"{label} [Hz]"], values_by_label[f"{label} [rad/s]"] = (
-            load_resonance.value / RAD_PER_TURN,
-            load_resonance.value,
-        )
+        values_by_label[f"{label} [Hz]"] = load_resonance.value / RAD_PER_TURN
+        values_by_label[f"{label} [rad/s]"] = load_resonance.value
     elif math.isfinite(load_resonance.value):
         label = f"order {engine_order} meets the {label}, rotor speed"
-        values_by_label[f"{label} [rad/s]"], values_by_label[f"{label} [rpm]"] = (
-            load_resonance.value,
-            load_resonance.value / RAD_PER_S_PER_RPM,
-        )
+        values_by_label[f"{label} [rad/s]"] = load_resonance.value
+        values_by_label[f"{label} [rpm]"] = load_resonance.value / RAD_PER_S_PER_RPM
     is_not_proportional = (
         key_figures.n_closed_pairs or key_figures.mean_opening or not scales_with_load(scene)
     )

@@ -24,8 +24,8 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import RISING_AT_END_TEXT
-from fenics_crack.errors.numbers import natural_name
-from fenics_crack.errors.stated import not_estimated
+from fenics_crack.errors.numbers import natural_frequency_name
+from fenics_crack.errors.stated import describe_unknown_error_part
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
@@ -101,7 +101,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
         return ""
     cause_text = f", mostly due to the {main_cause}" if relative_error > 1e-4 else ""
     error_text = f"{format_error(relative_error)}{cause_text}"
-    return ", ".join(filter(None, (error_text, run.stated.left_out)))
+    return ", ".join(filter(None, (error_text, run.stated.omitted_causes_with_reasons)))
 
 
 def explain_unknown_error(run: StudyWithResult) -> str:
@@ -111,13 +111,17 @@ def explain_unknown_error(run: StudyWithResult) -> str:
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
-    return run.stated.doubt(run.watched[0].column("amplitude"))
+    return run.stated.describe_doubt(run.watched[0].column("amplitude"))
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
     """Return why a solution's error is unknown, by its report or stated errors."""
     error_report = run.result.report
-    return not_estimated(error_report) if error_report.unknown else explain_unknown_error(run)
+    return (
+        describe_unknown_error_part(error_report)
+        if error_report.unknown
+        else explain_unknown_error(run)
+    )
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
@@ -138,7 +142,8 @@ def _conclude_modes(run: StudyWithResult) -> Conclusion:
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
     )
     answer_text += (
-        f"({first_omega:.5g} rad/s){_error_clause(run, natural_name(run.scene, 'open', 1))}"
+        f"({first_omega:.5g} rad/s)"
+        f"{_error_clause(run, natural_frequency_name(run.scene, 'open', 1))}"
     )
     return Conclusion("modes found", answer_text)
 
@@ -150,7 +155,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
     """
     if error_text := describe_stated_error(run, quantity_name):
         return f", estimated error {error_text}"
-    missing_causes_text = "" if run.stated is None else run.stated.left_out
+    missing_causes_text = "" if run.stated is None else run.stated.omitted_causes_with_reasons
     return f"{fallback_text}, {missing_causes_text}" if missing_causes_text else fallback_text
 
 

@@ -533,7 +533,9 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         save(*given)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.runs.run.errors_of", Mock(side_effect=KeyboardInterrupt))
+        patch.setattr(
+            "fenics_crack.runs.run.estimate_result_errors", Mock(side_effect=KeyboardInterrupt)
+        )
         wrap(patch, "fenics_crack.runs.run.on_root", again)
         words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
