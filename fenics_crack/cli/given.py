@@ -112,7 +112,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
         scene = Scene.load(arguments.scene, changes_by_key)
     except InputError as scene_error:
         scene_error.others = tuple(
-            _find_further_errors(scene_error, arguments.scene, changes_by_key)
+            _yield_further_errors(scene_error, arguments.scene, changes_by_key)
         )
         raise
     _check_option_numbers(arguments, scene)
@@ -128,7 +128,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
             scene,
             result_folder,
             arrival_source=arrival_source,
-            speeds=_campbell_speeds(arguments, scene),
+            speeds=_find_campbell_speeds_or_none(arguments, scene),
         )
     has_uncracked_record = (
         arguments.before is not None and arguments.before.suffix.lower() in RECORD_SUFFIXES
@@ -142,7 +142,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
     return CommandInputs(scene, result_folder, measurements, arrival_source, uncracked_source)
 
 
-def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
+def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
     """Read a file of ``reduce`` in place of a scene (collective).
 
     Raises
@@ -165,7 +165,7 @@ def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
     )
 
 
-def _find_further_errors(
+def _yield_further_errors(
     error: InputError, scene_path: Path, changes_by_key: dict[str, Any]
 ) -> Iterator[InputError]:
     """Yield the errors of further keys of a scene with changes.
@@ -190,7 +190,9 @@ def _find_further_errors(
                 target_table.pop(key_name or table_name, None)
         else:
             template_lines = (
-                example_line(error.key, error.allowed) if key_name else example_table(table_name)
+                find_example_line(error.key, error.allowed)
+                if key_name
+                else find_example_table_text(table_name)
             )
             template_lines = (
                 f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_lines
@@ -234,7 +236,7 @@ def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
             raise InputError("--deviation", arguments.deviation, "a number from 0 to 0.1")
 
 
-def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
+def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndarray | None:
     """Return the Campbell diagram's speeds [rad/s]; None for other commands."""
     if arguments.command != "campbell":
         return None
@@ -440,7 +442,7 @@ class Console:
             LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
 
 
-def make_writable(folder: Path, comm: MPI.Comm) -> None:
+def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     """Create a folder for results; InputError unless files can be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
@@ -449,10 +451,10 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     )
 
 
-def keep_previous_result(
+def keep_previous_files_with_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_stems: str
 ) -> str:
-    """Keep files of the previous result in the folder ``BEFORE`` (collective).
+    """Keep files of the previous result in the folder ``before`` (collective).
 
     Only one generation is kept, and nothing if the previous table has the same text.
 
@@ -515,10 +517,10 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
     if arguments.cad:
-        from fenics_crack.cli.part import propose_part_scene  # gmsh and VTK
+        from fenics_crack.cli.part import propose_scene_and_draw_faces  # gmsh and VTK
 
         scene_text, picture_path = on_root(
-            console.comm, lambda: propose_part_scene(arguments.cad, scene_path)
+            console.comm, lambda: propose_scene_and_draw_faces(arguments.cad, scene_path)
         )
         console.print_notes(f"{picture_path}: the faces of {arguments.cad}, with numbers")
         texts_by_path = {scene_path: scene_text}
@@ -572,7 +574,7 @@ def build_scene_text(scene_name: str, measurements_name: str, options: Collectio
     )
 
 
-def example_line(key: str, requirement_text: str) -> str:
+def find_example_line(key: str, requirement_text: str) -> str:
     """Return the template line that sets a key, or "" without any.
 
     If an error's ``requirement_text`` names other keys of the table, lines with these keys are
@@ -582,7 +584,7 @@ def example_line(key: str, requirement_text: str) -> str:
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)
     template_lines = [
         template_line.partition("  #")[0].strip()
-        for table_lines in _template_blocks(table_name)
+        for table_lines in _yield_table_lines(table_name)
         for template_line in table_lines
     ]
     return next(
@@ -596,12 +598,12 @@ def example_line(key: str, requirement_text: str) -> str:
     )
 
 
-def example_table(table_name: str) -> str:
+def find_example_table_text(table_name: str) -> str:
     """Return the template lines that set a table, or "" without any."""
-    return "\n".join(next(_template_blocks(table_name), ()))
+    return "\n".join(next(_yield_table_lines(table_name), ()))
 
 
-def _template_blocks(table_name: str) -> Iterator[list[str]]:
+def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
     """Yield the lines that set a table, without marks, template by template.
 
     A table that is commented out is commented in.

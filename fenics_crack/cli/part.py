@@ -52,7 +52,7 @@ class _PartSurface:
         """Return the area of a face [m^2]."""
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
-    def find_end_face(self, axis: int, *, at_top: bool) -> int:
+    def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
         """Find the largest face among those with the highest, or lowest, point.
 
         Returns the face's index in ``sorted_face_numbers``.
@@ -133,7 +133,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     return crack_point, face_normal, ray_length(crack_point, -face_normal, part_surface.triangles)
 
 
-def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
+def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str, Path]:
     """Return a part's scene text, and draw the faces.
 
     Returns
@@ -152,7 +152,7 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
     part_extents = np.ptp(part_surface.triangles.reshape(-1, 3), axis=0)
     longest_axis = int(part_extents.argmax())
     clamp_point, tip_point = (
-        part_surface.face_points[part_surface.find_end_face(longest_axis, at_top=at_top)]
+        part_surface.face_points[part_surface.find_end_face_index(longest_axis, at_top=at_top)]
         for at_top in (False, True)
     )
     crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)

@@ -51,7 +51,7 @@ CRACK_CLOSING_LINE_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 NO_MESH_NOTE = "no mesh: what would be drawn on one is left out"
 
 
-def draw_scene(
+def draw_scene_mesh(
     scene: Scene, folder: Path, structure: Structure | None = None, file_format: str = "png"
 ) -> Path:
     """Draw the mesh of a scene, and return the picture's path.
@@ -323,9 +323,9 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     The horizontal axis is the frequency, else the longest axis. The next longest axis has a line
     for each of up to 6 values, or a map from 4 values on. Each combination of the other axes has
     separate pictures; twelve combinations are drawn. Raises InputError as
-    :func:`_select_drawn_axes`.
+    :func:`_select_drawn_axis_indices`.
     """
-    drawn_indices = _select_drawn_axes(sweep_result)
+    drawn_indices = _select_drawn_axis_indices(sweep_result)
     drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_indices]
     fixed_indices = [
         axis_index
@@ -360,7 +360,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
                 file_stem = (
                     f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_indices else ''}"
                 )
-                draw_swept(
+                draw_swept_quantity(
                     drawn_axes,
                     picture_values,
                     is_doubtful[picture_index],
@@ -371,7 +371,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
                 )
 
 
-def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
+def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
     """Return the indices of the one or two axes to be drawn.
 
     A frequency comes first, then the longest axis. Raises InputError if no axis has two or more
@@ -397,7 +397,7 @@ def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
     return axis_indices[:2]
 
 
-def draw_swept(
+def draw_swept_quantity(
     axes: Sequence[Axis],
     values: np.ndarray,
     is_doubtful: np.ndarray,
@@ -420,12 +420,12 @@ def draw_swept(
         Names and values on all other axes.
     """
     axis_arrays = [np.array(axis.values, dtype=float) for axis in axes]
-    value_orders = [np.argsort(axis_array) for axis_array in axis_arrays]
-    sorted_grid = np.ix_(*[*value_orders, np.zeros(1, dtype=int)][:2])
-    values, is_doubtful = values[sorted_grid], is_doubtful[sorted_grid]
-    scaled_axes = [
-        _scale_axis(axis, axis_array[value_order])
-        for axis, axis_array, value_order in zip(axes, axis_arrays, value_orders, strict=True)
+    sorting_indices = [np.argsort(axis_array) for axis_array in axis_arrays]
+    sorted_index_grid = np.ix_(*[*sorting_indices, np.zeros(1, dtype=int)][:2])
+    values, is_doubtful = values[sorted_index_grid], is_doubtful[sorted_index_grid]
+    scaled_values_and_labels = [
+        _scale_axis(axis, axis_array[sorting_index])
+        for axis, axis_array, sorting_index in zip(axes, axis_arrays, sorting_indices, strict=True)
     ]
     quantity_name, unit = name_and_unit
     title = ", ".join([f"{quantity_name[0].upper()}{quantity_name[1:]}", *fixed_texts])
@@ -434,23 +434,23 @@ def draw_swept(
     if has_few_lines := n_lines <= 6:
         line_labels = [quantity_name]
         if len(axes) > 1:
-            key, axis_array = axes[1].key, axis_arrays[1][value_orders[1]]
+            key, axis_array = axes[1].key, axis_arrays[1][sorting_indices[1]]
             line_labels = [
                 f"{key_in_words(key)} {value_in_words(key, float(line_value))}"
                 for line_value in axis_array
             ]
         curves_by_label, doubts_by_label = (
-            dict(zip(line_labels, value_grid.T, strict=True))
-            for value_grid in (values, is_doubtful)
+            dict(zip(line_labels, picture_grid.T, strict=True))
+            for picture_grid in (values, is_doubtful)
         )
         line_options: dict[str, Any] = {
-            "over": scaled_axes[0][1],
+            "over": scaled_values_and_labels[0][1],
             "doubtful": doubts_by_label,
             "unit": unit,
         }
         picture_path = picture_files(file_stem, caption)
         plot.draw_response(
-            scaled_axes[0][0],
+            scaled_values_and_labels[0][0],
             curves_by_label,
             quantity=quantity_name,
             path=picture_path,
@@ -458,7 +458,7 @@ def draw_swept(
             **line_options,
         )
     if not has_few_lines or (len(axes) > 1 and min(values.shape) >= 4):
-        (x_values, x_label), (y_values, y_label) = scaled_axes
+        (x_values, x_label), (y_values, y_label) = scaled_values_and_labels
         unit_factor, prefixed_unit = 1.0, unit
         if unit in ("m", "N"):
             unit_factor, prefixed_unit = choose_unit_prefix(float(np.nanmax(np.abs(values))), unit)
