@@ -19,7 +19,7 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
 
-MAX_TRANSVERSE_SLIDING_RATIO = 0.3
+MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
 """Maximum sliding across the lines of friction, relative to sliding along them.
 
 Above it, friction along lines is not trusted.
@@ -54,7 +54,7 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
 """Description, unit and printing level by name, for quantities besides a motion's indicators."""
-TOLERANCE_OPTION = "--set harmonic_balance.tolerance=1e-2"
+TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
 """Option for an exact orbit with error and stability."""
 MODE_DEPENDENCE_TEXT = "depends on truncated modes"
 MEANING_BY_BIFURCATION = {
@@ -130,7 +130,7 @@ def yield_large_error_warning(
     if balance_table.tolerance is None:
         can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
         setting_text = (
-            f": {TOLERANCE_OPTION} chooses them"
+            f": {TOLERANCE_OPTION_TEXT} chooses them"
             if can_choose_harmonics
             else " (harmonic_balance.harmonics)"
         )
@@ -181,7 +181,7 @@ def yield_instability_warning(
         f"{motion_description}{motion_text}"
     )
     hint_texts = []
-    tolerance_option_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION]
+    tolerance_option_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION_TEXT]
     if stability.verdict == "irregular":
         verdict_text = "; ".join(
             [
@@ -216,7 +216,7 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
     warning_text = f"sliding turns ({sliding_ratio:.2g}): what friction does is not to be trusted"
     note_text = "friction acts along one line for each pair; sliding across it is"
     note_text += f" {sliding_ratio:.2g} of that along it, without friction"
-    return [note_text], [warning_text] if sliding_ratio > MAX_TRANSVERSE_SLIDING_RATIO else []
+    return [note_text], [warning_text] if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING else []
 
 
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:

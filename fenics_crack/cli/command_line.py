@@ -32,7 +32,9 @@ from fenics_crack.version import VERSION
 if TYPE_CHECKING:
     from fenics_crack.cli.given import CommandInputs, Console
 
-PETSC_PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
+PETSC_OPTION_PREFIXES = tuple(
+    f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor")
+)
 """Prefixes of PETSc options for solvers: SNES, GMRES, SLEPc or a factorisation."""
 OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
 """Texts by which PETSc and the library loader report too little memory."""
@@ -174,9 +176,11 @@ def _arguments_before_petsc() -> list[str]:
     prefix that no solver has.
     """
     for argument in (petsc_arguments := _petsc_arguments()):
-        if argument.startswith("-crack_") and not argument.startswith(PETSC_PREFIXES):
+        if argument.startswith("-crack_") and not argument.startswith(PETSC_OPTION_PREFIXES):
             raise InputError(
-                "PETSc option", argument, f"one that begins with {' or '.join(PETSC_PREFIXES)}"
+                "PETSc option",
+                argument,
+                f"one that begins with {' or '.join(PETSC_OPTION_PREFIXES)}",
             )
     return sys.argv[1 : len(sys.argv) - len(petsc_arguments)]
 
@@ -397,8 +401,8 @@ HELP_AND_CALL_BY_COMMAND = {
     "disk": (
         "natural frequencies of a bladed disk over the nodal diameter, and how much random "
         "mistuning amplifies the response of a blade, with pictures",
-        f"cli.commands:compute_and_report_disk {COMMON_ARGUMENTS_TEXT} --patterns --deviation "
-        "--pictures",
+        f"cli.commands:compute_and_report_bladed_disk {COMMON_ARGUMENTS_TEXT} --patterns "
+        "--deviation --pictures",
     ),
     "reduce": (
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",

@@ -202,7 +202,9 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
     )
 
 
-def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+def compute_and_report_bladed_disk(
+    arguments: Namespace, inputs: CommandInputs, console: Console
+) -> Exit:
     """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
@@ -227,7 +229,7 @@ def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console
     )
 
 
-def _convert_arrivals(
+def _convert_arrivals_to_measurements(
     arrival_source: dict[int, ArrivalTimes] | Path,
     scene: Scene,
     console: Console,
@@ -295,10 +297,14 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     scene, folder = inputs.scene, inputs.folder
     measurement_sets = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrival_source is not None:
-        measurement_sets.append(_convert_arrivals(inputs.arrival_source, scene, console))
-    if inputs.uncracked_source is not None:
         measurement_sets.append(
-            _convert_arrivals(inputs.uncracked_source, scene, console, is_uncracked=True)
+            _convert_arrivals_to_measurements(inputs.arrival_source, scene, console)
+        )
+    if inputs.uncracked_arrival_source is not None:
+        measurement_sets.append(
+            _convert_arrivals_to_measurements(
+                inputs.uncracked_arrival_source, scene, console, is_uncracked=True
+            )
         )
     run_options = {"folder": folder, "comm": console.comm, "progress": console.shows_progress}
     with console.report_stage("identification", has_bars=True):

@@ -49,19 +49,19 @@ if TYPE_CHECKING:
     ArrivalSource = Path | dict[int, ArrivalTimes] | None
 
 PLATE_TEMPLATE_PATH = "cli/new_scene.toml"
-RECORD_SUFFIXES = (".csv", ".h5")
+ARRIVAL_FILE_SUFFIXES = (".csv", ".h5")
 """Endings of files with measured arrivals, or with results for computed arrivals."""
 STRUCTURE_FILE_NAME = "prepared.h5"
 """Name of the file with the structure kept for later commands."""
-PERIOD_FRAMES_FOLDER = "solution_period"
+PERIOD_FRAMES_FOLDER_NAME = "solution_period"
 """Folder for the frames of a period, inside the folder for results."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of result files."""
 COMMANDS_FOR_PREPARED_FILES = ("solve", "curve")
 """Commands that accept a file from ``reduce`` in place of a scene."""
-COMBINABLE_NEW_OPTIONS = ("blade", "timing", "identify")
+COMBINABLE_NEW_SCENE_OPTIONS = ("blade", "timing", "identify")
 """Options of ``new`` that change the plate's template, also together."""
-EXCLUSIVE_NEW_OPTIONS = ("solid", "disk")
+EXCLUSIVE_NEW_SCENE_OPTIONS = ("solid", "disk")
 """Options of ``new`` with a separate template, never combined."""
 
 
@@ -77,7 +77,7 @@ class CommandInputs:
     measurements : Measurements or None
     arrival_source : dict of ArrivalTimes, Path or None
         Measured arrivals by blade, or the path to a result for computed arrivals.
-    uncracked_source : dict of ArrivalTimes, Path or None
+    uncracked_arrival_source : dict of ArrivalTimes, Path or None
         Same for the blade before the crack.
     speeds : (n_speeds,) [rad/s] or None
         Speeds of a Campbell diagram.
@@ -89,7 +89,7 @@ class CommandInputs:
     folder: Path
     measurements: Measurements | None = None
     arrival_source: ArrivalSource = None
-    uncracked_source: ArrivalSource = None
+    uncracked_arrival_source: ArrivalSource = None
     speeds: np.ndarray | None = None
     prepared_study: Study | None = None
 
@@ -131,15 +131,17 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
             speeds=_find_campbell_speeds_or_none(arguments, scene),
         )
     has_uncracked_record = (
-        arguments.before is not None and arguments.before.suffix.lower() in RECORD_SUFFIXES
+        arguments.before is not None and arguments.before.suffix.lower() in ARRIVAL_FILE_SUFFIXES
     )
-    uncracked_source = (
+    uncracked_arrival_source = (
         _read_arrivals(scene, arguments, arguments.before) if has_uncracked_record else None
     )
     measurements = _read_measurements(
         arguments, scene, None if has_uncracked_record else arguments.before
     )
-    return CommandInputs(scene, result_folder, measurements, arrival_source, uncracked_source)
+    return CommandInputs(
+        scene, result_folder, measurements, arrival_source, uncracked_arrival_source
+    )
 
 
 def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
@@ -447,7 +449,8 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     on_root(
-        comm, lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD_FRAMES_FOLDER))
+        comm,
+        lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD_FRAMES_FOLDER_NAME)),
     )
 
 
@@ -507,8 +510,10 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
-    options = [option for option in COMBINABLE_NEW_OPTIONS if vars(arguments)[option]]
-    exclusive_options = [option for option in EXCLUSIVE_NEW_OPTIONS if vars(arguments)[option]]
+    options = [option for option in COMBINABLE_NEW_SCENE_OPTIONS if vars(arguments)[option]]
+    exclusive_options = [
+        option for option in EXCLUSIVE_NEW_SCENE_OPTIONS if vars(arguments)[option]
+    ]
     exclusive_options += ["cad"] if arguments.cad else []
     if exclusive_options and len(exclusive_options + options) > 1:
         other_option = f"with --{(exclusive_options[1:] + options)[0]}"
@@ -555,8 +560,8 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
 def build_scene_text(scene_name: str, measurements_name: str, options: Collection[str]) -> str:
     """Build a new scene's text from the template of a plate.
 
-    ``options`` are from :data:`COMBINABLE_NEW_OPTIONS`. Both names are file names that the text
-    mentions.
+    ``options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. Both names are file names that the
+    text mentions.
     """
     line_marks = [
         f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
@@ -612,7 +617,7 @@ def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
         packaged,
         (
             PLATE_TEMPLATE_PATH,
-            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_OPTIONS),
+            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_SCENE_OPTIONS),
         ),
     )
     for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):

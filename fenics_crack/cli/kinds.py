@@ -95,7 +95,7 @@ RESULT_KIND_BY_NAME = {
     ),
     "tip timing": ResultKind(
         "timing", "Tip timing", "monitoring.timing:report_of_timing",
-        "monitoring.timing:Timing.of", "cli.pictures:draw_timing",
+        "monitoring.timing:Timing.of", "cli.pictures:draw_tip_timing",
     ),
 }  # fmt: skip
 """Kinds of results by the class attribute ``KIND``, in a report's order."""

@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
 from fenics_crack.basics.tables import choose_unit_prefix, format_percent, heading_with_unit
 from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER
+from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
@@ -45,7 +45,7 @@ from fenics_crack.sweep.plan import FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-CRACK_CLOSING_LINE_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+CRACK_CLOSING_COLOURS_AND_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line style of the closing, crack by crack."""
 
 NO_MESH_NOTE = "no mesh: what would be drawn on one is left out"
@@ -144,7 +144,9 @@ def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFil
     if picture_files.has_vtk_files:
         from fenics_crack.draw.vtk import write_period
 
-        write_period(solution, picture_files(PERIOD_FRAMES_FOLDER, "", "pvd"), material=material)
+        write_period(
+            solution, picture_files(PERIOD_FRAMES_FOLDER_NAME, "", "pvd"), material=material
+        )
 
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
@@ -198,7 +200,7 @@ def _draw_waveforms(
 
     Time is in periods of the frequency ``omega`` [rad/s], or in seconds if that is None.
     """
-    line_styles = itertools.cycle(CRACK_CLOSING_LINE_STYLES)
+    line_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
     drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
@@ -506,7 +508,7 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
     )
 
 
-def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
+def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
     """Draw each blade's passages or track, or the largest blade's fit."""
     caption = "Displacements at the probes over the speed; resonances with their engine orders."
     for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):

@@ -46,7 +46,7 @@ from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_partial_sweep
 from fenics_crack.version import VERSION, packaged
 
-LISTED_TABLE_NAMES = (
+LISTED_SCENE_TABLE_NAMES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
@@ -355,7 +355,10 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
         )
     values_by_key = file_value_by_key(scene)
     listed_keys = [
-        key for table in LISTED_TABLE_NAMES for key in values_by_key if key.startswith(f"{table}.")
+        key
+        for table in LISTED_SCENE_TABLE_NAMES
+        for key in values_by_key
+        if key.startswith(f"{table}.")
     ]
     quantity_rows: list[tuple[str, object]] = [
         (key_in_words(key), _format_value(key, values_by_key[key])) for key in listed_keys

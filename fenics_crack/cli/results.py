@@ -447,7 +447,7 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
         100.0 * max(relative_error, MIN_REPORTED_ERROR) if relative_error < np.inf else np.nan
     )
     missing_cause_reasons = (
-        run.stated.find_missing_cause_reasons(quantity_name)
+        run.stated.find_reasons_by_missing_cause(quantity_name)
         if quantity_name in run.stated.values
         else {}
     )

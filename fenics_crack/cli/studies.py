@@ -28,7 +28,7 @@ from fenics_crack.sweep.result import (
     describe_swept_values,
 )
 
-SPEED_KEYS = ("rotation.speed", "rotation.rpm")
+ROTOR_SPEED_KEYS = ("rotation.speed", "rotation.rpm")
 
 
 def report_of_verification(verification: Verification) -> Report:
@@ -153,7 +153,7 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     axis_indices = [
         axis_index
         for axis_index, axis in enumerate(sweep_result.axes)
-        if axis.key in (*FREQUENCY_KEYS, *SPEED_KEYS)
+        if axis.key in (*FREQUENCY_KEYS, *ROTOR_SPEED_KEYS)
     ]
     if not axis_indices:
         return []
@@ -161,7 +161,7 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     response = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
     sorting_index = np.argsort(swept_axis.values)
     response = np.moveaxis(response, axis_indices[0], -1)[..., sorting_index]
-    if swept_axis.key in SPEED_KEYS and sweep_result.scene.excitation.order is None:
+    if swept_axis.key in ROTOR_SPEED_KEYS and sweep_result.scene.excitation.order is None:
         response = response.conj()  # the resonance rises past the load's frequency
     is_skipped = np.angle(response[..., 1:] * np.conj(response[..., :-1])) < -0.5 * np.pi
     if not is_skipped.any():

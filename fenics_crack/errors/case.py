@@ -34,9 +34,9 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.errors.numbers import (
     Numbers,
+    choose_n_orbit_harmonics,
     compute_numbers,
-    compute_orbit_values,
-    count_orbit_harmonics,
+    compute_orbit_values_by_name,
     find_accepted_orbit_or_none,
     measure_changes_by_name,
 )
@@ -67,7 +67,7 @@ SINGLE_HARMONIC_REASON_TEXT = "without contact there is one"
 
 
 @dataclass(frozen=True)
-class AnswerCase:
+class JudgedAnswer:
     """Hold an answer whose causes of error are varied.
 
     Attributes
@@ -76,7 +76,7 @@ class AnswerCase:
         Study of the answer, with the answer's reduced structure.
     answer : PeriodicSolution
         Solution whose errors are sought.
-    answer_values : dict of str to float
+    answer_values_by_name : dict of str to float
         Numbers of the answer.
     balance_solution : PeriodicSolution
         Solution by harmonic balance with the answer's number of harmonics, the base of comparisons.
@@ -88,32 +88,34 @@ class AnswerCase:
 
     study: Study
     answer: PeriodicSolution
-    answer_values: Mapping[str, float]
+    answer_values_by_name: Mapping[str, float]
     balance_solution: PeriodicSolution
     balance_numbers: Numbers
 
-    def compute_values(
+    def compute_values_by_name(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
     ) -> dict[str, float]:
         """Return a motion's numbers, by default in the answer's study (collective)."""
-        study, mode = study or self.study, self.balance_numbers.mode
+        study, mode_number = study or self.study, self.balance_numbers.mode_number
         if isinstance(motion, PeriodicOrbit):
-            return compute_orbit_values(study, self.answer, motion, mode)
-        return compute_numbers(study, motion, mode).values
+            return compute_orbit_values_by_name(study, self.answer, motion, mode_number)
+        return compute_numbers(study, motion, mode_number).values
 
     @cached_property
-    def orbit_values(self) -> dict[str, float] | None:
+    def orbit_values_by_name(self) -> dict[str, float] | None:
         """Numbers of the answer's accepted exact orbit, or None (collective)."""
         orbit = find_accepted_orbit_or_none(self.answer)
-        return None if orbit is None else self.compute_values(orbit)
+        return None if orbit is None else self.compute_values_by_name(orbit)
 
-    def estimate_harmonics_error_by_orbit(self, orbit_values: Mapping[str, float]) -> PartOrReason:
-        """Return the part of harmonics from the exact orbit's numbers."""
-        harmonic_counts = self.answer.harmonics, count_orbit_harmonics(self.answer)
+    def estimate_harmonics_error_by_orbit(
+        self, orbit_values_by_name: Mapping[str, float]
+    ) -> PartOrReason:
+        """Estimate the error by harmonics from the exact orbit's numbers."""
+        harmonic_counts = self.answer.harmonics, choose_n_orbit_harmonics(self.answer)
         reciprocal_counts = 1.0 / harmonic_counts[1], 1.0 / harmonic_counts[0]
         convergence_by_name = {}
-        for name, value in self.compute_values(self.answer).items():
-            orbit_value = orbit_values.get(name, 0.0)
+        for name, value in self.compute_values_by_name(self.answer).items():
+            orbit_value = orbit_values_by_name.get(name, 0.0)
             convergence_by_name[name] = GridConvergence(
                 reciprocal_counts,
                 (orbit_value, value),
@@ -123,11 +125,11 @@ class AnswerCase:
             )
         return harmonic_counts, convergence_by_name
 
-    def estimate_friction_error(self) -> PartOrReason:
-        """Judge friction by exact orbits with and without friction (collective).
+    def estimate_error_by_friction(self) -> PartOrReason:
+        """Estimate the error by friction from orbits with and without friction (collective).
 
-        With friction along lines, judge by the sliding across the lines instead. There is no part
-        with any further friction law, with a coefficient in the scene, or without contact.
+        With friction along lines, the sliding across the lines gives the error instead. There is
+        no part with any further friction law, with a coefficient in the scene, or without contact.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure
@@ -168,7 +170,7 @@ class AnswerCase:
             values_of_few_mode_orbits = values_of_orbits
         change_by_name = measure_changes_by_name(study, *orbits)
         friction_coefficients, convergence_by_name = (0.0, float(friction_coefficient)), {}
-        for quantity_name, value in self.answer_values.items():
+        for quantity_name, value in self.answer_values_by_name.items():
             if quantity_name in SLIDING_STRESS_INTENSITY_NAMES:
                 continue
             relative_change = _relative_change(quantity_name, *values_of_orbits)
@@ -228,22 +230,22 @@ class AnswerCase:
                 break
             orbit_study = replace(study, structure=reduced_structure, contact=contact_law)
             orbits.append(orbit)
-            values_of_orbits.append(self.compute_values(orbit, orbit_study))
+            values_of_orbits.append(self.compute_values_by_name(orbit, orbit_study))
         return orbits, values_of_orbits
 
     def _estimate_sliding_across_lines(self, friction_law: CoulombFriction) -> PartOrReason:
-        """Return the part due to sliding across a solid's friction lines (collective)."""
+        """Estimate the error by sliding across a solid's friction lines (collective)."""
         study, answer = self.study, self.answer
         structure, n_periods = study.structure, answer.subharmonic
         frictionless_motion = motion_without_friction(
             structure, answer.omega, friction_law.law, n_periods
         )
-        frictionless_values = self.compute_values(
+        frictionless_values = self.compute_values_by_name(
             frictionless_motion, replace(study, contact=friction_law.law)
         )
         turning_ratio = find_line_angles_and_turning(frictionless_motion, friction_law.direction)[1]
         convergence_by_name = {}
-        for quantity_name, value in self.answer_values.items():
+        for quantity_name, value in self.answer_values_by_name.items():
             value_with_turning = value + turning_ratio * (
                 frictionless_values.get(quantity_name, 0.0) - value
             )
@@ -312,10 +314,10 @@ def solve_by_half_then_all_harmonics(
     if study.contact is None:
         return half_harmonics_solution
     solver = _make_solver(study, omega, n_harmonics)
-    search, all_harmonics_solution = solver.search_and_solution(
+    search_outcome, all_harmonics_solution = solver.search_and_solution(
         half_harmonics_solution, with_whole_budget=False
     )
-    return all_harmonics_solution if search.has_converged else half_harmonics_solution
+    return all_harmonics_solution if search_outcome.has_converged else half_harmonics_solution
 
 
 def _make_solver(study: Study, omega: float, n_harmonics: int) -> Solver:

@@ -46,14 +46,14 @@ from fenics_crack.study.observer import observe_quantities
 from fenics_crack.study.prepare import Study
 
 
-def natural_frequency_name(scene: Scene, kind: str, mode: int) -> str:
+def natural_frequency_name(scene: Scene, kind: str, mode_number: int) -> str:
     """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1"."""
-    return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
+    return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode_number}"
 
 
-def find_bilinear_omega(structure: Structure, mode: int) -> float:
+def find_bilinear_omega(structure: Structure, mode_number: int) -> float:
     """Return the bilinear frequency [rad/s] of a mode, counted from 1 (collective)."""
-    return float(bilinear_frequencies(structure).omega_bilinear[mode - 1])
+    return float(bilinear_frequencies(structure).omega_bilinear[mode_number - 1])
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ class Numbers:
         Value and unit by name, as in :class:`Verification`.
     resonance_name : str
         Name of the mode's bilinear frequency; without contact pairs, the open frequency.
-    mode : int
+    mode_number : int
         Mode of the resonance, counted from 1.
     """
 
     values: dict[str, float]
     units: dict[str, str]
     resonance_name: str
-    mode: int
+    mode_number: int
 
 
 def compute_numbers(
@@ -180,7 +180,7 @@ def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple
     orbit = find_accepted_orbit_or_none(solution)
     if orbit is None:
         return None
-    displacement_coefficients = orbit.coefficients(count_orbit_harmonics(solution)).displacement
+    displacement_coefficients = orbit.coefficients(choose_n_orbit_harmonics(solution)).displacement
     dof_coefficients = solution.structure.values_at(displacement_coefficients, [dof])[:, 0]
     harmonic_indicators = Harmonics(dof_coefficients, solution.subharmonic)
     if not harmonic_indicators.largest_order * solution.subharmonic > solution.harmonics:
@@ -200,7 +200,7 @@ def add_changes(
     }
 
 
-def count_orbit_harmonics(solution: PeriodicSolution) -> int:
+def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
     """Return the number of harmonics for an orbit's motion at points.
 
     This is the larger of 100 and four times the solution's number.
@@ -233,15 +233,16 @@ class TruncatedOrbit(ObservedMotion):
         )
 
 
-def compute_orbit_values(
+def compute_orbit_values_by_name(
     study: Study, solution: PeriodicSolution, orbit: PeriodicOrbit, mode_number: int
 ) -> dict[str, float]:
     """Return the numbers of an orbit near a solution (collective).
 
-    The study must have the orbit's structure. Numbers at points have :func:`count_orbit_harmonics`.
+    The study must have the orbit's structure. Numbers at points have
+    :func:`choose_n_orbit_harmonics`.
     """
     return compute_numbers(
-        study, TruncatedOrbit(orbit, count_orbit_harmonics(solution)), mode_number
+        study, TruncatedOrbit(orbit, choose_n_orbit_harmonics(solution)), mode_number
     ).values
 
 

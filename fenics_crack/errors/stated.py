@@ -75,7 +75,7 @@ from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.case import (
     SINGLE_HARMONIC_REASON_TEXT,
-    AnswerCase,
+    JudgedAnswer,
     add_error_parts,
     describe_failed_run,
     solve_by_half_then_all_harmonics,
@@ -95,7 +95,7 @@ from fenics_crack.errors.numbers import (
     measure_changes_by_name,
     natural_frequency_name,
 )
-from fenics_crack.errors.verification import Verification, estimate_increase_by_halved_elements
+from fenics_crack.errors.verification import Verification, displacement_added_by_halved_elements
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import (
     BilinearFrequencies,
@@ -114,7 +114,7 @@ from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find
 
 STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
 """Causes with a stated error."""
-HARMONIC_FACTORS = 2, 4
+HARMONIC_COUNT_FACTORS = 2, 4
 """Factors on the answer's harmonics; the second is for a large truncation error in the report."""
 MIN_EXTRAPOLATED_RESONANCES, MAX_EXTRAPOLATED_RESONANCES = 3, 8
 """Minimum and maximum number of extrapolated resonances for a mesh's shift error."""
@@ -224,7 +224,7 @@ def estimate_frequency_mesh_errors(
             if 0.0 < omega < np.inf
         }
 
-    def estimate_mesh_error() -> PartOrReason:
+    def estimate_error_by_mesh() -> PartOrReason:
         coarse_study_or_reason = prepare_coarser_study(study)
         if isinstance(coarse_study_or_reason, str):
             return coarse_study_or_reason
@@ -246,7 +246,7 @@ def estimate_frequency_mesh_errors(
 
     values_by_name = name_frequencies(omega_by_kind) | load_resonance.numbers
     errors = Verification(scene, values_by_name, dict.fromkeys(values_by_name, unit))
-    return add_error_parts(errors, {"mesh": estimate_mesh_error})
+    return add_error_parts(errors, {"mesh": estimate_error_by_mesh})
 
 
 def estimate_solution_errors(
@@ -289,10 +289,12 @@ def estimate_solution_errors(
             reason_text = describe_failed_run("harmonic balance from it", error)
             return errors.with_unknown("harmonics", reason_text)
         balance_solution = answer  # has the coefficients of an exact orbit
-    balance_numbers = compute_numbers(study, balance_solution, numbers.mode)
-    case = StatedCase(study, answer, numbers.values, balance_solution, balance_numbers, is_peak)
+    balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
+    judged_answer = AnswerJudgedByExtraRuns(
+        study, answer, numbers.values, balance_solution, balance_numbers, is_peak
+    )
     return add_error_parts(
-        errors, {cause: getattr(case, f"estimate_{cause}_error") for cause in causes}
+        errors, {cause: getattr(judged_answer, f"estimate_error_by_{cause}") for cause in causes}
     )
 
 
@@ -318,7 +320,7 @@ def describe_unknown_error_part(report: ErrorReport) -> str:
 
 
 @dataclass(frozen=True)
-class StatedCase(AnswerCase):
+class AnswerJudgedByExtraRuns(JudgedAnswer):
     """Judge each cause of an answer's error by an additional run.
 
     Attributes
@@ -329,8 +331,8 @@ class StatedCase(AnswerCase):
 
     is_peak: bool
 
-    def estimate_modes_error(self) -> PartOrReason:
-        """Judge modes by the motion with the reference's modes (collective).
+    def estimate_error_by_modes(self) -> PartOrReason:
+        """Estimate the error by modes from a motion with more modes (collective).
 
         If the motions are truncated to harmonics, the error is at least the part of harmonics: with
         few harmonics, modes above all harmonics are static in both motions.
@@ -345,11 +347,11 @@ class StatedCase(AnswerCase):
             larger_study
         )
         is_truncated = isinstance(motion_with_more_modes, PeriodicSolution)
-        base_values = None if is_truncated else self.orbit_values
+        base_values = None if is_truncated else self.orbit_values_by_name
         values_with_more_modes = add_changes(
             self.balance_numbers.values,
-            base_values or self.compute_values(base_motion),
-            self.compute_values(motion_with_more_modes, larger_study),
+            base_values or self.compute_values_by_name(base_motion),
+            self.compute_values_by_name(motion_with_more_modes, larger_study),
         )
         min_change_by_name = measure_changes_by_name(
             self.study, base_motion, motion_with_more_modes
@@ -357,9 +359,9 @@ class StatedCase(AnswerCase):
         if (
             is_truncated
             and self._can_search_massless_orbits
-            and not isinstance(self.harmonics_part_or_reason, str)
+            and not isinstance(self.harmonics_error_part_or_reason, str)
         ):
-            for quantity_name, convergence in self.harmonics_part_or_reason[1].items():
+            for quantity_name, convergence in self.harmonics_error_part_or_reason[1].items():
                 min_change = structure.share * convergence.uncertainty(-1)
                 min_change_by_name[quantity_name] = max(
                     min_change_by_name.get(quantity_name, 0.0), min_change
@@ -423,28 +425,28 @@ class StatedCase(AnswerCase):
         """True if exact orbits are affordable and crack faces have no mass."""
         return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
 
-    def estimate_harmonics_error(self) -> PartOrReason:
-        """Judge harmonics by the exact orbit, or by more harmonics (collective)."""
-        return self.harmonics_part_or_reason
+    def estimate_error_by_harmonics(self) -> PartOrReason:
+        """Estimate the error by harmonics from an orbit or more harmonics (collective)."""
+        return self.harmonics_error_part_or_reason
 
     @cached_property
-    def harmonics_part_or_reason(self) -> PartOrReason:
+    def harmonics_error_part_or_reason(self) -> PartOrReason:
         """Part of the cause harmonics (collective)."""
         if self.study.contact is None:
             return SINGLE_HARMONIC_REASON_TEXT
-        if self.orbit_values is not None:
-            return self.estimate_harmonics_error_by_orbit(self.orbit_values)
+        if self.orbit_values_by_name is not None:
+            return self.estimate_harmonics_error_by_orbit(self.orbit_values_by_name)
         n_harmonics = self.balance_solution.harmonics
         solution = self.balance_solution
         convergences_of_factors = []
         n_runs = 2 if self.answer.report.truncation > LARGE_ERROR else 1
-        for factor in HARMONIC_FACTORS[:n_runs]:
+        for factor in HARMONIC_COUNT_FACTORS[:n_runs]:
             solution = solve_without_stability(
                 self.study, self.balance_solution.omega, factor * n_harmonics, solution
             )
             counts_and_values = (
                 (n_harmonics, self.balance_numbers.values),
-                (factor * n_harmonics, self.compute_values(solution)),
+                (factor * n_harmonics, self.compute_values_by_name(solution)),
             )
             _, convergence_by_name = find_error_part(
                 "harmonics", counts_and_values, self.study.scene, size_ratio=1.0 / factor
@@ -469,28 +471,28 @@ class StatedCase(AnswerCase):
             )
         return (n_harmonics, 2 * n_harmonics), convergence_by_name
 
-    def estimate_mesh_error(self) -> PartOrReason:
-        """Judge the mesh by a coarser mesh, with few modes (collective).
+    def estimate_error_by_mesh(self) -> PartOrReason:
+        """Estimate the error by the mesh from a coarser mesh, with few modes (collective).
 
         A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR` modes in both runs.
         """
-        few_modes_case = self._case_with_few_modes()
-        part_or_reason = few_modes_case._estimate_error_by_coarser_mesh()
-        if few_modes_case is self or isinstance(part_or_reason, str):
+        few_modes_answer = self._answer_with_few_modes()
+        part_or_reason = few_modes_answer._estimate_error_by_coarser_mesh()
+        if few_modes_answer is self or isinstance(part_or_reason, str):
             return part_or_reason
         element_counts, few_mode_convergence_by_name = part_or_reason
         convergence_by_name = {}
         for quantity_name, value in self.balance_numbers.values.items():
             if (convergence := few_mode_convergence_by_name.get(quantity_name)) is None:
                 continue
-            value_change = value - few_modes_case.balance_numbers.values[quantity_name]
+            value_change = value - few_modes_answer.balance_numbers.values[quantity_name]
             value_pair = convergence.values[0] + value_change, convergence.values[1] + value_change
             convergence_by_name[quantity_name] = replace(
                 convergence, values=value_pair, extrapolated=convergence.extrapolated + value_change
             )
         return element_counts, convergence_by_name
 
-    def _case_with_few_modes(self) -> StatedCase:
+    def _answer_with_few_modes(self) -> AnswerJudgedByExtraRuns:
         """Return the answer's case with few modes (collective).
 
         The maximum is :data:`MAX_MODES_FOR_MESH_ERROR`. Disks and structures without
@@ -512,13 +514,13 @@ class StatedCase(AnswerCase):
         balance_solution = solve_without_stability(
             study, self.balance_solution.omega, self.balance_solution.harmonics, start_solution
         )
-        balance_numbers = compute_numbers(study, balance_solution, self.balance_numbers.mode)
+        balance_numbers = compute_numbers(study, balance_solution, self.balance_numbers.mode_number)
         return replace(
             self, study=study, balance_solution=balance_solution, balance_numbers=balance_numbers
         )
 
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
-        """Judge the mesh by a coarser mesh with equally many modes (collective).
+        """Estimate the error by the mesh from a coarser mesh, modes unchanged (collective).
 
         The part is the maximum over the mesh's orders. Besides the shape error, the part includes
         the shift of the resonance unless the answer is a peak. Further parts are the shifted
@@ -536,7 +538,7 @@ class StatedCase(AnswerCase):
         coarse_solution = solve_by_half_then_all_harmonics(
             coarse_study, balance_solution.omega * resonance_ratio, balance_solution.harmonics
         )
-        coarse_mesh_values = self.compute_values(coarse_solution, coarse_study)
+        coarse_mesh_values = self.compute_values_by_name(coarse_solution, coarse_study)
         counts_and_values = zip(
             element_counts, (self.balance_numbers.values, coarse_mesh_values), strict=True
         )
@@ -557,7 +559,7 @@ class StatedCase(AnswerCase):
         )
         values_with_shifted_clearance = self._compute_values_with_shifted_clearance()
         relative_increase_by_name = dict.fromkeys(
-            observable_names(Place.POINT), self._relative_increase_by_halved_elements
+            observable_names(Place.POINT), self._relative_amplitude_added_by_halving
         )
         closed_front_error_by_name, front_change_by_name = estimate_front_errors(
             study, balance_solution, coarse_study, coarse_solution
@@ -602,7 +604,7 @@ class StatedCase(AnswerCase):
             )
             for load_omega in load_omegas
         )
-        return [self.compute_values(solution) for solution in solutions]
+        return [self.compute_values_by_name(solution) for solution in solutions]
 
     def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
         """Return the number of extrapolated resonances in a range of relative shifts.
@@ -656,12 +658,12 @@ class StatedCase(AnswerCase):
         )
 
     @property
-    def _relative_increase_by_halved_elements(self) -> float:
+    def _relative_amplitude_added_by_halving(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
         if self.study.scene.points:
             return 0.0
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
-        return estimate_increase_by_halved_elements(self.study.scene) / amplitude
+        return displacement_added_by_halved_elements(self.study.scene) / amplitude
 
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
         """Return the numbers with each crack's clearance shifted (collective).
@@ -695,7 +697,7 @@ class StatedCase(AnswerCase):
         solution = solve_by_half_then_all_harmonics(
             shifted_study, balance_solution.omega, balance_solution.harmonics, balance_solution
         )
-        return self.compute_values(solution, shifted_study)
+        return self.compute_values_by_name(solution, shifted_study)
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:

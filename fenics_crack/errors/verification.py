@@ -156,7 +156,7 @@ class Verification(SavedResult):
             for counts in [self.counts[cause]]
         }
 
-    def find_missing_cause_reasons(self, quantity: str) -> dict[str, str]:
+    def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
         """Return reasons by varied cause without a part for a quantity."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(cause, "the other run has no such number")
@@ -228,7 +228,7 @@ class Verification(SavedResult):
         if not contribution_by_cause or is_unknown:
             return math.nan, ""
         relative_total = self.relative(quantity, self.total(quantity))
-        if relative_total == 0.0 and (self.unknown or self.find_missing_cause_reasons(quantity)):
+        if relative_total == 0.0 and (self.unknown or self.find_reasons_by_missing_cause(quantity)):
             return math.nan, ""
         cause = max(contribution_by_cause, key=lambda part_cause: contribution_by_cause[part_cause])
         return math.inf if relative_total >= 1.0 else relative_total, cause
@@ -262,7 +262,7 @@ class Verification(SavedResult):
         return describe_omitted_causes(self.unknown)
 
     @property
-    def omitted_causes_with_reasons(self) -> str:
+    def omitted_causes_and_reasons_text(self) -> str:
         """Unknown causes (:attr:`omitted_causes_text`) and the reasons; or empty."""
         reasons_text = "; ".join(dict.fromkeys(self.unknown.values()))
         return f"{self.omitted_causes_text}: {reasons_text}" if self.unknown else ""
@@ -451,7 +451,7 @@ class Verification(SavedResult):
         """Sentences on numbers with an error that lacks a varied cause."""
         return tuple(
             f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
-            f"{self.find_missing_cause_reasons(names_without_cause[0])[cause]}"
+            f"{self.find_reasons_by_missing_cause(names_without_cause[0])[cause]}"
             for cause, convergence_by_quantity in self.parts.items()
             if (
                 names_without_cause := [
@@ -467,7 +467,7 @@ class Verification(SavedResult):
         Given if elements half as long add much to the amplitude.
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
-        amplitude_increase = estimate_increase_by_halved_elements(scene)
+        amplitude_increase = displacement_added_by_halved_elements(scene)
         if scene.points or not amplitude_increase > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0:
             return ()
         growth_text, side_text = (
@@ -536,7 +536,7 @@ def read_verification_or_none(result_file: StoredFile) -> Verification | None:
         return verification
 
 
-def estimate_increase_by_halved_elements(scene: Scene) -> float:
+def displacement_added_by_halved_elements(scene: Scene) -> float:
     """Estimate the displacement [m] added by halved elements at a force.
 
     F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size

@@ -34,7 +34,7 @@ from fenics_crack.basics.errors import MAX_SAMPLES_PER_PERIOD, ConvergenceError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.errors.case import (
     SINGLE_HARMONIC_REASON_TEXT,
-    AnswerCase,
+    JudgedAnswer,
     add_error_parts,
     solve_without_stability,
 )
@@ -64,7 +64,7 @@ from fenics_crack.study.prepare import (
 )
 from fenics_crack.study.solve import SolvedStudy, solve_study
 
-COUNT_FACTORS = (1, 2, 4)
+REFINED_COUNT_FACTORS = (1, 2, 4)
 """Factors on the count in the answer and both finer runs."""
 SAMPLING_CONVERGENCE_ORDER = 2.0
 """Order of convergence with samples of a force."""
@@ -120,19 +120,23 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         raise ConvergenceError(f"{SCENE_RUN_NAME}: {answer.status}")
     whole_study = replace(whole_study, scene=_scene_with_chosen_counts(run))
     numbers = compute_numbers(run, answer)
-    case = _VerifiedCase(run, answer, numbers.values, answer, numbers, whole_study)
-    case.note_verdict(SCENE_RUN_NAME, run)
+    judged_answer = _AnswerJudgedByFinerRuns(
+        run, answer, numbers.values, answer, numbers, whole_study
+    )
+    judged_answer.note_verdict(SCENE_RUN_NAME, run)
     errors = Verification(whole_study.scene, numbers.values, numbers.units)
-    errors = add_error_parts(errors, {"mesh": case.estimate_mesh_error})
+    errors = add_error_parts(errors, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
-        "shift": partial(case.estimate_shift_error, errors),
-        "modes": case.estimate_modes_error,
-        "harmonics": case.estimate_harmonics_error,
-        "samples": case.estimate_samples_error,
-        "friction": case.estimate_friction_error,
+        "shift": partial(judged_answer.estimate_error_by_shift, errors),
+        "modes": judged_answer.estimate_error_by_modes,
+        "harmonics": judged_answer.estimate_error_by_harmonics,
+        "samples": judged_answer.estimate_error_by_samples,
+        "friction": judged_answer.estimate_error_by_friction,
     }
     errors = add_error_parts(errors, part_function_by_cause)
-    return replace(errors, failures=tuple(case.failure_texts), verdicts=case.verdict_by_run)
+    return replace(
+        errors, failures=tuple(judged_answer.failure_texts), verdicts=judged_answer.verdict_by_run
+    )
 
 
 def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
@@ -158,7 +162,7 @@ def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
     return scene.replace(values_by_key)
 
 
-def _find_kept_and_max_modes(study: Study) -> tuple[int, int] | str:
+def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
     """Return kept and possible mode numbers, or the reason for no variation.
 
     The numbers for a disk count modes per nodal diameter.
@@ -173,7 +177,7 @@ def _find_kept_and_max_modes(study: Study) -> tuple[int, int] | str:
 
 
 @dataclass(frozen=True)
-class _VerifiedCase(AnswerCase):
+class _AnswerJudgedByFinerRuns(JudgedAnswer):
     """Judge each cause of an answer's error by finer runs.
 
     Attributes
@@ -236,7 +240,7 @@ class _VerifiedCase(AnswerCase):
                     continue
             count_and_values = (
                 finer_count or count_elements(run.structure),
-                self._compute_run_values(run, cause),
+                self._compute_run_values_by_name(run, cause),
             )
             counts_and_values.insert(1, count_and_values)
             self.note_verdict(run_name, run)
@@ -258,7 +262,7 @@ class _VerifiedCase(AnswerCase):
         With the answer's structure the search starts from the answer. On a new mesh the load
         frequency keeps the ratio to the resonance. ConvergenceError without a solution.
         """
-        study, mode_number = self.study, self.balance_numbers.mode
+        study, mode_number = self.study, self.balance_numbers.mode_number
         start_solution = self.answer if shared_study is study else None
         load_omega = self.answer.omega
         if shared_study is not None:
@@ -273,18 +277,20 @@ class _VerifiedCase(AnswerCase):
             raise ConvergenceError(run.result.status)
         return run
 
-    def _compute_run_values(self, run: SolvedStudy, cause: str) -> dict[str, float]:
+    def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return a finer run's numbers (collective).
 
         With more modes, the numbers change as between exact orbits if both runs have an accepted
         orbit: with few harmonics, modes above all harmonics seem static.
         """
-        if cause == "modes" and self.orbit_values is not None:
+        if cause == "modes" and self.orbit_values_by_name is not None:
             orbit = find_accepted_orbit_or_none(run.result)
             if orbit is not None:
-                orbit_values = self.compute_values(orbit, run)
-                return add_changes(self.balance_numbers.values, self.orbit_values, orbit_values)
-        return self.compute_values(run.result, run)
+                orbit_values_by_name = self.compute_values_by_name(orbit, run)
+                return add_changes(
+                    self.balance_numbers.values, self.orbit_values_by_name, orbit_values_by_name
+                )
+        return self.compute_values_by_name(run.result, run)
 
     def _estimate_error_by_larger_counts(
         self,
@@ -296,11 +302,11 @@ class _VerifiedCase(AnswerCase):
         max_count: int,
         formal_order: float,
     ) -> PartOrReason:
-        """Judge a cause by two and four times a key's count (collective).
+        """Estimate a cause's error from two and four times a key's count (collective).
 
         No count is above ``max_count``.
         """
-        counts = sorted({min(factor * count, max_count) for factor in COUNT_FACTORS})
+        counts = sorted({min(factor * count, max_count) for factor in REFINED_COUNT_FACTORS})
         count_name = count_key.rpartition(".")[2]
         finer_scenes = [
             (f"{finer_count} {count_name}", finer_count, scene.replace({count_key: finer_count}))
@@ -310,8 +316,8 @@ class _VerifiedCase(AnswerCase):
             cause, finer_scenes, count, formal_order, shared_study=shared_study
         )
 
-    def estimate_mesh_error(self) -> PartOrReason:
-        """Judge the mesh by finer meshes (collective)."""
+    def estimate_error_by_mesh(self) -> PartOrReason:
+        """Estimate the error by the mesh from finer meshes (collective)."""
         scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
@@ -334,8 +340,8 @@ class _VerifiedCase(AnswerCase):
             "mesh", finer_scenes, n_elements, formal_order, scheme_order=scheme_order
         )
 
-    def estimate_shift_error(self, errors: Verification) -> PartOrReason:
-        """Judge the mesh's shift of the resonance (collective).
+    def estimate_error_by_shift(self, errors: Verification) -> PartOrReason:
+        """Estimate the error by the mesh's shift of the resonance (collective).
 
         The part is a number's largest change at up to three shifts: half the resonance's
         uncertainty, all the uncertainty, and the shift to an extrapolated value. Peaks may lie
@@ -363,7 +369,7 @@ class _VerifiedCase(AnswerCase):
             solution = solve_without_stability(
                 self.study, load_omega, self.answer.harmonics, solution
             )
-            values_at_shifts.append(self.compute_values(solution))
+            values_at_shifts.append(self.compute_values_by_name(solution))
         convergence_by_name = {}
         for quantity_name, value in self.balance_numbers.values.items():
             shifted_value_list = [
@@ -380,10 +386,10 @@ class _VerifiedCase(AnswerCase):
             )
         return element_counts[:: len(element_counts) - 1], convergence_by_name
 
-    def estimate_modes_error(self) -> PartOrReason:
-        """Judge modes by more modes (collective)."""
+    def estimate_error_by_modes(self) -> PartOrReason:
+        """Estimate the error by modes from more modes (collective)."""
         whole_study = self.whole_study
-        mode_counts_or_reason = _find_kept_and_max_modes(self.whole_study)
+        mode_counts_or_reason = _count_kept_and_possible_modes(self.whole_study)
         if isinstance(mode_counts_or_reason, str):
             return mode_counts_or_reason
         return self._estimate_error_by_larger_counts(
@@ -395,8 +401,8 @@ class _VerifiedCase(AnswerCase):
             TIP_CONVERGENCE_ORDER,
         )
 
-    def estimate_harmonics_error(self) -> PartOrReason:
-        """Judge harmonics by the exact orbit, or by more harmonics (collective).
+    def estimate_error_by_harmonics(self) -> PartOrReason:
+        """Estimate the error by harmonics from an orbit or more harmonics (collective).
 
         With a given number of samples, more harmonics are always used.
         """
@@ -405,11 +411,11 @@ class _VerifiedCase(AnswerCase):
         if self.study.contact is None:
             return SINGLE_HARMONIC_REASON_TEXT
         if balance_table.samples is not None:  # enough for all of them
-            min_n_samples = 4 * COUNT_FACTORS[-1] * balance_table.harmonics + 1
+            min_n_samples = 4 * REFINED_COUNT_FACTORS[-1] * balance_table.harmonics + 1
             n_samples = max(balance_table.samples, min_n_samples)
             scene = scene.replace({"harmonic_balance.samples": n_samples})
-        elif self.orbit_values is not None:
-            return self.estimate_harmonics_error_by_orbit(self.orbit_values)
+        elif self.orbit_values_by_name is not None:
+            return self.estimate_harmonics_error_by_orbit(self.orbit_values_by_name)
         harmonics_key = "harmonic_balance.harmonics"
         return self._estimate_error_by_larger_counts(
             "harmonics",
@@ -421,8 +427,8 @@ class _VerifiedCase(AnswerCase):
             TIP_CONVERGENCE_ORDER,
         )
 
-    def estimate_samples_error(self) -> PartOrReason:
-        """Judge samples by more samples of the contact force (collective)."""
+    def estimate_error_by_samples(self) -> PartOrReason:
+        """Estimate the error by samples from more samples of the contact force (collective)."""
         scene, contact_law = self.whole_study.scene, self.study.contact
         balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"
         if contact_law is None:

@@ -796,8 +796,8 @@ def _estimate_quantity_error(scene: Scene, quantity_name: str) -> tuple[float, l
         solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
     )
     omission_remarks = (
-        [f"vibration: {error_statement.omitted_causes_with_reasons}"]
-        if error_statement.omitted_causes_with_reasons
+        [f"vibration: {error_statement.omitted_causes_and_reasons_text}"]
+        if error_statement.omitted_causes_and_reasons_text
         else []
     )
     return error_statement.stated(quantity_name)[0], omission_remarks

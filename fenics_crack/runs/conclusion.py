@@ -101,7 +101,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
         return ""
     cause_text = f", mostly due to the {main_cause}" if relative_error > 1e-4 else ""
     error_text = f"{format_error(relative_error)}{cause_text}"
-    return ", ".join(filter(None, (error_text, run.stated.omitted_causes_with_reasons)))
+    return ", ".join(filter(None, (error_text, run.stated.omitted_causes_and_reasons_text)))
 
 
 def explain_unknown_error(run: StudyWithResult) -> str:
@@ -155,7 +155,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
     """
     if error_text := describe_stated_error(run, quantity_name):
         return f", estimated error {error_text}"
-    missing_causes_text = "" if run.stated is None else run.stated.omitted_causes_with_reasons
+    missing_causes_text = "" if run.stated is None else run.stated.omitted_causes_and_reasons_text
     return f"{fallback_text}, {missing_causes_text}" if missing_causes_text else fallback_text
 
 

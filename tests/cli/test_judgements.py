@@ -24,7 +24,7 @@ from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import (
-    TOLERANCE_OPTION,
+    TOLERANCE_OPTION_TEXT,
     yield_instability_warning,
     yield_large_error_warning,
 )
@@ -485,7 +485,8 @@ def test_hint_to_damp_more_modes(
     sets = ["contact.stiffness=1e9", "mesh.error=false", *changes.split()]
     answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
     assert (
-        "the stability of the orbit is undecided" in answer and f"; {TOLERANCE_OPTION} " in answer
+        "the stability of the orbit is undecided" in answer
+        and f"; {TOLERANCE_OPTION_TEXT} " in answer
     )
     assert ("or damping of all modes" in answer) == expected
 
