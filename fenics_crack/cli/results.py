@@ -173,14 +173,13 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         )
     if (
         solution.converged
-        and (omitted_order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof))
+        and (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof))
         is not None
     ):
         ratio_text = (
-            f"{omitted_order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; "
-            "more harmonics show it"
+            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         )
-        harmonic_text = f"harmonic {omitted_order_and_ratio[0]}, which the solution leaves out"
+        harmonic_text = f"harmonic {order_and_ratio[0]}, which the solution leaves out"
         note_texts.append(f"{harmonic_text}, is the largest of the higher ones: {ratio_text}")
     tolerance = scene.harmonic_balance.tolerance
     is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
