@@ -257,15 +257,15 @@ def yield_mode_dependence_warning(
 # --- printed parts of tables ----------------------------------------------------------------------
 
 
-def select_printed_quantities(table: Table, scene: Scene, table_place: ObservableFlag) -> Table:
+def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
     """Return the printed part of a table: quantities that the scene requests.
 
-    Without a request, quantities shown at the ``table_place`` are printed. Frequencies and speeds
+    Without a request, quantities with the ``place_flag`` are printed. Frequencies and speeds
     are printed in the scene's units alone. A table with a column "name" has a quantity in each row,
     any other table in each column. Other columns are always printed; other rows by the level in
     :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`. Rows with nan are left out.
     """
-    requested_names, default_names = scene.quantities, observable_names(required_flags=table_place)
+    requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)
 
     def is_printed(name: str, unit: str) -> bool:
@@ -361,11 +361,16 @@ def tabulate_known_quantities_as_text(table: Table) -> Table:
     ]
     return Table(
         ("quantity", "value", *table.columns[4:]),
-        [(*_format_quantity(*table_row[:3]), *table_row[3:]) for table_row in known_rows],
+        [
+            (*_format_description_and_value(*table_row[:3]), *table_row[3:])
+            for table_row in known_rows
+        ],
     )
 
 
-def _format_quantity(description: str, quantity_value: Any, unit: str) -> tuple[str, Any]:
+def _format_description_and_value(
+    description: str, quantity_value: Any, unit: str
+) -> tuple[str, Any]:
     """Return a quantity's description, and the value with unit as text."""
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:

@@ -226,8 +226,8 @@ def _print_input_errors(input_errors: Sequence[InputError]) -> None:
         _print_to_stderr(
             f"{type(input_error)(scene_key, input_error.value, input_error.allowed)}{example_text}"
         )
-    if example_lines := "\n\n".join(filter(None, example_blocks)):
-        print(f"for example:\n\n{example_lines}", file=sys.stderr)
+    if all_examples_text := "\n\n".join(filter(None, example_blocks)):
+        print(f"for example:\n\n{all_examples_text}", file=sys.stderr)
 
 
 def _redirect_stdout_to_null() -> None:

@@ -268,23 +268,26 @@ def _convert_arrivals_to_measurements(
         if not any(mode_numbers):
             requirement_text = "of a constant speed, or a run-up through a resonance of the blade"
             raise InputError(option_name, repr(arrivals), requirement_text)
-        measured_quantity = "frequency_uncracked" if is_uncracked else "frequency_resonance"
-        return Measurements.from_passages(passage_fits, mode_numbers, quantity=measured_quantity)
+        measured_quantity_name = "frequency_uncracked" if is_uncracked else "frequency_resonance"
+        return Measurements.from_passages(
+            passage_fits, mode_numbers, quantity=measured_quantity_name
+        )
     if is_uncracked:
         raise InputError(option_name, repr(arrivals), "those of a run-up, or frequency responses")
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
     if has_fixed_speed and abs(arrivals.mean_speed / scene.speed - 1.0) > STEADY:
-        measured_speed, scene_speed = (
+        measured_speed_text, scene_speed_text = (
             format_speed(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
         )
         requirement_text = (
-            f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"
+            f"at {scene_speed_text}, the speed of [rotation], unless the load is an "
+            "excitation.order"
         )
-        raise InputError(option_name, measured_speed, requirement_text)
+        raise InputError(option_name, measured_speed_text, requirement_text)
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
-    tip_displacement, reference_text = scene_timing.find_probed_displacement(scene)
+    displacement_name, is_against_rotation = scene_timing.find_probed_displacement(scene)
     return Measurements.from_arrivals(
-        arrivals, engine_order, tip_displacement, against=reference_text
+        arrivals, engine_order, displacement_name, against=is_against_rotation
     )
 
 
@@ -321,10 +324,10 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
             for picture_format in {"png", console.picture_format}:  # a report takes the first
                 draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
-    fit_text = identification.fit_table().formatted("csv")
+    fit_table_text = identification.fit_table().formatted("csv")
     other_stems = ("identify", "posterior", "where_to_measure")
     replacement_note = keep_previous_files_with_note(
-        folder / "fit.csv", fit_text, console.comm, *other_stems
+        folder / "fit.csv", fit_table_text, console.comm, *other_stems
     )
     on_root(console.comm, write_results)
     console.print_table(identification.table())

@@ -205,10 +205,10 @@ def _check_two_masses() -> str:
     structure = package_module.Structure.from_matrices(
         np.eye(2), stiffness, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
     )
-    orbit = package_module.solve_harmonic_balance(
+    solution = package_module.solve_harmonic_balance(
         structure, 1.0, package_module.UnilateralPenalty(1.0), harmonics=40
     )
-    gaps = orbit.gap(np.linspace(0.0, orbit.period, 4096))
+    gaps = solution.gap(np.linspace(0.0, solution.period, 4096))
     relative_error = np.max(
         np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_MAX_AND_MIN_DISPLACEMENT - 1.0)
     )

@@ -191,16 +191,16 @@ def _yield_further_errors(
             if isinstance(target_table, dict):
                 target_table.pop(key_name or table_name, None)
         else:
-            template_lines = (
+            template_text = (
                 find_example_line(error.key, error.allowed)
                 if key_name
                 else find_example_table_text(table_name)
             )
-            template_lines = (
-                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_lines
+            template_text = (
+                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_text
             )
             with suppress(ValueError):  # no value is meant
-                target_table = tomllib.loads(template_lines)
+                target_table = tomllib.loads(template_text)
                 for key, template_value in (
                     target_table if key_name else target_table.get(table_name, {})
                 ).items():
@@ -516,9 +516,9 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     ]
     exclusive_options += ["cad"] if arguments.cad else []
     if exclusive_options and len(exclusive_options + options) > 1:
-        other_option = f"with --{(exclusive_options[1:] + options)[0]}"
+        other_option_text = f"with --{(exclusive_options[1:] + options)[0]}"
         raise InputError(
-            f"--{exclusive_options[0]}", other_option, "used alone: it is another scene"
+            f"--{exclusive_options[0]}", other_option_text, "used alone: it is another scene"
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
     if arguments.cad:

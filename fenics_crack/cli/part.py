@@ -157,12 +157,12 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
         for at_top in (False, True)
     )
     crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
-    listed_faces = part_surface.face_numbers_largest_first[:MAX_LISTED_FACES]
+    listed_face_numbers = part_surface.face_numbers_largest_first[:MAX_LISTED_FACES]
     picture_path = scene_path.with_name(f"{scene_path.stem}_faces.png")
     draw_numbered_faces(
         part_surface.triangles,
         part_surface.face_numbers,
-        listed_faces,
+        listed_face_numbers,
         part_surface.face_points,
         path=picture_path,
     )
@@ -170,12 +170,12 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
         f"clamp = [{_format_vector(clamp_point)}]",
         f"tip = [{_format_vector(tip_point)}]",
     ]
-    for line_number, (face_number, face_point) in enumerate(
-        zip(listed_faces, part_surface.face_points, strict=False), 1
+    for face_rank, (face_number, face_point) in enumerate(
+        zip(listed_face_numbers, part_surface.face_points, strict=False), 1
     ):
         area_mm2 = 1e6 * part_surface.face_area(face_number)
         face_lines.append(
-            f"# face_{line_number} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
+            f"# face_{face_rank} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
         )
     text_by_placeholder = {
         "EXTENTS": " x ".join(f"{part_extent:.4g}" for part_extent in part_extents),

@@ -200,13 +200,13 @@ def _draw_waveforms(
 
     Time is in periods of the frequency ``omega`` [rad/s], or in seconds if that is None.
     """
-    line_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
+    colours_and_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
     drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
     for crack_place, crack_closing in waveforms.closings_by_place.items():
         drawn_waves.append(
-            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(line_styles))
+            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(colours_and_styles))
         )
     period = None if omega is None else 2.0 * np.pi / omega
     plot.draw_waves(
@@ -268,10 +268,10 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
         for lips in LIP_STATES
     }
     if scene.geometry is not None and scene.geometry.width is not None:
-        removed_keys = dict.fromkeys(
+        none_by_removed_key = dict.fromkeys(
             ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")
         )
-        uncracked_study = prepare(scene.replace(removed_keys), MPI.COMM_SELF)
+        uncracked_study = prepare(scene.replace(none_by_removed_key), MPI.COMM_SELF)
         arguments_by_label["no crack"] = (
             uncracked_study.structure,
             uncracked_study.watched[0].dof,
@@ -327,29 +327,31 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     separate pictures; twelve combinations are drawn. Raises InputError as
     :func:`_select_drawn_axis_indices`.
     """
-    drawn_indices = _select_drawn_axis_indices(sweep_result)
-    drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_indices]
-    fixed_indices = [
+    drawn_axis_indices = _select_drawn_axis_indices(sweep_result)
+    drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_axis_indices]
+    fixed_axis_indices = [
         axis_index
         for axis_index in range(len(sweep_result.axes))
-        if axis_index not in drawn_indices
+        if axis_index not in drawn_axis_indices
     ]
 
     def split_pictures(picture_values: np.ndarray) -> np.ndarray:
         """Reshape values to (n_pictures, n_x, n_y); n_y is 1 with one axis."""
         axis_lengths = [*(len(axis.values) for axis in drawn_axes), 1][:2]
-        return picture_values.transpose(*fixed_indices, *drawn_indices).reshape(-1, *axis_lengths)
+        return picture_values.transpose(*fixed_axis_indices, *drawn_axis_indices).reshape(
+            -1, *axis_lengths
+        )
 
     is_doubtful = split_pictures(
         sweep_result.converged & (sweep_result.not_stable | sweep_result.inexact)
     )
     fixed_combinations = itertools.product(
-        *(sweep_result.axes[axis_index].values for axis_index in fixed_indices)
+        *(sweep_result.axes[axis_index].values for axis_index in fixed_axis_indices)
     )
     for picture_index, fixed_combination in enumerate(
         itertools.islice(fixed_combinations, 12)
     ):  # of each quantity
-        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
+        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_axis_indices]
         fixed_value_texts = [
             f"{key_in_words(key)} {value_in_words(key, axis_value)}"
             for key, axis_value in zip(fixed_keys, fixed_combination, strict=True)
@@ -360,7 +362,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
             )[picture_index]
             if np.any(np.isfinite(picture_values)):
                 file_stem = (
-                    f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_indices else ''}"
+                    f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_axis_indices else ''}"
                 )
                 draw_swept_quantity(
                     drawn_axes,

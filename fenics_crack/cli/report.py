@@ -356,9 +356,9 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
     values_by_key = file_value_by_key(scene)
     listed_keys = [
         key
-        for table in LISTED_SCENE_TABLE_NAMES
+        for table_name in LISTED_SCENE_TABLE_NAMES
         for key in values_by_key
-        if key.startswith(f"{table}.")
+        if key.startswith(f"{table_name}.")
     ]
     quantity_rows: list[tuple[str, object]] = [
         (key_in_words(key), _format_value(key, values_by_key[key])) for key in listed_keys

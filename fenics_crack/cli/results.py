@@ -248,7 +248,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     }
     units_by_name = {name: "m" if name == "position" else "Pa m^0.5" for name in columns_by_name}
     lists_by_name = {
-        name: [float(f"{component:.4g}") for component in column]
+        name: [float(f"{cell_value:.4g}") for cell_value in column]
         for name, column in columns_by_name.items()
     }
     return {
@@ -305,19 +305,20 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
             (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
             for attractor in attractors(solution.structure, solution)
         ]
-    settled_ranges = dict.fromkeys(
+    settled_range_texts = dict.fromkeys(
         _describe_range(amplitudes) for is_orbit, _, amplitudes in motions if is_orbit
     )
-    clauses = [f"settles to {' or '.join(settled_ranges)}"] if settled_ranges else []
+    clause_texts = [f"settles to {' or '.join(settled_range_texts)}"] if settled_range_texts else []
     if varying_motions := [
         (n_periods, amplitudes) for is_orbit, n_periods, amplitudes in motions if not is_orbit
     ]:
         period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
-        amplitude_range = _describe_range(np.concatenate(amplitude_arrays))
-        clauses.append(
-            f"still varies after {format_count(min(period_counts), 'period')}, {amplitude_range}"
+        amplitude_range_text = _describe_range(np.concatenate(amplitude_arrays))
+        clause_texts.append(
+            f"still varies after {format_count(min(period_counts), 'period')}, "
+            f"{amplitude_range_text}"
         )
-    return f"; the motion {' or '.join(clauses)} half peak-to-peak" if clauses else ""
+    return f"; the motion {' or '.join(clause_texts)} half peak-to-peak" if clause_texts else ""
 
 
 def _describe_range(amplitudes: np.ndarray) -> str:
@@ -546,8 +547,8 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
 def report_of_curve(run: Run[ResponseCurve]) -> Report:
     """Report a curve, its special points, errors and stability (collective)."""
     curve, scene = run.result, run.scene
-    indicator_columns = _indicator_columns_by_heading(run, curve)
-    special_point_table = tabulate_special_points(run, indicator_columns)
+    indicator_columns_by_heading = _indicator_columns_by_heading(run, curve)
+    special_point_table = tabulate_special_points(run, indicator_columns_by_heading)
     shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
     note_texts = [
         _describe_unstable_peak(run),
@@ -591,7 +592,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     return _make_report(
         run,
         special_point_table,
-        csv_table=tabulate_curve_points(run, indicator_columns),
+        csv_table=tabulate_curve_points(run, indicator_columns_by_heading),
         printed_table=account.select_printed_quantities(
             shortened_table, scene, IN_SPECIAL_POINTS_TABLE
         ),
@@ -725,13 +726,17 @@ def tabulate_curve_points(
     """
     quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)
-    indicator_columns = columns_by_heading or _indicator_columns_by_heading(run, run.result)
-    indicator_rows = zip(*(column.tolist() for column in indicator_columns.values()), strict=True)
+    indicator_columns_by_heading = columns_by_heading or _indicator_columns_by_heading(
+        run, run.result
+    )
+    indicator_rows = zip(
+        *(column.tolist() for column in indicator_columns_by_heading.values()), strict=True
+    )
     point_rows = [
         [*point_row, *indicator_row]
         for point_row, indicator_row in zip(table.rows, indicator_rows, strict=True)
     ]
-    return Table((*table.columns, *indicator_columns), point_rows)
+    return Table((*table.columns, *indicator_columns_by_heading), point_rows)
 
 
 def tabulate_special_points(
@@ -748,7 +753,7 @@ def tabulate_special_points(
         columns_by_heading or _indicator_columns_by_heading(run, curve)
     )
     curve_at_bifurcations = curve.at_bifurcations if curve.bifurcations else curve
-    bifurcation_columns = _parameter_columns_by_heading(
+    bifurcation_columns_by_heading = _parameter_columns_by_heading(
         curve_at_bifurcations
     ) | _indicator_columns_by_heading(run, curve_at_bifurcations)
     peak = curve.top(run.watched_dof)
@@ -761,7 +766,7 @@ def tabulate_special_points(
     ]
     for bifurcation_number, bifurcation in enumerate(curve.bifurcations, 1):
         named_row_sources.append(
-            (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns)
+            (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns_by_heading)
         )
     if curve.multipliers is not None:
         for point_index in np.flatnonzero(curve.verdicts[1:] != curve.verdicts[:-1]):
@@ -771,8 +776,8 @@ def tabulate_special_points(
                 (f"stability {change_text} after", int(point_index), columns_by_heading)
             )
     table_rows = [
-        (point_name, *(float(column[row_index]) for column in source_columns.values()))
-        for point_name, row_index, source_columns in named_row_sources
+        (point_name, *(float(column[row_index]) for column in source_columns_by_heading.values()))
+        for point_name, row_index, source_columns_by_heading in named_row_sources
     ]
     return Table(("point", *columns_by_heading), table_rows)
 
@@ -881,7 +886,7 @@ def _solve_natural_frequencies(
         return bilinear_frequencies(structure)
     speeds = load_omega * (curve.values[0] / curve.omega[0])
     sample_speeds = np.linspace(speeds.min(), speeds.max(), min(speeds.size, 9))
-    frequencies_by_sample = [
+    frequencies_of_samples = [
         bilinear_frequencies(structure.at_speed(float(sample_speed)))
         for sample_speed in sample_speeds
     ]
@@ -894,7 +899,7 @@ def _solve_natural_frequencies(
         return np.sqrt(np.stack(mode_omega_columns, axis=-1))
 
     open_omega_rows, bonded_omega_rows = (
-        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_by_sample]
+        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_of_samples]
         for frequency_kind in ("open", "tied")
     )
     return BilinearFrequencies(

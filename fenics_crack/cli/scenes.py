@@ -210,8 +210,8 @@ def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str]:
         "error of first natural frequencies due to the mesh": " and ".join(error_texts)
     }
     if "resonance" in mesh_errors.values:
-        resonance_error = format_percent(mesh_errors.stated("resonance")[0])
-        values_by_label["error of the resonance at the load due to the mesh"] = resonance_error
+        resonance_error_text = format_percent(mesh_errors.stated("resonance")[0])
+        values_by_label["error of the resonance at the load due to the mesh"] = resonance_error_text
     return values_by_label
 
 
@@ -276,8 +276,10 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
         values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
         values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
     faces_text = word_for_crack_faces(study.scene)
-    static_stiffness = format_range(key_figures.face_stiffness, ".3g")
-    values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
+    static_stiffness_text = format_range(key_figures.face_stiffness, ".3g")
+    values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = (
+        static_stiffness_text
+    )
     if key_figures.stiffness_ratio is not None:
         values_by_label["contact stiffness / static stiffness"] = format_range(
             key_figures.stiffness_ratio, ".3g"

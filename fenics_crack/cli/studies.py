@@ -158,15 +158,19 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     if not axis_indices:
         return []
     swept_axis = sweep_result.axes[axis_indices[0]]
-    response = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
+    complex_responses = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
     sorting_index = np.argsort(swept_axis.values)
-    response = np.moveaxis(response, axis_indices[0], -1)[..., sorting_index]
+    complex_responses = np.moveaxis(complex_responses, axis_indices[0], -1)[..., sorting_index]
     if swept_axis.key in ROTOR_SPEED_KEYS and sweep_result.scene.excitation.order is None:
-        response = response.conj()  # the resonance rises past the load's frequency
-    is_skipped = np.angle(response[..., 1:] * np.conj(response[..., :-1])) < -0.5 * np.pi
+        complex_responses = (
+            complex_responses.conj()
+        )  # the resonance rises past the load's frequency
+    is_skipped = (
+        np.angle(complex_responses[..., 1:] * np.conj(complex_responses[..., :-1])) < -0.5 * np.pi
+    )
     if not is_skipped.any():
         return []
-    *other_indices, step_index = map(int, np.argwhere(is_skipped)[0])
+    *other_axis_indices, step_index = map(int, np.argwhere(is_skipped)[0])
     end_values = (
         swept_axis.values[value_index] for value_index in sorting_index[step_index : step_index + 2]
     )
@@ -176,7 +180,7 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     ]
     location_text = "".join(
         f", {axes_text}"
-        for axes_text in [describe_swept_values(other_axes, other_indices)]
+        for axes_text in [describe_swept_values(other_axes, other_axis_indices)]
         if axes_text
     )
     n_further_steps = int(is_skipped.sum()) - 1

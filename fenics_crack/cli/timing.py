@@ -61,9 +61,9 @@ def fit_and_report_timing(
         arrivals_by_blade, run = scene_timing.arrivals_of_blades(
             scene, arrival_source, console.comm
         )
-    first_arrivals = next(iter(arrivals_by_blade.values()))
+    first_blade_arrivals = next(iter(arrivals_by_blade.values()))
     if scene.disk is None:
-        _write_and_draw_arrivals(first_arrivals, arrivals_path, scene, run, console)
+        _write_and_draw_arrivals(first_blade_arrivals, arrivals_path, scene, run, console)
     elif run is not None:
         on_root(
             console.comm,
@@ -78,7 +78,7 @@ def fit_and_report_timing(
     ):
         requirement_text = "arrivals at one speed of a bladed disk"
         raise InputError("arrivals", str(arrival_source or "a curve"), requirement_text)
-    doubt_texts = tuple(_yield_timing_warnings(first_arrivals, scene, run))
+    doubt_texts = tuple(_yield_timing_warnings(first_blade_arrivals, scene, run))
     return _write_timing_report(
         Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )
@@ -101,11 +101,13 @@ def _write_and_draw_arrivals(
     table_text = arrivals.table().formatted("csv")
     console.print_notes(keep_previous_files_with_note(arrivals_path, table_text, console.comm))
     on_root(console.comm, write_files)
-    first_speed, last_speed = (
+    first_speed_text, last_speed_text = (
         format_speed(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
     )
     speed_range_text = (
-        f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
+        f"{first_speed_text} to {last_speed_text}"
+        if scene_timing.is_run_up(arrivals, run)
+        else first_speed_text
     )
     console.print_notes(
         f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range_text}: {arrivals_path}, "
@@ -156,11 +158,11 @@ def _yield_timing_warnings(
             scene.speed > 0.0
             and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
         ):
-            record_speed, scene_speed = (
+            record_speed_text, scene_speed_text = (
                 format_speed(rotor_speed, scene.in_rpm) for rotor_speed in record_and_scene_speeds
             )
             yield (
-                f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
+                f"the arrivals are of {record_speed_text}, [rotation] has {scene_speed_text}: "
                 "are they in seconds?"
             )
         return
@@ -181,10 +183,10 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
     for full_key, key_value in parse_changes(arguments.set).items():
         table_name, _, key_name = full_key.partition(".")
         if table_name != "tip_timing" or key_name not in RECORD_TIMING_KEYS:
-            allowed_keys = ", ".join(
+            allowed_keys_text = ", ".join(
                 f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
             )
-            requirement_text = f"left out with a record in place of a scene, or {allowed_keys}"
+            requirement_text = f"left out with a record in place of a scene, or {allowed_keys_text}"
             raise InputError(full_key, key_value, requirement_text)
         table_values_by_name[key_name] = TipTiming.convert_value(key_name, key_value)
     with console.report_stage("arrival times"):
@@ -197,24 +199,24 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
         arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
     result_folder = arguments.output or Path("output") / arguments.scene.stem
     make_writable_folder(result_folder, console.comm)
-    first_arrivals = next(iter(arrivals_by_blade.values()))
+    first_blade_arrivals = next(iter(arrivals_by_blade.values()))
     console.print_notes(
         f"{format_count(len(arrivals_by_blade), 'blade')}, "
-        f"{_describe_arrival_counts(first_arrivals)}"
+        f"{_describe_arrival_counts(first_blade_arrivals)}"
     )
     needs_probes = (
-        first_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
+        first_blade_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
     )
     if needs_probes and not has_probe_angles(arguments.scene):
         raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT_TEXT)
     record_values_by_name = {
-        "probes": np.degrees(first_arrivals.probes).tolist(),
-        "tip_radius": first_arrivals.tip_radius,
+        "probes": np.degrees(first_blade_arrivals.probes).tolist(),
+        "tip_radius": first_blade_arrivals.tip_radius,
     }
     fits_by_blade = _fit_vibration_by_blade(
         TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
     )
-    doubt_texts = tuple(scene_timing.list_arrival_remarks(first_arrivals))
+    doubt_texts = tuple(scene_timing.list_arrival_remarks(first_blade_arrivals))
     return _write_timing_report(
         Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )
