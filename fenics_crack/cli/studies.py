@@ -36,12 +36,12 @@ def report_of_verification(verification: Verification) -> Report:
     return Report(
         verification.table(),
         verification.said(),
-        printed_table=verification.tabulate_errors(),
+        printed_table=verification.totals(),
         notes=verification.statement[: -len(verification.warnings) or None],
         warnings=verification.warnings,
         remarks=remarks_on_scene(verification.scene),
         has_converged=not verification.failures,
-        misses_tolerance=bool(verification.describe_doubt(next(iter(verification.values)))),
+        misses_tolerance=bool(verification.doubt(next(iter(verification.values)))),
     )
 
 

@@ -532,9 +532,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             return coarse_study_or_reason
         coarse_study, element_counts, length_ratio = coarse_study_or_reason
         coarse_study = _without_refused_stress_intensities(coarse_study)
-        shifted_mode = self._find_mode_with_strongest_shift()
-        resonance_ratio = find_bilinear_omega(coarse_study.structure, shifted_mode)
-        resonance_ratio /= find_bilinear_omega(study.structure, shifted_mode)
+        shifted_mode_number = self._find_mode_with_strongest_shift()
+        resonance_ratio = find_bilinear_omega(coarse_study.structure, shifted_mode_number)
+        resonance_ratio /= find_bilinear_omega(study.structure, shifted_mode_number)
         coarse_solution = solve_by_half_then_all_harmonics(
             coarse_study, balance_solution.omega * resonance_ratio, balance_solution.harmonics
         )
@@ -552,7 +552,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         )
         relative_shift_range = abs(1.0 - resonance_ratio) * (end_factors[1] - end_factors[0])
         extrapolation_factors = np.linspace(
-            *end_factors, self._count_extrapolated_resonances(relative_shift_range, shifted_mode)
+            *end_factors,
+            self._count_extrapolated_resonances(relative_shift_range, shifted_mode_number),
         )
         values_at_shifts = self._compute_values_at_resonance_shifts(
             extrapolation_factors * (1.0 - resonance_ratio)

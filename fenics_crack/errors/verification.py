@@ -233,7 +233,7 @@ class Verification(SavedResult):
         cause = max(contribution_by_cause, key=lambda part_cause: contribution_by_cause[part_cause])
         return math.inf if relative_total >= 1.0 else relative_total, cause
 
-    def describe_doubt(self, quantity: str) -> str:
+    def doubt(self, quantity: str) -> str:
         """Return the reason for doubt about a quantity's error.
 
         The text is empty if the error is known, or was left out by choice.
@@ -269,7 +269,7 @@ class Verification(SavedResult):
 
     # --- tables -----------------------------------------------------------------------------------
 
-    def tabulate_errors(self) -> Table:
+    def totals(self) -> Table:
         """Return a table with the errors of all quantities.
 
         A row has the value, relative contributions and totals [%] to three digits, the mesh's
@@ -381,7 +381,7 @@ class Verification(SavedResult):
         answer_text += f"to the {cause}"
         if math.isnan(error):
             answer_text = f"{value_text}; nothing that was varied changes the numbers"
-        doubt_text = self.describe_doubt(quantity_name)
+        doubt_text = self.doubt(quantity_name)
         verdict_texts = (f"{run_name}: {verdict}" for run_name, verdict in self.verdicts.items())
         return Conclusion(
             "verified",

@@ -111,7 +111,7 @@ def explain_unknown_error(run: StudyWithResult) -> str:
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
-    return run.stated.describe_doubt(run.watched[0].column("amplitude"))
+    return run.stated.doubt(run.watched[0].column("amplitude"))
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:

@@ -94,7 +94,7 @@ def test_each_part_is_what_its_runs_say() -> None:
         verification, values={name: value / 1e3 for name, value in verification.values.items()}
     )
     assert re.search(r"\+- \d{3,} % \(sum of all: \d{3,} %\)", tiny.statement[0])
-    rows = [row for row in verification.tabulate_errors().rows if row[0] == "opening [m]"]
+    rows = [row for row in verification.totals().rows if row[0] == "opening [m]"]
     assert rows[0][2] == pytest.approx(
         100.0 * parts["mesh"] / verification.values["opening"], rel=1e-2
     )
@@ -282,7 +282,7 @@ def stated(scene: Scene, comm: MPI.Comm) -> tuple[list[float], dict[str, tuple[i
 
 def numbers(found: fc.Verification) -> tuple[list[float], dict[str, tuple[int, int, int]]]:
     """The same of what was found."""
-    return [round(row[2] + row[6], 2) for row in found.tabulate_errors().rows], found.counts
+    return [round(row[2] + row[6], 2) for row in found.totals().rows], found.counts
 
 
 @pytest.mark.mpi
