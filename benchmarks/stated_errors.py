@@ -434,7 +434,7 @@ def stated_and_true(
     found, own = run.errors, compute_numbers(run, run.result)
     assert found is not None
     other = solve_study(reference, omega=run.result.omega)
-    true = compute_numbers(other, other.result, own.mode_number).values
+    true = compute_numbers(other, other.result, own.mode_number).values_by_name
     rows = {}
     for quantity, value in found.values.items():
         natural = quantity.startswith(("frequency", "omega"))
@@ -457,7 +457,7 @@ def by_mesh_alone(
                 initial=solution,
             )  # fmt: skip
         assert solution is not None
-        solutions.append(compute_numbers(study, solution, mode).values)
+        solutions.append(compute_numbers(study, solution, mode).values_by_name)
     assert errors is not None
     if "mesh" in errors.unknown:
         raise fc.ConvergenceError(errors.omitted_causes_and_reasons_text)
@@ -755,7 +755,10 @@ def by_modes(
     assert few.converged and many.converged
     more = replace(run, structure=reference)
     mode = compute_numbers(run, run.result).mode_number
-    number_pairs = compute_numbers(run, few, mode).values, compute_numbers(more, many, mode).values
+    number_pairs = (
+        compute_numbers(run, few, mode).values_by_name,
+        compute_numbers(more, many, mode).values_by_name,
+    )
     yield from compare_with_true(errors, *number_pairs)
     true_of, stated_of = report_by_more_modes(few, many), run.result.report
     share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0

@@ -99,7 +99,7 @@ class JudgedAnswer:
         study, mode_number = study or self.study, self.balance_numbers.mode_number
         if isinstance(motion, PeriodicOrbit):
             return compute_orbit_values_by_name(study, self.answer, motion, mode_number)
-        return compute_numbers(study, motion, mode_number).values
+        return compute_numbers(study, motion, mode_number).values_by_name
 
     @cached_property
     def orbit_values_by_name(self) -> dict[str, float] | None:

@@ -62,7 +62,7 @@ class Numbers:
 
     Attributes
     ----------
-    values, units : dict of str to float, and to str
+    values_by_name, unit_by_name : dict of str to float, and to str
         Value and unit by name, as in :class:`Verification`.
     resonance_name : str
         Name of the mode's bilinear frequency; without contact pairs, the open frequency.
@@ -70,8 +70,8 @@ class Numbers:
         Mode of the resonance, counted from 1.
     """
 
-    values: dict[str, float]
-    units: dict[str, str]
+    values_by_name: dict[str, float]
+    unit_by_name: dict[str, str]
     resonance_name: str
     mode_number: int
 
@@ -87,7 +87,7 @@ def compute_numbers(
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
-    units_by_name: dict[str, str] = {}
+    unit_by_name: dict[str, str] = {}
     displacement_indicators = motion.measure([point.dof for point in study.watched])
     rounding_size = NEGLIGIBLE * min(  # of closed pairs
         indicators.amplitude + abs(indicators.mean) for indicators in displacement_indicators
@@ -108,11 +108,11 @@ def compute_numbers(
         }.get(observation.unit, 0.0)
         if abs(value) > min_size or (observable_place.on_request and value == 0.0):
             values_by_name[observation.column] = value
-            units_by_name[observation.column] = observation.unit.replace("1", "")
+            unit_by_name[observation.column] = observation.unit.replace("1", "")
     resonance_name, mode_number = _add_natural_frequencies(
-        study, motion.omega, mode_number, values_by_name, units_by_name
+        study, motion.omega, mode_number, values_by_name, unit_by_name
     )
-    return Numbers(values_by_name, units_by_name, resonance_name, mode_number)
+    return Numbers(values_by_name, unit_by_name, resonance_name, mode_number)
 
 
 def _add_natural_frequencies(
@@ -120,7 +120,7 @@ def _add_natural_frequencies(
     omega: float,
     mode_number: int | None,
     values_by_name: dict[str, float],
-    units_by_name: dict[str, str],
+    unit_by_name: dict[str, str],
 ) -> tuple[str, int]:
     """Add natural frequencies to numbers and units, in place (collective).
 
@@ -146,7 +146,7 @@ def _add_natural_frequencies(
                 values_by_name[frequency_name] = unit_factor * float(
                     omega_of_modes[kind_mode_number - 1]
                 )
-                units_by_name[frequency_name] = unit
+                unit_by_name[frequency_name] = unit
     return natural_frequency_name(
         scene, "bilinear" if has_pairs else "open", mode_number
     ), mode_number
@@ -243,7 +243,7 @@ def compute_orbit_values_by_name(
     """
     return compute_numbers(
         study, TruncatedOrbit(orbit, choose_n_orbit_harmonics(solution)), mode_number
-    ).values
+    ).values_by_name
 
 
 # --- sizes of change ------------------------------------------------------------------------------

@@ -276,7 +276,7 @@ def estimate_solution_errors(
         not apply is left out.
     """
     numbers = compute_numbers(study, answer)
-    errors = Verification(study.scene, numbers.values, numbers.units)
+    errors = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
     if not is_small(study.structure):  # three more solutions take three times as long
         reason_by_cause = dict.fromkeys(REDUCED_STRUCTURE_CAUSES, "the structure is not reduced")
         return replace(errors, unknown=reason_by_cause)
@@ -291,7 +291,7 @@ def estimate_solution_errors(
         balance_solution = answer  # has the coefficients of an exact orbit
     balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
     judged_answer = AnswerJudgedByExtraRuns(
-        study, answer, numbers.values, balance_solution, balance_numbers, is_peak
+        study, answer, numbers.values_by_name, balance_solution, balance_numbers, is_peak
     )
     return add_error_parts(
         errors, {cause: getattr(judged_answer, f"estimate_error_by_{cause}") for cause in causes}
@@ -349,7 +349,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         is_truncated = isinstance(motion_with_more_modes, PeriodicSolution)
         base_values = None if is_truncated else self.orbit_values_by_name
         values_with_more_modes = add_changes(
-            self.balance_numbers.values,
+            self.balance_numbers.values_by_name,
             base_values or self.compute_values_by_name(base_motion),
             self.compute_values_by_name(motion_with_more_modes, larger_study),
         )
@@ -369,7 +369,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         mode_counts = (len(structure.omega), len(structure_with_more_modes.omega))
         size_ratio = 1.0 - structure.share
         counts_and_values = zip(
-            mode_counts, (self.balance_numbers.values, values_with_more_modes), strict=True
+            mode_counts, (self.balance_numbers.values_by_name, values_with_more_modes), strict=True
         )
         _, convergence_by_name = find_error_part(
             "modes",
@@ -445,7 +445,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
                 self.study, self.balance_solution.omega, factor * n_harmonics, solution
             )
             counts_and_values = (
-                (n_harmonics, self.balance_numbers.values),
+                (n_harmonics, self.balance_numbers.values_by_name),
                 (factor * n_harmonics, self.compute_values_by_name(solution)),
             )
             _, convergence_by_name = find_error_part(
@@ -457,7 +457,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             name: select_largest_uncertainty(
                 convergence_by_name[name] for convergence_by_name in convergences_of_factors
             )
-            for name in self.balance_numbers.values
+            for name in self.balance_numbers.values_by_name
         }
         if "closed_share" in convergence_by_name:
             convergence = convergence_by_name[
@@ -482,10 +482,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             return part_or_reason
         element_counts, few_mode_convergence_by_name = part_or_reason
         convergence_by_name = {}
-        for quantity_name, value in self.balance_numbers.values.items():
+        for quantity_name, value in self.balance_numbers.values_by_name.items():
             if (convergence := few_mode_convergence_by_name.get(quantity_name)) is None:
                 continue
-            value_change = value - few_modes_answer.balance_numbers.values[quantity_name]
+            value_change = value - few_modes_answer.balance_numbers.values_by_name[quantity_name]
             value_pair = convergence.values[0] + value_change, convergence.values[1] + value_change
             convergence_by_name[quantity_name] = replace(
                 convergence, values=value_pair, extrapolated=convergence.extrapolated + value_change
@@ -540,7 +540,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         )
         coarse_mesh_values = self.compute_values_by_name(coarse_solution, coarse_study)
         counts_and_values = zip(
-            element_counts, (self.balance_numbers.values, coarse_mesh_values), strict=True
+            element_counts, (self.balance_numbers.values_by_name, coarse_mesh_values), strict=True
         )
         _, convergence_by_name = find_error_part(
             "mesh", [*counts_and_values], study.scene, size_ratio=length_ratio
@@ -597,7 +597,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         reach a different motion.
         """
         if self.is_peak:
-            return [self.balance_numbers.values] * len(relative_shifts)
+            return [self.balance_numbers.values_by_name] * len(relative_shifts)
         load_omegas = self.balance_solution.omega / (1.0 + relative_shifts)
         solutions = (
             solve_by_half_then_all_harmonics(

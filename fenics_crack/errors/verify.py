@@ -121,10 +121,10 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     whole_study = replace(whole_study, scene=_scene_with_chosen_counts(run))
     numbers = compute_numbers(run, answer)
     judged_answer = _AnswerJudgedByFinerRuns(
-        run, answer, numbers.values, answer, numbers, whole_study
+        run, answer, numbers.values_by_name, answer, numbers, whole_study
     )
     judged_answer.note_verdict(SCENE_RUN_NAME, run)
-    errors = Verification(whole_study.scene, numbers.values, numbers.units)
+    errors = Verification(whole_study.scene, numbers.values_by_name, numbers.unit_by_name)
     errors = add_error_parts(errors, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
         "shift": partial(judged_answer.estimate_error_by_shift, errors),
@@ -230,7 +230,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         ConvergenceError
             All finer runs fail.
         """
-        counts_and_values: list[CountAndValues] = [(count, self.balance_numbers.values)]
+        counts_and_values: list[CountAndValues] = [(count, self.balance_numbers.values_by_name)]
         for run_name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
             with prefix_stages(run_name):
                 try:
@@ -288,7 +288,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             if orbit is not None:
                 orbit_values_by_name = self.compute_values_by_name(orbit, run)
                 return add_changes(
-                    self.balance_numbers.values, self.orbit_values_by_name, orbit_values_by_name
+                    self.balance_numbers.values_by_name,
+                    self.orbit_values_by_name,
+                    orbit_values_by_name,
                 )
         return self.compute_values_by_name(run.result, run)
 
@@ -351,7 +353,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             return ""
         element_counts = errors.counts["mesh"]
         resonance_convergence = errors.parts["mesh"][self.balance_numbers.resonance_name]
-        resonance_frequency = self.balance_numbers.values[self.balance_numbers.resonance_name]
+        resonance_frequency = self.balance_numbers.values_by_name[
+            self.balance_numbers.resonance_name
+        ]
         relative_error = resonance_convergence.uncertainty(-1) / resonance_frequency
         is_extrapolated = math.isfinite(resonance_convergence.extrapolated)
         is_resonance_rising = (
@@ -371,7 +375,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             )
             values_at_shifts.append(self.compute_values_by_name(solution))
         convergence_by_name = {}
-        for quantity_name, value in self.balance_numbers.values.items():
+        for quantity_name, value in self.balance_numbers.values_by_name.items():
             shifted_value_list = [
                 values_by_name.get(quantity_name, 0.0) for values_by_name in values_at_shifts
             ]

@@ -128,7 +128,9 @@ def test_natural_frequencies_beside_other_numbers(mode: int, expected_modes: tup
     study = replace(study_of(structure), watched=(prepare.WatchedDisplacement("", "last mass", 4),))
     solution = fc.solve_harmonic_balance(structure, 1.1, study.contact, harmonics=3)
     numbers = compute_numbers(study, solution, mode)
-    is_open = {name: value for name, value in numbers.values.items() if "omega_open" in name}
+    is_open = {
+        name: value for name, value in numbers.values_by_name.items() if "omega_open" in name
+    }
     assert is_open == pytest.approx(
         {f"omega_open_{k}": 2.0 * np.sin(k * np.pi / 12.0) for k in expected_modes}, rel=1e-9
     )
