@@ -72,12 +72,12 @@ UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 # --- sentences ------------------------------------------------------------------------------------
 
 
-def list_large_motion_warnings(run: Run[Any], max_displacements: Sequence[float]) -> list[str]:
+def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[float]) -> list[str]:
     """Warn if displacements are large relative to clamp distances (collective).
 
     Parameters
     ----------
-    max_displacements : (n_watched,) [m]
+    largest_displacements : (n_watched,) [m]
         Largest displacements of the watched dofs, means included.
 
     Returns
@@ -88,11 +88,13 @@ def list_large_motion_warnings(run: Run[Any], max_displacements: Sequence[float]
     clamp_distances = distances_from_clamp(
         run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
     )
-    worst_index = int(np.argmax(rotation_angles := np.asarray(max_displacements) / clamp_distances))
+    worst_index = int(
+        np.argmax(rotation_angles := np.asarray(largest_displacements) / clamp_distances)
+    )
     if not rotation_angles[worst_index] > MAX_SMALL_ROTATION:
         return []
     return [
-        f"{format_quantity(max_displacements[worst_index], 'm')} of "
+        f"{format_quantity(largest_displacements[worst_index], 'm')} of "
         f"{run.watched[worst_index].words} is beyond small "
         "displacements: the equations neglect the square of the rotation about the clamp, of "
         f"{rotation_angles[worst_index]:.2g} rad; the stated errors do not include it"

@@ -114,8 +114,8 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
         Distance through the part along the inward normal.
     """
     axis_direction = np.eye(3)[axis]
-    min_height = part_surface.triangles[..., axis].min()
-    max_height = part_surface.triangles[..., axis].max()
+    bottom_height = part_surface.triangles[..., axis].min()
+    top_height = part_surface.triangles[..., axis].max()
     axis_components = [
         np.abs(
             part_surface.triangle_normals[part_surface.face_numbers == face_number][:, axis]
@@ -125,7 +125,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     face_index = int((np.array(axis_components) < 0.7).argmax())
     is_on_face = part_surface.face_numbers == part_surface.face_numbers_largest_first[face_index]
     target_point = part_surface.face_points[face_index] * (1.0 - axis_direction)
-    target_point[axis] = min_height + CRACK_HEIGHT_FRACTION * (max_height - min_height)
+    target_point[axis] = bottom_height + CRACK_HEIGHT_FRACTION * (top_height - bottom_height)
     triangle_index = np.linalg.norm(
         part_surface.triangle_centers[is_on_face] - target_point, axis=1
     ).argmin()

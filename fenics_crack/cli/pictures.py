@@ -306,12 +306,12 @@ def _compute_linear_response(
     omega_near_resonances = np.outer(
         natural_omega, np.concatenate([1.0 - relative_offsets, 1.0 + relative_offsets])
     ).ravel()
-    min_omega, max_omega = curve_omega.min(), curve_omega.max()
+    lowest_omega, highest_omega = curve_omega.min(), curve_omega.max()
     omega_within_curve = omega_near_resonances[
-        (omega_near_resonances > min_omega) & (omega_near_resonances < max_omega)
+        (omega_near_resonances > lowest_omega) & (omega_near_resonances < highest_omega)
     ]
     sampled_omega = np.unique(
-        np.concatenate([np.linspace(min_omega, max_omega, 200), omega_within_curve])
+        np.concatenate([np.linspace(lowest_omega, highest_omega, 200), omega_within_curve])
     )
     return sampled_omega, linear_response(structure, dof, sampled_omega, lips=lips)
 

@@ -339,30 +339,32 @@ def _describe_invalid_cases(scene: Scene) -> str:
 # --- harmonics without damping --------------------------------------------------------------------
 
 
-def describe_undamped_harmonics(structure: Structure, max_omega: float) -> str:
+def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
     """Remark that no damping acts on harmonics below a frequency [rad/s] (collective).
 
     The text is empty if all harmonics are damped, or without contact: only contact excites
     harmonics.
     """
-    damped_modes_and_max_omega = (
+    damped_modes_and_highest_omega = (
         damped_count_and_max_omega(structure) if structure.n_pairs else None
     )
-    if damped_modes_and_max_omega is None or max_omega <= damped_modes_and_max_omega[1]:
+    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
         return ""
-    n_damped_modes, max_damped_omega = damped_modes_and_max_omega
+    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
     if n_damped_modes == 0:
-        return f"harmonics up to H w = {max_omega:g} rad/s: nothing damps what they excite"
+        return f"harmonics up to H w = {highest_omega:g} rad/s: nothing damps what they excite"
     modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
     harmonics_text = (
-        f"harmonics up to H w = {max_omega:g} rad/s reach beyond {modes_text} "
-        f"({max_damped_omega:g} "
+        f"harmonics up to H w = {highest_omega:g} rad/s reach beyond {modes_text} "
+        f"({highest_damped_omega:g} "
         "rad/s)"
     )
     return f"{harmonics_text}: nothing damps what they excite there"
 
 
-def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_omega: float) -> str:
+def _describe_undamped_after_reduction(
+    scene: Scene, structure: Structure, highest_omega: float
+) -> str:
     """Remark on harmonics without damping, given the scene's reduction (collective).
 
     A massless reduction damps all further modes by the last ratio of the scene: if this is above
@@ -377,4 +379,4 @@ def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_o
     ):
         if np.ravel(damping_ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
-    return describe_undamped_harmonics(structure, max_omega)
+    return describe_undamped_harmonics(structure, highest_omega)

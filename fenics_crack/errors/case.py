@@ -269,18 +269,18 @@ def _relative_change(
 
 
 def add_error_parts(
-    errors: Verification, part_function_by_cause: Mapping[str, Callable[[], PartOrReason]]
+    verification: Verification, part_function_by_cause: Mapping[str, Callable[[], PartOrReason]]
 ) -> Verification:
-    """Add each cause's part to the errors, or the reason for failure (collective)."""
+    """Add each cause's part to a verification, or the reason for failure (collective)."""
     for cause, find_part_or_reason in part_function_by_cause.items():
         try:
-            errors = errors.with_part(cause, find_part_or_reason())
+            verification = verification.with_part(cause, find_part_or_reason())
         except REFUSAL_EXCEPTIONS as error:
             run_text = RUN_WORDS_BY_CAUSE.get(cause, f"a run with more {cause}")
-            errors = errors.with_unknown(cause, describe_failed_run(run_text, error))
+            verification = verification.with_unknown(cause, describe_failed_run(run_text, error))
             if cause == "mesh":
-                errors = replace(errors, failed_causes=(cause,))
-    return errors
+                verification = replace(verification, failed_causes=(cause,))
+    return verification
 
 
 def describe_failed_run(run_text: str, error: Exception) -> str:

@@ -166,10 +166,12 @@ def _estimate_run_up_errors(
     fixed_speed_solution = solve_without_stability(
         fixed_speed_study, solution.omega, solution.harmonics, solution
     )
-    errors = estimate_solution_errors(fixed_speed_study, fixed_speed_solution, is_peak=is_peak)
-    if (resonance_name := errors.resonance) not in errors.values:
-        return errors
-    resonance_value = errors.values[resonance_name]
+    verification = estimate_solution_errors(
+        fixed_speed_study, fixed_speed_solution, is_peak=is_peak
+    )
+    if (resonance_name := verification.resonance) not in verification.values:
+        return verification
+    resonance_value = verification.values[resonance_name]
 
     def speed_at_resonance(frequency: float) -> float:
         return speed * (1.0 + (frequency / resonance_value - 1.0) / detuning_per_speed)
@@ -183,13 +185,13 @@ def _estimate_run_up_errors(
         )
 
     return replace(
-        errors,
-        values=errors.values | {"speed": speed},
-        units=errors.units | {"speed": "rad/s"},
+        verification,
+        values=verification.values | {"speed": speed},
+        units=verification.units | {"speed": "rad/s"},
         parts={
             cause: convergence_by_name
             | {"speed": convert_to_speed(convergence_by_name[resonance_name])}
-            for cause, convergence_by_name in errors.parts.items()
+            for cause, convergence_by_name in verification.parts.items()
         },
     )
 
@@ -245,8 +247,8 @@ def estimate_frequency_mesh_errors(
         return find_error_part("mesh", [*counts_and_values], scene, size_ratio=length_ratio)
 
     values_by_name = name_frequencies(omega_by_kind) | load_resonance.numbers
-    errors = Verification(scene, values_by_name, dict.fromkeys(values_by_name, unit))
-    return add_error_parts(errors, {"mesh": estimate_error_by_mesh})
+    verification = Verification(scene, values_by_name, dict.fromkeys(values_by_name, unit))
+    return add_error_parts(verification, {"mesh": estimate_error_by_mesh})
 
 
 def estimate_solution_errors(
@@ -276,25 +278,26 @@ def estimate_solution_errors(
         not apply is left out.
     """
     numbers = compute_numbers(study, answer)
-    errors = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
+    verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
     if not is_small(study.structure):  # three more solutions take three times as long
         reason_by_cause = dict.fromkeys(REDUCED_STRUCTURE_CAUSES, "the structure is not reduced")
-        return replace(errors, unknown=reason_by_cause)
+        return replace(verification, unknown=reason_by_cause)
     if answer.report.unknown:  # other runs may agree by chance
-        return errors.with_unknown("harmonics", describe_unknown_error_part(answer.report))
+        return verification.with_unknown("harmonics", describe_unknown_error_part(answer.report))
     try:
         balance_solution = solve_without_stability(study, answer.omega, answer.harmonics, answer)
     except REFUSAL_EXCEPTIONS as error:
         if answer.orbit is None:
             reason_text = describe_failed_run("harmonic balance from it", error)
-            return errors.with_unknown("harmonics", reason_text)
+            return verification.with_unknown("harmonics", reason_text)
         balance_solution = answer  # has the coefficients of an exact orbit
     balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
     judged_answer = AnswerJudgedByExtraRuns(
         study, answer, numbers.values_by_name, balance_solution, balance_numbers, is_peak
     )
     return add_error_parts(
-        errors, {cause: getattr(judged_answer, f"estimate_error_by_{cause}") for cause in causes}
+        verification,
+        {cause: getattr(judged_answer, f"estimate_error_by_{cause}") for cause in causes},
     )
 
 
@@ -304,12 +307,14 @@ def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
     The error is relative, the maximum over watched amplitudes and the crack opening; inf if
     unknown.
     """
-    errors = estimate_solution_errors(study, solution, causes=["modes"])
+    verification = estimate_solution_errors(study, solution, causes=["modes"])
     compared_names = [*(point.column("amplitude") for point in study.watched), "opening"]
-    if errors.unknown:
+    if verification.unknown:
         return math.inf
-    stated_names = [name for name in compared_names if errors.parts and errors.values.get(name)]
-    return max((errors.stated(name)[0] for name in stated_names), default=0.0)
+    stated_names = [
+        name for name in compared_names if verification.parts and verification.values.get(name)
+    ]
+    return max((verification.stated(name)[0] for name in stated_names), default=0.0)
 
 
 def describe_unknown_error_part(report: ErrorReport) -> str:

@@ -124,18 +124,20 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         run, answer, numbers.values_by_name, answer, numbers, whole_study
     )
     judged_answer.note_verdict(SCENE_RUN_NAME, run)
-    errors = Verification(whole_study.scene, numbers.values_by_name, numbers.unit_by_name)
-    errors = add_error_parts(errors, {"mesh": judged_answer.estimate_error_by_mesh})
+    verification = Verification(whole_study.scene, numbers.values_by_name, numbers.unit_by_name)
+    verification = add_error_parts(verification, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
-        "shift": partial(judged_answer.estimate_error_by_shift, errors),
+        "shift": partial(judged_answer.estimate_error_by_shift, verification),
         "modes": judged_answer.estimate_error_by_modes,
         "harmonics": judged_answer.estimate_error_by_harmonics,
         "samples": judged_answer.estimate_error_by_samples,
         "friction": judged_answer.estimate_error_by_friction,
     }
-    errors = add_error_parts(errors, part_function_by_cause)
+    verification = add_error_parts(verification, part_function_by_cause)
     return replace(
-        errors, failures=tuple(judged_answer.failure_texts), verdicts=judged_answer.verdict_by_run
+        verification,
+        failures=tuple(judged_answer.failure_texts),
+        verdicts=judged_answer.verdict_by_run,
     )
 
 
@@ -172,8 +174,12 @@ def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
         return disk_table.families, study.structure.n_dofs // disk_table.sectors
     if reduction is None:
         return "the structure is not reduced"
-    max_modes = study.structure.n_dofs - study.structure.n_pairs
-    return "all are kept" if reduction.n_modes >= max_modes else (reduction.n_modes, max_modes)
+    n_possible_modes = study.structure.n_dofs - study.structure.n_pairs
+    return (
+        "all are kept"
+        if reduction.n_modes >= n_possible_modes
+        else (reduction.n_modes, n_possible_modes)
+    )
 
 
 @dataclass(frozen=True)
@@ -342,17 +348,17 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             "mesh", finer_scenes, n_elements, formal_order, scheme_order=scheme_order
         )
 
-    def estimate_error_by_shift(self, errors: Verification) -> PartOrReason:
+    def estimate_error_by_shift(self, verification: Verification) -> PartOrReason:
         """Estimate the error by the mesh's shift of the resonance (collective).
 
         The part is a number's largest change at up to three shifts: half the resonance's
         uncertainty, all the uncertainty, and the shift to an extrapolated value. Peaks may lie
         between.
         """
-        if "mesh" not in errors.parts:
+        if "mesh" not in verification.parts:
             return ""
-        element_counts = errors.counts["mesh"]
-        resonance_convergence = errors.parts["mesh"][self.balance_numbers.resonance_name]
+        element_counts = verification.counts["mesh"]
+        resonance_convergence = verification.parts["mesh"][self.balance_numbers.resonance_name]
         resonance_frequency = self.balance_numbers.values_by_name[
             self.balance_numbers.resonance_name
         ]
