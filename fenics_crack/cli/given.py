@@ -177,7 +177,7 @@ def _yield_further_errors(
     suggestion. Once the template's value is in the scene, only missing and unknown keys are
     reported: other errors may be due to that value. A key that fails again ends the search.
     """
-    corrected_changes, reported_keys = {**changes_by_key}, {"scene"}
+    corrected_values_by_key, reported_keys = {**changes_by_key}, {"scene"}
     suggestions_text, has_no_template_value = "", True
     tables_by_name = {} if error.key == "scene" else tomllib.loads(read_utf8_text(scene_path))
     while error.key not in reported_keys:
@@ -186,7 +186,7 @@ def _yield_further_errors(
         suggestion_match = re.search(r"; did you mean (.+)\?$", error.allowed)
         if error.allowed.startswith("left out; "):
             suggestions_text += error.allowed.partition(" known ")[0]
-            corrected_changes.pop(error.key, None)
+            corrected_values_by_key.pop(error.key, None)
             target_table = tables_by_name.get(table_name) if key_name else tables_by_name
             if isinstance(target_table, dict):
                 target_table.pop(key_name or table_name, None)
@@ -209,10 +209,10 @@ def _yield_further_errors(
                         or suggestion_match
                         or not isinstance(template_value, str)
                     ):
-                        corrected_changes[f"{table_name}.{key}"] = template_value
+                        corrected_values_by_key[f"{table_name}.{key}"] = template_value
             has_no_template_value = has_no_template_value and suggestion_match is not None
         try:
-            Scene.from_mapping(tables_by_name, scene_path.parent, corrected_changes)
+            Scene.from_mapping(tables_by_name, scene_path.parent, corrected_values_by_key)
             return
         except InputError as next_error:
             error = next_error

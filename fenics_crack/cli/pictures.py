@@ -217,7 +217,8 @@ def _draw_waveforms(
 def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
     """Draw response, harmonics and multipliers along a curve, and all blades."""
     curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
-    title, linear_responses = f"{run.watched_name}, {curve.method}", _compute_linear_responses(run)
+    title = f"{run.watched_name}, {curve.method}"
+    linear_responses_by_label = _compute_linear_responses(run)
     caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
     caption += "faint: large estimated error."
     if curve.multipliers is None:
@@ -229,7 +230,7 @@ def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) ->
         path=picture_path,
         title=title,
         in_hertz=in_hertz,
-        behind=linear_responses,
+        behind=linear_responses_by_label,
     )
     picture_path = picture_files("curve_content", "Amplitudes of the lowest harmonics.")
     plot_curve.draw_content(curve, watched_dof, path=picture_path, title=title, in_hertz=in_hertz)

@@ -284,12 +284,12 @@ def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, T
     requested_rows = [
         row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
     ]
-    requested_tables = {
+    requested_table_by_heading = {
         "Requested by the scene": account.tabulate_known_quantities_as_text(
             Table(table.columns, requested_rows)
         )
     }
-    return (requested_tables if requested_rows else {}) | {
+    return (requested_table_by_heading if requested_rows else {}) | {
         "In numbers": account.tabulate_known_quantities_as_text(table)
     }
 
@@ -793,10 +793,10 @@ def _interpolate_peak_columns(
     neighbour_slice = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_sorting = np.argsort(run.result.values[neighbour_slice])
     parameter_values = run.result.values[neighbour_slice][parameter_sorting]
-    parameter_columns = _parameter_columns_by_heading(run.result)
+    parameter_columns_by_heading = _parameter_columns_by_heading(run.result)
     row_by_heading = {
         name: np.interp([peak.value], parameter_values, column[neighbour_slice][parameter_sorting])
-        if name in parameter_columns or name.startswith("over_")
+        if name in parameter_columns_by_heading or name.startswith("over_")
         else column[[peak.index]]
         for name, column in columns_by_heading.items()
     }

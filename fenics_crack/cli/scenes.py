@@ -71,10 +71,10 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
             study, key_figures.omega_bilinear, key_figures.speed_slopes
         )
     with console.report_stage("errors due to the mesh"):
-        bonded_frequencies = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
-        frequencies_by_kind = {"open": key_figures.omega_open} | bonded_frequencies
+        bonded_omega_by_kind = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
+        omega_by_kind = {"open": key_figures.omega_open} | bonded_omega_by_kind
         mesh_errors = estimate_frequency_mesh_errors(
-            study, frequencies_by_kind, load_resonance, key_figures.speed_slopes
+            study, omega_by_kind, load_resonance, key_figures.speed_slopes
         )
         vibration_mesh_error = (
             0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]
