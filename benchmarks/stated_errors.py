@@ -71,8 +71,7 @@ from fenics_crack.balance.error_report import report_by_more_modes
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.basics.causes import MESH_ERROR_CAUSES
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
-from fenics_crack.errors.numbers import numbers_of
-from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
+from fenics_crack.errors.numbers import compute_numbers, compute_orbit_values_by_name
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.study.meshes import refine_scene_or_none
@@ -432,14 +431,14 @@ def stated_and_true(
     reference leaves friction out, too."""
     if run.scene.contact is not None:
         run = replace(run, scene=run.scene.replace({"contact.friction_error": False}))
-    found, own = run.errors, numbers_of(run, run.result)
+    found, own = run.errors, compute_numbers(run, run.result)
     assert found is not None
     other = solve_study(reference, omega=run.result.omega)
-    true = numbers_of(other, other.result, own.mode).values
+    true = compute_numbers(other, other.result, own.mode_number).values_by_name
     rows = {}
     for quantity, value in found.values.items():
         natural = quantity.startswith(("frequency", "omega"))
-        if quantity.endswith(HEADLINES) or (natural and quantity.endswith(f"_{own.mode}")):
+        if quantity.endswith(HEADLINES) or (natural and quantity.endswith(f"_{own.mode_number}")):
             stated, cause = found.stated(quantity)
             rows[quantity] = value, abs(true[quantity] / value - 1.0), stated, cause
     return rows
@@ -449,7 +448,7 @@ def by_mesh_alone(
     run: fc.Run[fc.PeriodicSolution], reference: Study
 ) -> dict[str, tuple[float, float, float, str]]:
     """The same by the mesh alone: both solutions have the harmonics and the modes of the answer."""
-    errors, mode, solutions = run.errors, numbers_of(run, run.result).mode, []
+    errors, mode, solutions = run.errors, compute_numbers(run, run.result).mode_number, []
     for study, solution in ((run, run.result), (reference, None)):
         assert study.contact is not None
         for harmonics in (run.result.harmonics // 2, run.result.harmonics)[solution is not None :]:
@@ -458,10 +457,10 @@ def by_mesh_alone(
                 initial=solution,
             )  # fmt: skip
         assert solution is not None
-        solutions.append(numbers_of(study, solution, mode).values)
+        solutions.append(compute_numbers(study, solution, mode).values_by_name)
     assert errors is not None
     if "mesh" in errors.unknown:
-        raise fc.ConvergenceError(errors.left_out)
+        raise fc.ConvergenceError(errors.omitted_causes_and_reasons_text)
     values, reference_values = solutions
     rows = {}
     for quantity, value in values.items():
@@ -755,8 +754,11 @@ def by_modes(
     )
     assert few.converged and many.converged
     more = replace(run, structure=reference)
-    mode = numbers_of(run, run.result).mode
-    number_pairs = numbers_of(run, few, mode).values, numbers_of(more, many, mode).values
+    mode = compute_numbers(run, run.result).mode_number
+    number_pairs = (
+        compute_numbers(run, few, mode).values_by_name,
+        compute_numbers(more, many, mode).values_by_name,
+    )
     yield from compare_with_true(errors, *number_pairs)
     true_of, stated_of = report_by_more_modes(few, many), run.result.report
     share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0
@@ -864,7 +866,7 @@ def with_four_times(
     if "modes" not in errors.parts:
         return f"no part by modes, {'; '.join(errors.unknown.values()) or solution.status}"
     assert isinstance(structure, ReducedStructure) and run.contact is not None
-    orbit, mode = solution.assessment.nearest_orbit, numbers_of(run, solution).mode
+    orbit, mode = solution.assessment.nearest_orbit, compute_numbers(run, solution).mode_number
     assert orbit is not None
     orbits = [orbit]
     for times in (2, 4):
@@ -878,7 +880,9 @@ def with_four_times(
     if orbits[-1].structure.n_modes < 4 * structure.n_modes:
         return "no orbit with four times the modes"
     few_numbers, many_numbers = (
-        numbers_of_orbit(replace(run, structure=exact_orbit.structure), solution, exact_orbit, mode)
+        compute_orbit_values_by_name(
+            replace(run, structure=exact_orbit.structure), solution, exact_orbit, mode
+        )
         for exact_orbit in (orbit, orbits[-1])
     )
     return list(compare_with_true(errors, few_numbers, many_numbers))

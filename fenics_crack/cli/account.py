@@ -19,7 +19,7 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
 
-MAX_TRANSVERSE_SLIDING_RATIO = 0.3
+MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
 """Maximum sliding across the lines of friction, relative to sliding along them.
 
 Above it, friction along lines is not trusted.
@@ -29,7 +29,7 @@ PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
 
 Parts of an error, and sentences below the table, are never printed in it, but stand in files.
 """
-OTHER_QUANTITIES_BY_NAME = {
+DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
     "steps_per_period": ("steps in a period", "-", PRINT_BY_DEFAULT),
     "settled": ("change over the last period", "-", PRINT_BY_DEFAULT),
@@ -54,7 +54,7 @@ OTHER_QUANTITIES_BY_NAME = {
     "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
 """Description, unit and printing level by name, for quantities besides a motion's indicators."""
-TOLERANCE_OPTION = "--set harmonic_balance.tolerance=1e-2"
+TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
 """Option for an exact orbit with error and stability."""
 MODE_DEPENDENCE_TEXT = "depends on truncated modes"
 MEANING_BY_BIFURCATION = {
@@ -72,12 +72,12 @@ UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 # --- sentences ------------------------------------------------------------------------------------
 
 
-def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> list[str]:
+def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[float]) -> list[str]:
     """Warn if displacements are large relative to clamp distances (collective).
 
     Parameters
     ----------
-    max_displacements : (n_watched,) [m]
+    largest_displacements : (n_watched,) [m]
         Largest displacements of the watched dofs, means included.
 
     Returns
@@ -88,11 +88,13 @@ def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> 
     clamp_distances = distances_from_clamp(
         run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
     )
-    worst_index = int(np.argmax(rotation_angles := np.asarray(max_displacements) / clamp_distances))
+    worst_index = int(
+        np.argmax(rotation_angles := np.asarray(largest_displacements) / clamp_distances)
+    )
     if not rotation_angles[worst_index] > MAX_SMALL_ROTATION:
         return []
     return [
-        f"{format_quantity(max_displacements[worst_index], 'm')} of "
+        f"{format_quantity(largest_displacements[worst_index], 'm')} of "
         f"{run.watched[worst_index].words} is beyond small "
         "displacements: the equations neglect the square of the rotation about the clamp, of "
         f"{rotation_angles[worst_index]:.2g} rad; the stated errors do not include it"
@@ -113,7 +115,7 @@ def find_largest_displacements(run: Run[Any]) -> list[float]:
     ]
 
 
-def describe_large_error(
+def yield_large_error_warning(
     scene: Scene,
     report: ErrorReport,
     n_harmonics: int,
@@ -130,7 +132,7 @@ def describe_large_error(
     if balance_table.tolerance is None:
         can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
         setting_text = (
-            f": {TOLERANCE_OPTION} chooses them"
+            f": {TOLERANCE_OPTION_TEXT} chooses them"
             if can_choose_harmonics
             else " (harmonic_balance.harmonics)"
         )
@@ -138,13 +140,15 @@ def describe_large_error(
     elif n_harmonics < MAX_HARMONIC_ORDER:
         refinement_text = "a smaller harmonic_balance.tolerance"
     is_unilateral = scene.contact is not None and scene.contact.law == "unilateral"
-    residual_remedy = "softer contact, or contact.law = 'unilateral'"
-    residual_remedy = "a load that moves the crack faces more" if is_unilateral else residual_remedy
+    residual_remedy_text = "softer contact, or contact.law = 'unilateral'"
+    residual_remedy_text = (
+        "a load that moves the crack faces more" if is_unilateral else residual_remedy_text
+    )
     cause_text, remedy_text = {
         "truncation": ("truncated harmonics", refinement_text),
         "reduction": ("truncated modes", f"more modes ({scene.modes_key})"),
         "sampling": ("AFT sampling", "more samples (harmonic_balance.samples)"),
-        "residual": ("the residual", f"{residual_remedy}: it is rounding"),
+        "residual": ("the residual", f"{residual_remedy_text}: it is rounding"),
     }[report.largest_part]
     error_text = (
         f"the estimated relative error of the gap is {format_percent(report.total)}{location_text}"
@@ -159,7 +163,7 @@ def describe_large_error(
     yield f"{error_text}; use {remedy_text}" if report.confirmed or location_text else error_text
 
 
-def describe_instability(
+def yield_instability_warning(
     scene: Scene, run: Run, stability: Stability | None, motion_text: str = ""
 ) -> Iterator[str]:
     """Yield a warning if a solution is unstable, irregular or undecided.
@@ -179,17 +183,20 @@ def describe_instability(
         f"{motion_description}{motion_text}"
     )
     hint_texts = []
-    tolerance_options = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION]
+    tolerance_option_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION_TEXT]
     if stability.verdict == "irregular":
         verdict_text = "; ".join(
             [
                 stability.reason + motion_text,
-                *(f"{tolerance_option} may find one" for tolerance_option in tolerance_options),
+                *(
+                    f"{tolerance_option} may find one"
+                    for tolerance_option in tolerance_option_texts
+                ),
             ]
         )
     if stability.verdict == "undecided":
         verdict_text = f"the stability of the orbit is undecided{reason_text}{motion_text}"
-        hint_texts += tolerance_options
+        hint_texts += tolerance_option_texts
         damping_table = scene.damping  # None: a matrix, which damps all modes or not
         if damping_table and not (
             damping_table.damps_all_modes or damped_count_and_max_omega(run.structure) is None
@@ -198,7 +205,7 @@ def describe_instability(
     yield verdict_text + (f"; {' or '.join(hint_texts)} may decide it" if hint_texts else "")
 
 
-def describe_friction_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
+def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], list[str]]:
     """Describe friction along lines in a solid, and warn if sliding turns.
 
     Returns
@@ -211,19 +218,19 @@ def describe_friction_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
     warning_text = f"sliding turns ({sliding_ratio:.2g}): what friction does is not to be trusted"
     note_text = "friction acts along one line for each pair; sliding across it is"
     note_text += f" {sliding_ratio:.2g} of that along it, without friction"
-    return [note_text], [warning_text] if sliding_ratio > MAX_TRANSVERSE_SLIDING_RATIO else []
+    return [note_text], [warning_text] if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING else []
 
 
-def describe_ambiguous_contact(solution: PeriodicSolution) -> Iterator[str]:
+def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
     """Yield a warning if contact forces are nearly not unique at an instant."""
     exact_flow = solution.assessment.flow
     if exact_flow is None or exact_flow.friction_law is None:
         return
-    max_coefficient = float(np.max(exact_flow.friction_law.coefficient))
+    largest_coefficient = float(np.max(exact_flow.friction_law.coefficient))
     critical_coefficient = exact_flow.critical_friction
-    if max_coefficient > 0.5 * critical_coefficient:
+    if largest_coefficient > 0.5 * critical_coefficient:
         coefficient_text = (
-            f"the coefficient of friction, {max_coefficient:g}, is above half of "
+            f"the coefficient of friction, {largest_coefficient:g}, is above half of "
             f"{critical_coefficient:.2g}"
         )
         yield (
@@ -232,16 +239,16 @@ def describe_ambiguous_contact(solution: PeriodicSolution) -> Iterator[str]:
         )
 
 
-def describe_mode_dependence(
+def yield_mode_dependence_warning(
     scene: Scene, solution: PeriodicSolution, verdict: str
 ) -> Iterator[str]:
     """Yield a warning if more modes change the verdict on stability.
 
     With twice the modes or more, the orbit then contradicts the ``verdict``.
     """
-    larger_assessment = solution.assessment.more_modes
-    if larger_assessment is not None and (
-        contradiction_text := larger_assessment.describe_contradiction(verdict)
+    assessment_with_more_modes = solution.assessment.more_modes
+    if assessment_with_more_modes is not None and (
+        contradiction_text := assessment_with_more_modes.describe_contradiction(verdict)
     ):
         yield (
             f"{contradiction_text}: the verdict {verdict!r} {MODE_DEPENDENCE_TEXT}; raise "
@@ -252,15 +259,15 @@ def describe_mode_dependence(
 # --- printed parts of tables ----------------------------------------------------------------------
 
 
-def select_printed_quantities(table: Table, scene: Scene, table_place: ObservableFlag) -> Table:
+def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
     """Return the printed part of a table: quantities that the scene requests.
 
-    Without a request, quantities shown at the ``table_place`` are printed. Frequencies and speeds
+    Without a request, quantities with the ``place_flag`` are printed. Frequencies and speeds
     are printed in the scene's units alone. A table with a column "name" has a quantity in each row,
     any other table in each column. Other columns are always printed; other rows by the level in
-    :data:`OTHER_QUANTITIES_BY_NAME`. Rows with nan are left out.
+    :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`. Rows with nan are left out.
     """
-    requested_names, default_names = scene.quantities, observable_names(required_flags=table_place)
+    requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)
 
     def is_printed(name: str, unit: str) -> bool:
@@ -279,7 +286,7 @@ def select_printed_quantities(table: Table, scene: Scene, table_place: Observabl
             for table_row in table.rows
             if is_printed(table_row[0], table_row[3])
             and not (isinstance(table_row[2], float) and np.isnan(table_row[2]))
-            and OTHER_QUANTITIES_BY_NAME.get(table_row[0], ("", "", PRINT_ALWAYS))[2]
+            and DESCRIPTION_UNIT_AND_LEVEL_BY_NAME.get(table_row[0], ("", "", PRINT_ALWAYS))[2]
             in printed_levels
         ]
         return Table(table.columns[1:], printed_rows)
@@ -311,7 +318,7 @@ def _round_to_zero(table: Table) -> Table:
     return Table(table.columns, rounded_rows)
 
 
-def printed_table(report: Report) -> Table:
+def make_printed_table(report: Report) -> Table:
     """Return the printed table of a report.
 
     With a scene, frequencies and speeds have the scene's units alone.
@@ -324,11 +331,13 @@ def printed_table(report: Report) -> Table:
 
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
     """Return True if the scene shows this frequency or speed in another unit."""
-    unused_prefix, unused_unit = (
+    unused_name_prefix, unused_unit = (
         ("omega", "rad/s") if scene.is_frequency_in_hertz else ("frequency", "Hz")
     )
     unused_speed_name = "speed" if scene.is_speed_in_rpm else "rpm"
-    return name == unused_speed_name or (name.startswith(unused_prefix) and unit == unused_unit)
+    return name == unused_speed_name or (
+        name.startswith(unused_name_prefix) and unit == unused_unit
+    )
 
 
 def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Table:
@@ -345,7 +354,7 @@ def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Ta
     )
 
 
-def format_known_quantities(table: Table) -> Table:
+def tabulate_known_quantities_as_text(table: Table) -> Table:
     """Return the known quantities of a table as text: "7.916 µm".
 
     The table has a column "name". Relative quantities are percentages: "5.7 %". Columns of errors
@@ -356,11 +365,16 @@ def format_known_quantities(table: Table) -> Table:
     ]
     return Table(
         ("quantity", "value", *table.columns[4:]),
-        [(*_format_quantity(*table_row[:3]), *table_row[3:]) for table_row in known_rows],
+        [
+            (*_format_description_and_value(*table_row[:3]), *table_row[3:])
+            for table_row in known_rows
+        ],
     )
 
 
-def _format_quantity(description: str, quantity_value: Any, unit: str) -> tuple[str, Any]:
+def _format_description_and_value(
+    description: str, quantity_value: Any, unit: str
+) -> tuple[str, Any]:
     """Return a quantity's description, and the value with unit as text."""
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:

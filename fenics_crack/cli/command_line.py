@@ -32,7 +32,9 @@ from fenics_crack.version import VERSION
 if TYPE_CHECKING:
     from fenics_crack.cli.given import CommandInputs, Console
 
-PETSC_PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
+PETSC_OPTION_PREFIXES = tuple(
+    f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor")
+)
 """Prefixes of PETSc options for solvers: SNES, GMRES, SLEPc or a factorisation."""
 OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
 """Texts by which PETSc and the library loader report too little memory."""
@@ -45,14 +47,14 @@ ARGUMENT_NAMES_BY_TABLE = {
     "reduction": ("method", "modes"),
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
 }
-DAMPING_ARGUMENTS = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
+DAMPING_ARGUMENT_NAMES = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
 SCENE_KEY_BY_ARGUMENT = {
     **{
         name: f"{table}.{name}"
         for table, names in ARGUMENT_NAMES_BY_TABLE.items()
         for name in names
     },
-    **{f"damping {name}": f"damping.{name}" for name in DAMPING_ARGUMENTS},
+    **{f"damping {name}": f"damping.{name}" for name in DAMPING_ARGUMENT_NAMES},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
     "contact law": "contact.law",
     "contact stiffness": "contact.stiffness",
@@ -95,7 +97,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.RANK_VARIABLES):
         _discard_rank_output()
     if sys.stdout is None:
-        _print_message("standard output is closed")
+        _print_to_stderr("standard output is closed")
         return Exit.FAULT
     try:
         arguments = _parse_arguments(command_words)
@@ -106,7 +108,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
         _print_input_errors((error, *error.others))
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
-        _print_message(
+        _print_to_stderr(
             str(error) if isinstance(error, StoppedError) else f"did not converge: {error}"
         )
         return Exit.NOT_CONVERGED
@@ -114,7 +116,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
         # Print no errors of libraries that were stopped in the middle of a step. The hook
         # registered last is called first.
         atexit.register(setattr, sys, "unraisablehook", lambda _: None)
-        _print_message("stopped")
+        _print_to_stderr("stopped")
         _abort_all_ranks(Exit.STOPPED)
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
@@ -130,7 +132,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
             )
             return Exit.BAD_INPUT
         if shortage_text := _describe_resource_shortage(error):
-            _print_message(shortage_text, sys.__stderr__)
+            _print_to_stderr(shortage_text, sys.__stderr__)
             _redirect_stdout_to_null()
         else:
             traceback.print_exc(file=sys.__stderr__)
@@ -174,9 +176,11 @@ def _arguments_before_petsc() -> list[str]:
     prefix that no solver has.
     """
     for argument in (petsc_arguments := _petsc_arguments()):
-        if argument.startswith("-crack_") and not argument.startswith(PETSC_PREFIXES):
+        if argument.startswith("-crack_") and not argument.startswith(PETSC_OPTION_PREFIXES):
             raise InputError(
-                "PETSc option", argument, f"one that begins with {' or '.join(PETSC_PREFIXES)}"
+                "PETSc option",
+                argument,
+                f"one that begins with {' or '.join(PETSC_OPTION_PREFIXES)}",
             )
     return sys.argv[1 : len(sys.argv) - len(petsc_arguments)]
 
@@ -191,7 +195,7 @@ def _discard_rank_output() -> None:
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
 
-def _print_message(text: str, stream: TextIO | None = None) -> None:
+def _print_to_stderr(text: str, stream: TextIO | None = None) -> None:
     """Print a message, by default to standard error; a closed stream is ignored."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
@@ -206,22 +210,24 @@ def _print_input_errors(input_errors: Sequence[InputError]) -> None:
     for input_error in input_errors:
         scene_key, example_text = SCENE_KEY_BY_ARGUMENT.get(input_error.key, input_error.key), ""
         if input_error.value is None:
-            from fenics_crack.cli.given import example_line, example_table
+            from fenics_crack.cli.given import find_example_line, find_example_table_text
 
             example_assignment = (
                 ""
                 if scene_key in input_error.allowed
-                else example_line(scene_key, input_error.allowed)
+                else find_example_line(scene_key, input_error.allowed)
             )
             example_text = f"; for example {example_assignment}" if example_assignment else ""
             example_blocks.append(
-                example_table(scene_key) if input_error.example is None else input_error.example
+                find_example_table_text(scene_key)
+                if input_error.example is None
+                else input_error.example
             )
-        _print_message(
+        _print_to_stderr(
             f"{type(input_error)(scene_key, input_error.value, input_error.allowed)}{example_text}"
         )
-    if example_lines := "\n\n".join(filter(None, example_blocks)):
-        print(f"for example:\n\n{example_lines}", file=sys.stderr)
+    if all_examples_text := "\n\n".join(filter(None, example_blocks)):
+        print(f"for example:\n\n{all_examples_text}", file=sys.stderr)
 
 
 def _redirect_stdout_to_null() -> None:
@@ -255,13 +261,13 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         STRUCTURE_FILE_NAME,
         Console,
         read_inputs,
-        read_prepared_study,
+        read_prepared_inputs,
     )
 
-    is_launched = threads.is_started_by_mpirun()
+    is_under_mpirun = threads.is_started_by_mpirun()
     is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
-    inputs = None if is_launched or is_prepared_file else read_inputs(arguments)
-    may_need_mesh = is_launched or not ("scene" in arguments and inputs is None)
+    inputs = None if is_under_mpirun or is_prepared_file else read_inputs(arguments)
+    may_need_mesh = is_under_mpirun or not ("scene" in arguments and inputs is None)
     has_structure_file = (
         inputs
         and not vars(arguments).get("fresh", True)
@@ -289,8 +295,8 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         signal.signal(signal_number, signal.default_int_handler)
     with threads.run_single_threaded(), MessageHandler(quiet=arguments.quiet):
         if is_prepared_file:
-            inputs = read_prepared_study(arguments, comm)
-        elif is_launched:
+            inputs = read_prepared_inputs(arguments, comm)
+        elif is_under_mpirun:
             inputs = on_root(comm, lambda: read_inputs(arguments))
         picture_format = vars(arguments).get("pictures", "png")
         console = Console(
@@ -319,13 +325,13 @@ def _call_command(
     if inputs is None or ("output" not in arguments and arguments.command != "check"):
         return command_function(arguments, inputs, console)
     from fenics_crack.basics.ranks import on_root
-    from fenics_crack.cli.given import STRUCTURE_FILE_NAME, make_writable
+    from fenics_crack.cli.given import STRUCTURE_FILE_NAME, make_writable_folder
     from fenics_crack.study.plausibility import remarks_on_scene
     from fenics_crack.study.sharing import STRUCTURE_FILES
 
     assert console is not None
     if arguments.command not in ("check", "clean"):
-        make_writable(inputs.folder, console.comm)
+        make_writable_folder(inputs.folder, console.comm)
     if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
         from fenics_crack.study.shelf import StructureFile
 
@@ -382,7 +388,7 @@ HELP_AND_CALL_BY_COMMAND = {
     ),
     "check": (
         "mesh and assemble a scene without solving it",
-        "cli.scenes:compute_and_print_figures scene --set --fresh",
+        "cli.scenes:compute_and_print_key_figures scene --set --fresh",
     ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
@@ -395,8 +401,8 @@ HELP_AND_CALL_BY_COMMAND = {
     "disk": (
         "natural frequencies of a bladed disk over the nodal diameter, and how much random "
         "mistuning amplifies the response of a blade, with pictures",
-        f"cli.commands:compute_and_report_disk {COMMON_ARGUMENTS_TEXT} --patterns --deviation "
-        "--pictures",
+        f"cli.commands:compute_and_report_bladed_disk {COMMON_ARGUMENTS_TEXT} --patterns "
+        "--deviation --pictures",
     ),
     "reduce": (
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
@@ -605,11 +611,11 @@ class SuggestingParser(argparse.ArgumentParser):
             message += f"; {did_you_mean_text([] if commands_with_option else similar_options)}"
             message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
         elif wrong_word_match:
-            python_calls = "\n".join(find_calls_by_synonyms(wrong_word_match[1]))
+            python_calls_text = "\n".join(find_calls_by_synonyms(wrong_word_match[1]))
             suggested_commands = [
                 command_name
                 for command_name in HELP_AND_CALL_BY_COMMAND
-                if re.search(rf"fc\.(run_)?{command_name}\(", python_calls)
+                if re.search(rf"fc\.(run_)?{command_name}\(", python_calls_text)
             ]
             similar_commands = find_similar_names(wrong_word_match[1], HELP_AND_CALL_BY_COMMAND)
             message += f"; {did_you_mean_text(similar_commands or suggested_commands)}"

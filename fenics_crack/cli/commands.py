@@ -20,16 +20,16 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.ranks import ignore_stop_signals, on_root
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import format_speed
-from fenics_crack.cli.account import printed_table
+from fenics_crack.cli.account import make_printed_table
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import (
     STRUCTURE_FILE_NAME,
     CommandInputs,
     Console,
     format_command,
-    keep_previous_result,
+    keep_previous_files_with_note,
 )
-from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result
+from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, build_report, draw_result
 from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.sharing import STRUCTURE_FILES
@@ -54,36 +54,36 @@ def run_and_report_function(
     """
     folder = inputs.folder
     if arguments.command == "curve" and inputs.scene.curve is None:
-        from fenics_crack.cli.scenes import missing_curve_error
+        from fenics_crack.cli.scenes import make_missing_curve_error
 
-        raise missing_curve_error(inputs.scene, console)
-    values_by_parameter = {
+        raise make_missing_curve_error(inputs.scene, console)
+    known_values_by_parameter = {
         "comm": console.comm,
         "progress": console.shows_progress,
         "few": N_LOWEST_MODES,
     }
-    values_by_parameter |= (
+    known_values_by_parameter |= (
         vars(arguments) | vars(inputs) | {"scene": inputs.prepared_study or inputs.scene}
     )
-    arguments_by_parameter = {
-        parameter_name: values_by_parameter[parameter_name]
+    keyword_arguments = {
+        parameter_name: known_values_by_parameter[parameter_name]
         for parameter_name in signature(package_function).parameters
-        if parameter_name in values_by_parameter
+        if parameter_name in known_values_by_parameter
     }
-    with console.report_stage(arguments.command, has_bars="folder" in arguments_by_parameter):
-        result = package_function(**arguments_by_parameter)
-    file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
+    with console.report_stage(arguments.command, has_bars="folder" in keyword_arguments):
+        result = package_function(**keyword_arguments)
+    file_stem, report = RESULT_KIND_BY_NAME[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
-    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_CURVE_STATUS
+    is_interrupted = run is not None and vars(run.result).get("status") == INTERRUPTED_CURVE_STATUS
     try:
         with console.report_stage("errors"):
-            if run is not None and not is_stopped:
+            if run is not None and not is_interrupted:
                 result = replace(run, stated=run.errors)
             report = build_report(result)
     except KeyboardInterrupt:
-        is_stopped = True
+        is_interrupted = True
     with ignore_stop_signals():
-        if is_stopped and on_root(console.comm, (folder / f"{file_stem}.h5").exists):
+        if is_interrupted and on_root(console.comm, (folder / f"{file_stem}.h5").exists):
             console.print_notes(
                 f"{folder / file_stem}.* is unchanged: the interrupted result has a name of its own"
             )
@@ -128,7 +128,7 @@ def write_and_print_report(
     for structure_file in STRUCTURE_FILES:
         structure_file.write_structure(console.comm)
     if result is not None:
-        replacement_note = keep_previous_result(
+        replacement_note = keep_previous_files_with_note(
             Path(f"{stem_path}.json"), report.table.formatted("json"), console.comm
         )
     with complete_files_together() as file_stack:
@@ -146,7 +146,9 @@ def write_and_print_report(
             console.comm,
             lambda: draw_result(result, PictureFiles(stem_path.parent, picture_format)),
         )
-    console.print_table(printed_table(report) if console.table_format == "text" else report.table)
+    console.print_table(
+        make_printed_table(report) if console.table_format == "text" else report.table
+    )
     for heading, further_table in report.further_tables.items():
         console.print_notes(f"{heading}:\n{further_table.formatted('text')}".rstrip())
     picture_text = (
@@ -200,7 +202,9 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
     )
 
 
-def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+def compute_and_report_bladed_disk(
+    arguments: Namespace, inputs: CommandInputs, console: Console
+) -> Exit:
     """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
@@ -225,7 +229,7 @@ def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console
     )
 
 
-def _convert_arrivals(
+def _convert_arrivals_to_measurements(
     arrival_source: dict[int, ArrivalTimes] | Path,
     scene: Scene,
     console: Console,
@@ -258,18 +262,16 @@ def _convert_arrivals(
             blade_scene = (
                 scene.replace(list_crack_removal_changes(scene) or {}) if is_uncracked else scene
             )
-            passed_modes = scene_timing.find_passed_modes(blade_scene, arrivals)
-        console.print_notes(
-            *(scene_timing.describe_passage(*passed_mode) for passed_mode in passed_modes)
-        )
-        passage_fits, mode_numbers, _ = (
-            zip(*passed_modes, strict=True) if passed_modes else ((), (), ())
-        )
+            passages = scene_timing.find_passed_modes(blade_scene, arrivals)
+        console.print_notes(*(scene_timing.describe_passage(*passage) for passage in passages))
+        passage_fits, mode_numbers, _ = zip(*passages, strict=True) if passages else ((), (), ())
         if not any(mode_numbers):
             requirement_text = "of a constant speed, or a run-up through a resonance of the blade"
             raise InputError(option_name, repr(arrivals), requirement_text)
-        measured_quantity = "frequency_uncracked" if is_uncracked else "frequency_resonance"
-        return Measurements.from_passages(passage_fits, mode_numbers, quantity=measured_quantity)
+        measured_quantity_name = "frequency_uncracked" if is_uncracked else "frequency_resonance"
+        return Measurements.from_passages(
+            passage_fits, mode_numbers, quantity=measured_quantity_name
+        )
     if is_uncracked:
         raise InputError(option_name, repr(arrivals), "those of a run-up, or frequency responses")
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
@@ -277,18 +279,19 @@ def _convert_arrivals(
         has_fixed_speed
         and abs(arrivals.mean_speed / scene.speed - 1.0) > MAX_STEADY_SPEED_VARIATION
     ):
-        measured_speed, scene_speed = (
+        measured_speed_text, scene_speed_text = (
             format_speed(speed, scene.is_speed_in_rpm)
             for speed in (arrivals.mean_speed, scene.speed)
         )
         requirement_text = (
-            f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"
+            f"at {scene_speed_text}, the speed of [rotation], unless the load is an "
+            "excitation.order"
         )
-        raise InputError(option_name, measured_speed, requirement_text)
+        raise InputError(option_name, measured_speed_text, requirement_text)
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
-    tip_displacement, reference_text = scene_timing.find_probed_displacement(scene)
+    displacement_name, is_against_rotation = scene_timing.find_probed_displacement(scene)
     return Measurements.from_arrivals(
-        arrivals, engine_order, tip_displacement, against=reference_text
+        arrivals, engine_order, displacement_name, against=is_against_rotation
     )
 
 
@@ -301,10 +304,14 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     scene, folder = inputs.scene, inputs.folder
     measurement_sets = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrival_source is not None:
-        measurement_sets.append(_convert_arrivals(inputs.arrival_source, scene, console))
-    if inputs.uncracked_source is not None:
         measurement_sets.append(
-            _convert_arrivals(inputs.uncracked_source, scene, console, is_uncracked=True)
+            _convert_arrivals_to_measurements(inputs.arrival_source, scene, console)
+        )
+    if inputs.uncracked_arrival_source is not None:
+        measurement_sets.append(
+            _convert_arrivals_to_measurements(
+                inputs.uncracked_arrival_source, scene, console, is_uncracked=True
+            )
         )
     run_options = {"folder": folder, "comm": console.comm, "progress": console.shows_progress}
     with console.report_stage("identification", has_bars=True):
@@ -321,10 +328,10 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
             for picture_format in {"png", console.picture_format}:  # a report takes the first
                 draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
-    fit_text = identification.fit_table().formatted("csv")
+    fit_table_text = identification.fit_table().formatted("csv")
     other_stems = ("identify", "posterior", "where_to_measure")
-    replacement_note = keep_previous_result(
-        folder / "fit.csv", fit_text, console.comm, *other_stems
+    replacement_note = keep_previous_files_with_note(
+        folder / "fit.csv", fit_table_text, console.comm, *other_stems
     )
     on_root(console.comm, write_results)
     console.print_table(identification.table())

@@ -33,7 +33,7 @@ from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
 """Oldest supported NumPy, from Debian 12."""
-REFERENCE_DISPLACEMENTS = (2.19791942, -2.94941155)
+REFERENCE_MAX_AND_MIN_DISPLACEMENT = (2.19791942, -2.94941155)
 """Maximum and minimum of x in a period of x'' + 0.1 x' + x + max(x, 0) = cos t.
 
 Another program integrated from one switching instant to the next (docs/verification, bilinear
@@ -60,7 +60,7 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
         from fenics_crack.basics.tables import Table  # NumPy
     check_rows = [
         (check_name, "FAULT" if is_fault else "ok", finding_text)
-        for check_name, finding_text, is_fault in run_checks(CHECKS_BY_NAME)
+        for check_name, finding_text, is_fault in run_and_yield_checks(CHECKS_BY_NAME)
     ]
     print(
         Table(("check", "verdict", "finding"), check_rows).formatted(arguments.format),
@@ -70,7 +70,9 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
     return Exit.FAULT if any(verdict == "FAULT" for _, verdict, _ in check_rows) else Exit.DONE
 
 
-def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[str, str, bool]]:
+def run_and_yield_checks(
+    checks_by_name: dict[str, Callable[[], str]],
+) -> Iterator[tuple[str, str, bool]]:
     """Run checks, and yield the findings.
 
     Warnings from the program are faults, too. A fault known from an earlier check is "as above".
@@ -86,16 +88,16 @@ def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[s
     LOGGER.addHandler(log_handler)
     try:
         for check_name, check_function in checks_by_name.items():
-            earlier_warnings = [*warning_texts]
+            earlier_warning_texts = [*warning_texts]
             try:
                 finding_text = check_function()
             except Exception as error:
                 finding_text = " ".join(f"{error}".split()) or type(error).__name__
                 warning_texts.append(finding_text)
-            is_fault = len(warning_texts) > len(earlier_warnings)
+            is_fault = len(warning_texts) > len(earlier_warning_texts)
             if is_fault:
                 finding_text = (
-                    "as above" if warning_texts[-1] in earlier_warnings else warning_texts[-1]
+                    "as above" if warning_texts[-1] in earlier_warning_texts else warning_texts[-1]
                 )
             yield check_name, finding_text, is_fault
     finally:
@@ -134,10 +136,10 @@ def _check_mpi() -> str:
         mpi_vendor == "Open MPI"
     ):
         raise foreign_launcher_error(launcher_path, mpi_vendor)
-    launcher_text = launcher_path or "no mpirun on PATH"
+    launcher_path_text = launcher_path or "no mpirun on PATH"
     return (
         f"{mpi_vendor} {'.'.join(map(str, mpi_version))}, ranks: {MPI.COMM_WORLD.size}; "
-        f"{launcher_text}"
+        f"{launcher_path_text}"
     )
 
 
@@ -203,14 +205,14 @@ def _check_two_masses() -> str:
     structure = package_module.Structure.from_matrices(
         np.eye(2), stiffness, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
     )
-    orbit = package_module.solve_harmonic_balance(
+    solution = package_module.solve_harmonic_balance(
         structure, 1.0, package_module.UnilateralPenalty(1.0), harmonics=40
     )
-    gaps = orbit.gap(np.linspace(0.0, orbit.period, 4096))
+    gaps = solution.gap(np.linspace(0.0, solution.period, 4096))
     relative_error = np.max(
-        np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_DISPLACEMENTS - 1.0)
+        np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_MAX_AND_MIN_DISPLACEMENT - 1.0)
     )
-    return _check_error("two masses at their stops", relative_error, 1e-3)
+    return _describe_error_or_raise("two masses at their stops", relative_error, 1e-3)
 
 
 def _check_plate() -> str:
@@ -238,12 +240,12 @@ def _check_plate() -> str:
         np.abs(block_coefficients)
     )
     return (
-        f"{_check_error('natural frequency of a bar', frequency_error, 1e-5)}; "
-        f"{_check_error('vibration by two solvers', relative_difference, 1e-8)}"
+        f"{_describe_error_or_raise('natural frequency of a bar', frequency_error, 1e-5)}; "
+        f"{_describe_error_or_raise('vibration by two solvers', relative_difference, 1e-8)}"
     )
 
 
-def _check_error(quantity_name: str, relative_error: float, tolerance: float) -> str:
+def _describe_error_or_raise(quantity_name: str, relative_error: float, tolerance: float) -> str:
     """Return a sentence on the error of a quantity; ArithmeticError above the tolerance."""
     error_text = f"{quantity_name}: {relative_error:.0e} from the known value"
     if not relative_error <= tolerance:

@@ -49,19 +49,19 @@ if TYPE_CHECKING:
     ArrivalSource = Path | dict[int, ArrivalTimes] | None
 
 PLATE_TEMPLATE_PATH = "cli/new_scene.toml"
-RECORD_SUFFIXES = (".csv", ".h5")
+ARRIVAL_FILE_SUFFIXES = (".csv", ".h5")
 """Endings of files with measured arrivals, or with results for computed arrivals."""
 STRUCTURE_FILE_NAME = "prepared.h5"
 """Name of the file with the structure kept for later commands."""
-PERIOD_FRAMES_FOLDER = "solution_period"
+PERIOD_FRAMES_FOLDER_NAME = "solution_period"
 """Folder for the frames of a period, inside the folder for results."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of result files."""
 COMMANDS_FOR_PREPARED_FILES = ("solve", "curve")
 """Commands that accept a file from ``reduce`` in place of a scene."""
-COMBINABLE_NEW_OPTIONS = ("blade", "timing", "identify")
+COMBINABLE_NEW_SCENE_OPTIONS = ("blade", "timing", "identify")
 """Options of ``new`` that change the plate's template, also together."""
-EXCLUSIVE_NEW_OPTIONS = ("solid", "disk")
+EXCLUSIVE_NEW_SCENE_OPTIONS = ("solid", "disk")
 """Options of ``new`` with a separate template, never combined."""
 
 
@@ -77,7 +77,7 @@ class CommandInputs:
     measurements : Measurements or None
     arrival_source : dict of ArrivalTimes, Path or None
         Measured arrivals by blade, or the path to a result for computed arrivals.
-    uncracked_source : dict of ArrivalTimes, Path or None
+    uncracked_arrival_source : dict of ArrivalTimes, Path or None
         Same for the blade before the crack.
     speeds : (n_speeds,) [rad/s] or None
         Speeds of a Campbell diagram.
@@ -89,7 +89,7 @@ class CommandInputs:
     folder: Path
     measurements: Measurements | None = None
     arrival_source: ArrivalSource = None
-    uncracked_source: ArrivalSource = None
+    uncracked_arrival_source: ArrivalSource = None
     speeds: np.ndarray | None = None
     prepared_study: Study | None = None
 
@@ -112,7 +112,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
         scene = Scene.load(arguments.scene, changes_by_key)
     except InputError as scene_error:
         scene_error.others = tuple(
-            _find_further_errors(scene_error, arguments.scene, changes_by_key)
+            _yield_further_errors(scene_error, arguments.scene, changes_by_key)
         )
         raise
     _check_option_numbers(arguments, scene)
@@ -128,21 +128,23 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
             scene,
             result_folder,
             arrival_source=arrival_source,
-            speeds=_campbell_speeds(arguments, scene),
+            speeds=_find_campbell_speeds_or_none(arguments, scene),
         )
     has_uncracked_record = (
-        arguments.before is not None and arguments.before.suffix.lower() in RECORD_SUFFIXES
+        arguments.before is not None and arguments.before.suffix.lower() in ARRIVAL_FILE_SUFFIXES
     )
-    uncracked_source = (
+    uncracked_arrival_source = (
         _read_arrivals(scene, arguments, arguments.before) if has_uncracked_record else None
     )
     measurements = _read_measurements(
         arguments, scene, None if has_uncracked_record else arguments.before
     )
-    return CommandInputs(scene, result_folder, measurements, arrival_source, uncracked_source)
+    return CommandInputs(
+        scene, result_folder, measurements, arrival_source, uncracked_arrival_source
+    )
 
 
-def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
+def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
     """Read a file of ``reduce`` in place of a scene (collective).
 
     Raises
@@ -165,7 +167,7 @@ def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
     )
 
 
-def _find_further_errors(
+def _yield_further_errors(
     error: InputError, scene_path: Path, changes_by_key: dict[str, Any]
 ) -> Iterator[InputError]:
     """Yield the errors of further keys of a scene with changes.
@@ -175,7 +177,7 @@ def _find_further_errors(
     suggestion. Once the template's value is in the scene, only missing and unknown keys are
     reported: other errors may be due to that value. A key that fails again ends the search.
     """
-    corrected_changes, reported_keys = {**changes_by_key}, {"scene"}
+    corrected_values_by_key, reported_keys = {**changes_by_key}, {"scene"}
     suggestions_text, has_no_template_value = "", True
     tables_by_name = {} if error.key == "scene" else tomllib.loads(read_utf8_text(scene_path))
     while error.key not in reported_keys:
@@ -184,19 +186,21 @@ def _find_further_errors(
         suggestion_match = re.search(r"; did you mean (.+)\?$", error.allowed)
         if error.allowed.startswith("left out; "):
             suggestions_text += error.allowed.partition(" known ")[0]
-            corrected_changes.pop(error.key, None)
+            corrected_values_by_key.pop(error.key, None)
             target_table = tables_by_name.get(table_name) if key_name else tables_by_name
             if isinstance(target_table, dict):
                 target_table.pop(key_name or table_name, None)
         else:
-            template_lines = (
-                example_line(error.key, error.allowed) if key_name else example_table(table_name)
+            template_text = (
+                find_example_line(error.key, error.allowed)
+                if key_name
+                else find_example_table_text(table_name)
             )
-            template_lines = (
-                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_lines
+            template_text = (
+                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_text
             )
             with suppress(ValueError):  # no value is meant
-                target_table = tomllib.loads(template_lines)
+                target_table = tomllib.loads(template_text)
                 for key, template_value in (
                     target_table if key_name else target_table.get(table_name, {})
                 ).items():
@@ -205,10 +209,10 @@ def _find_further_errors(
                         or suggestion_match
                         or not isinstance(template_value, str)
                     ):
-                        corrected_changes[f"{table_name}.{key}"] = template_value
+                        corrected_values_by_key[f"{table_name}.{key}"] = template_value
             has_no_template_value = has_no_template_value and suggestion_match is not None
         try:
-            Scene.from_mapping(tables_by_name, scene_path.parent, corrected_changes)
+            Scene.from_mapping(tables_by_name, scene_path.parent, corrected_values_by_key)
             return
         except InputError as next_error:
             error = next_error
@@ -234,7 +238,7 @@ def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
             raise InputError("--deviation", arguments.deviation, "a number from 0 to 0.1")
 
 
-def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
+def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndarray | None:
     """Return the Campbell diagram's speeds [rad/s]; None for other commands."""
     if arguments.command != "campbell":
         return None
@@ -440,19 +444,20 @@ class Console:
             LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
 
 
-def make_writable(folder: Path, comm: MPI.Comm) -> None:
+def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     """Create a folder for results; InputError unless files can be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     on_root(
-        comm, lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD_FRAMES_FOLDER))
+        comm,
+        lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD_FRAMES_FOLDER_NAME)),
     )
 
 
-def keep_previous_result(
+def keep_previous_files_with_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_stems: str
 ) -> str:
-    """Keep files of the previous result in the folder ``BEFORE`` (collective).
+    """Keep files of the previous result in the folder ``before`` (collective).
 
     Only one generation is kept, and nothing if the previous table has the same text.
 
@@ -505,20 +510,22 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
-    options = [option for option in COMBINABLE_NEW_OPTIONS if vars(arguments)[option]]
-    exclusive_options = [option for option in EXCLUSIVE_NEW_OPTIONS if vars(arguments)[option]]
+    options = [option for option in COMBINABLE_NEW_SCENE_OPTIONS if vars(arguments)[option]]
+    exclusive_options = [
+        option for option in EXCLUSIVE_NEW_SCENE_OPTIONS if vars(arguments)[option]
+    ]
     exclusive_options += ["cad"] if arguments.cad else []
     if exclusive_options and len(exclusive_options + options) > 1:
-        other_option = f"with --{(exclusive_options[1:] + options)[0]}"
+        other_option_text = f"with --{(exclusive_options[1:] + options)[0]}"
         raise InputError(
-            f"--{exclusive_options[0]}", other_option, "used alone: it is another scene"
+            f"--{exclusive_options[0]}", other_option_text, "used alone: it is another scene"
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
     if arguments.cad:
-        from fenics_crack.cli.part import propose_part_scene  # gmsh and VTK
+        from fenics_crack.cli.part import propose_scene_and_draw_faces  # gmsh and VTK
 
         scene_text, picture_path = on_root(
-            console.comm, lambda: propose_part_scene(arguments.cad, scene_path)
+            console.comm, lambda: propose_scene_and_draw_faces(arguments.cad, scene_path)
         )
         console.print_notes(f"{picture_path}: the faces of {arguments.cad}, with numbers")
         texts_by_path = {scene_path: scene_text}
@@ -553,8 +560,8 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
 def build_scene_text(scene_name: str, measurements_name: str, options: Collection[str]) -> str:
     """Build a new scene's text from the template of a plate.
 
-    ``options`` are from :data:`COMBINABLE_NEW_OPTIONS`. Both names are file names that the text
-    mentions.
+    ``options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. Both names are file names that the
+    text mentions.
     """
     line_marks = [
         f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
@@ -572,7 +579,7 @@ def build_scene_text(scene_name: str, measurements_name: str, options: Collectio
     )
 
 
-def example_line(key: str, requirement_text: str) -> str:
+def find_example_line(key: str, requirement_text: str) -> str:
     """Return the template line that sets a key, or "" without any.
 
     If an error's ``requirement_text`` names other keys of the table, lines with these keys are
@@ -582,7 +589,7 @@ def example_line(key: str, requirement_text: str) -> str:
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)
     template_lines = [
         template_line.partition("  #")[0].strip()
-        for table_lines in _template_blocks(table_name)
+        for table_lines in _yield_table_lines(table_name)
         for template_line in table_lines
     ]
     return next(
@@ -596,12 +603,12 @@ def example_line(key: str, requirement_text: str) -> str:
     )
 
 
-def example_table(table_name: str) -> str:
+def find_example_table_text(table_name: str) -> str:
     """Return the template lines that set a table, or "" without any."""
-    return "\n".join(next(_template_blocks(table_name), ()))
+    return "\n".join(next(_yield_table_lines(table_name), ()))
 
 
-def _template_blocks(table_name: str) -> Iterator[list[str]]:
+def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
     """Yield the lines that set a table, without marks, template by template.
 
     A table that is commented out is commented in.
@@ -610,7 +617,7 @@ def _template_blocks(table_name: str) -> Iterator[list[str]]:
         read_packaged_text,
         (
             PLATE_TEMPLATE_PATH,
-            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_OPTIONS),
+            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_SCENE_OPTIONS),
         ),
     )
     for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):

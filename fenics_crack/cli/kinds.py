@@ -43,7 +43,7 @@ class ResultKind(NamedTuple):
     caption: str = ""
 
 
-RESULT_KINDS = {
+RESULT_KIND_BY_NAME = {
     "set of modes": ResultKind(
         "modes", "Modes", "cli.results:report_of_modes", "runs.load:make_run_on_this_rank",
         "cli.pictures:draw_mode_shapes",
@@ -95,7 +95,7 @@ RESULT_KINDS = {
     ),
     "tip timing": ResultKind(
         "timing", "Tip timing", "monitoring.timing:report_of_timing",
-        "monitoring.timing:Timing.from_stored_file", "cli.pictures:draw_timing",
+        "monitoring.timing:Timing.from_stored_file", "cli.pictures:draw_tip_timing",
     ),
 }  # fmt: skip
 """Kinds of results by the class attribute ``KIND``, in a report's order."""
@@ -109,13 +109,13 @@ def load_function(function_path: str) -> Callable[..., Any]:
 
 def build_report(result: Any) -> Report:
     """Return the report of a result (collective)."""
-    report: Report = load_function(RESULT_KINDS[result.KIND].report_function_path)(result)
+    report: Report = load_function(RESULT_KIND_BY_NAME[result.KIND].report_function_path)(result)
     return report
 
 
 def draw_result(result: Any, picture_files: PictureFiles) -> None:
     """Draw the pictures of a result."""
-    result_kind = RESULT_KINDS[result.KIND]
+    result_kind = RESULT_KIND_BY_NAME[result.KIND]
     path_keywords = (
         {"path": picture_files(result_kind.file_stem, result_kind.caption)}
         if result_kind.caption
@@ -132,7 +132,7 @@ def restore_result(stored_file: StoredFile) -> Any:
     InputError
         The file holds no result of a command.
     """
-    if stored_file.kind not in RESULT_KINDS:
-        requirement_text = f"a result of one of these kinds: {', '.join(RESULT_KINDS)}"
+    if stored_file.kind not in RESULT_KIND_BY_NAME:
+        requirement_text = f"a result of one of these kinds: {', '.join(RESULT_KIND_BY_NAME)}"
         raise InputError("result", str(stored_file.path), requirement_text)
-    return load_function(RESULT_KINDS[stored_file.kind].reader_function_path)(stored_file)
+    return load_function(RESULT_KIND_BY_NAME[stored_file.kind].reader_function_path)(stored_file)

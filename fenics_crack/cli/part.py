@@ -34,10 +34,11 @@ class _PartSurface:
     triangle_normals : (n, 3)
         Outward unit vectors.
     triangle_centers : (n, 3) [m]
-    sorted_face_numbers : list of int
+    face_numbers_largest_first : list of int
         Numbers of the faces, the largest face first.
     face_points : (n_faces, 3) [m]
-        Triangle center nearest to the center of each face, in the order of ``sorted_face_numbers``.
+        Triangle center nearest to the center of each face, in the order of
+        ``face_numbers_largest_first``.
     """
 
     triangles: np.ndarray
@@ -45,17 +46,17 @@ class _PartSurface:
     triangle_areas: np.ndarray
     triangle_normals: np.ndarray
     triangle_centers: np.ndarray
-    sorted_face_numbers: list[int]
+    face_numbers_largest_first: list[int]
     face_points: np.ndarray
 
     def face_area(self, face_number: int) -> float:
         """Return the area of a face [m^2]."""
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
-    def find_end_face(self, axis: int, *, at_top: bool) -> int:
+    def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
         """Find the largest face among those with the highest, or lowest, point.
 
-        Returns the face's index in ``sorted_face_numbers``.
+        Returns the face's index in ``face_numbers_largest_first``.
         """
         point_heights = self.face_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
@@ -76,12 +77,12 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
     triangle_centers = triangles.mean(axis=1)
     triangle_areas = 0.5 * np.linalg.norm(triangle_normals, axis=1)
     triangle_normals /= np.maximum(2.0 * triangle_areas, 1e-300)[:, None]
-    sorted_face_numbers = sorted(
+    face_numbers_largest_first = sorted(
         set(face_numbers.tolist()),
         key=lambda face_number: -triangle_areas[face_numbers == face_number].sum(),
     )
     face_points = []
-    for face_number in sorted_face_numbers:
+    for face_number in face_numbers_largest_first:
         is_on_face = face_numbers == face_number
         face_center = (
             triangle_areas[is_on_face]
@@ -96,7 +97,7 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
         triangle_areas,
         triangle_normals,
         triangle_centers,
-        sorted_face_numbers,
+        face_numbers_largest_first,
         np.array(face_points),
     )
 
@@ -113,18 +114,18 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
         Distance through the part along the inward normal.
     """
     axis_direction = np.eye(3)[axis]
-    min_height = part_surface.triangles[..., axis].min()
-    max_height = part_surface.triangles[..., axis].max()
+    bottom_height = part_surface.triangles[..., axis].min()
+    top_height = part_surface.triangles[..., axis].max()
     axis_components = [
         np.abs(
             part_surface.triangle_normals[part_surface.face_numbers == face_number][:, axis]
         ).max()
-        for face_number in part_surface.sorted_face_numbers
+        for face_number in part_surface.face_numbers_largest_first
     ]
     face_index = int((np.array(axis_components) < 0.7).argmax())
-    is_on_face = part_surface.face_numbers == part_surface.sorted_face_numbers[face_index]
+    is_on_face = part_surface.face_numbers == part_surface.face_numbers_largest_first[face_index]
     target_point = part_surface.face_points[face_index] * (1.0 - axis_direction)
-    target_point[axis] = min_height + CRACK_HEIGHT_FRACTION * (max_height - min_height)
+    target_point[axis] = bottom_height + CRACK_HEIGHT_FRACTION * (top_height - bottom_height)
     triangle_index = np.linalg.norm(
         part_surface.triangle_centers[is_on_face] - target_point, axis=1
     ).argmin()
@@ -137,7 +138,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     )
 
 
-def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
+def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str, Path]:
     """Return a part's scene text, and draw the faces.
 
     Returns
@@ -156,16 +157,16 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
     part_extents = np.ptp(part_surface.triangles.reshape(-1, 3), axis=0)
     longest_axis = int(part_extents.argmax())
     clamp_point, tip_point = (
-        part_surface.face_points[part_surface.find_end_face(longest_axis, at_top=at_top)]
+        part_surface.face_points[part_surface.find_end_face_index(longest_axis, at_top=at_top)]
         for at_top in (False, True)
     )
     crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
-    listed_faces = part_surface.sorted_face_numbers[:MAX_LISTED_FACES]
+    listed_face_numbers = part_surface.face_numbers_largest_first[:MAX_LISTED_FACES]
     picture_path = scene_path.with_name(f"{scene_path.stem}_faces.png")
     draw_numbered_faces(
         part_surface.triangles,
         part_surface.face_numbers,
-        listed_faces,
+        listed_face_numbers,
         part_surface.face_points,
         path=picture_path,
     )
@@ -173,12 +174,12 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
         f"clamp = [{_format_vector(clamp_point)}]",
         f"tip = [{_format_vector(tip_point)}]",
     ]
-    for line_number, (face_number, face_point) in enumerate(
-        zip(listed_faces, part_surface.face_points, strict=False), 1
+    for face_rank, (face_number, face_point) in enumerate(
+        zip(listed_face_numbers, part_surface.face_points, strict=False), 1
     ):
         area_mm2 = 1e6 * part_surface.face_area(face_number)
         face_lines.append(
-            f"# face_{line_number} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
+            f"# face_{face_rank} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
         )
     text_by_placeholder = {
         "EXTENTS": " x ".join(f"{part_extent:.4g}" for part_extent in part_extents),

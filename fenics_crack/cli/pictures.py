@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
 from fenics_crack.basics.tables import choose_unit_prefix, format_percent, heading_with_unit
 from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER
+from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
@@ -45,13 +45,13 @@ from fenics_crack.sweep.plan import FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-CRACK_CLOSING_LINE_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+CRACK_CLOSING_COLOURS_AND_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line style of the closing, crack by crack."""
 
 NO_MESH_NOTE = "no mesh: what would be drawn on one is left out"
 
 
-def draw_scene(
+def draw_scene_mesh(
     scene: Scene, folder: Path, structure: Structure | None = None, file_format: str = "png"
 ) -> Path:
     """Draw the mesh of a scene, and return the picture's path.
@@ -144,7 +144,9 @@ def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFil
     if picture_files.has_vtk_files:
         from fenics_crack.draw.vtk import write_period
 
-        write_period(solution, picture_files(PERIOD_FRAMES_FOLDER, "", "pvd"), material=material)
+        write_period(
+            solution, picture_files(PERIOD_FRAMES_FOLDER_NAME, "", "pvd"), material=material
+        )
 
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
@@ -198,13 +200,13 @@ def _draw_waveforms(
 
     Time is in periods of the frequency ``omega`` [rad/s], or in seconds if that is None.
     """
-    line_styles = itertools.cycle(CRACK_CLOSING_LINE_STYLES)
+    colours_and_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
-    drawn_waves = [plot.Wave(run.watched_description, time, waveforms.displacement[:, 0])]
+    drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
     for crack_place, crack_closing in waveforms.closings_by_place.items():
         drawn_waves.append(
-            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(line_styles))
+            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(colours_and_styles))
         )
     period = None if omega is None else 2.0 * np.pi / omega
     plot.draw_waves(
@@ -214,11 +216,9 @@ def _draw_waveforms(
 
 def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
     """Draw response, harmonics and multipliers along a curve, and all blades."""
-    curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.is_frequency_in_hertz
-    title, linear_responses = (
-        f"{run.watched_description}, {curve.method}",
-        _compute_linear_responses(run),
-    )
+    curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
+    title = f"{run.watched_name}, {curve.method}"
+    linear_responses_by_label = _compute_linear_responses(run)
     caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
     caption += "faint: large estimated error."
     if curve.multipliers is None:
@@ -230,7 +230,7 @@ def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) ->
         path=picture_path,
         title=title,
         in_hertz=in_hertz,
-        behind=linear_responses,
+        behind=linear_responses_by_label,
     )
     picture_path = picture_files("curve_content", "Amplitudes of the lowest harmonics.")
     plot_curve.draw_content(curve, watched_dof, path=picture_path, title=title, in_hertz=in_hertz)
@@ -269,10 +269,10 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
         for lips in LIP_STATES
     }
     if scene.geometry is not None and scene.geometry.width is not None:
-        removed_keys = dict.fromkeys(
+        none_by_removed_key = dict.fromkeys(
             ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")
         )
-        uncracked_study = prepare(scene.replace(removed_keys), MPI.COMM_SELF)
+        uncracked_study = prepare(scene.replace(none_by_removed_key), MPI.COMM_SELF)
         arguments_by_label["no crack"] = (
             uncracked_study.structure,
             uncracked_study.watched[0].dof,
@@ -307,12 +307,12 @@ def _compute_linear_response(
     omega_near_resonances = np.outer(
         natural_omega, np.concatenate([1.0 - relative_offsets, 1.0 + relative_offsets])
     ).ravel()
-    min_omega, max_omega = curve_omega.min(), curve_omega.max()
+    lowest_omega, highest_omega = curve_omega.min(), curve_omega.max()
     omega_within_curve = omega_near_resonances[
-        (omega_near_resonances > min_omega) & (omega_near_resonances < max_omega)
+        (omega_near_resonances > lowest_omega) & (omega_near_resonances < highest_omega)
     ]
     sampled_omega = np.unique(
-        np.concatenate([np.linspace(min_omega, max_omega, 200), omega_within_curve])
+        np.concatenate([np.linspace(lowest_omega, highest_omega, 200), omega_within_curve])
     )
     return sampled_omega, linear_response(structure, dof, sampled_omega, lips=lips)
 
@@ -326,31 +326,33 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     The horizontal axis is the frequency, else the longest axis. The next longest axis has a line
     for each of up to 6 values, or a map from 4 values on. Each combination of the other axes has
     separate pictures; twelve combinations are drawn. Raises InputError as
-    :func:`_select_drawn_axes`.
+    :func:`_select_drawn_axis_indices`.
     """
-    drawn_indices = _select_drawn_axes(sweep_result)
-    drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_indices]
-    fixed_indices = [
+    drawn_axis_indices = _select_drawn_axis_indices(sweep_result)
+    drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_axis_indices]
+    fixed_axis_indices = [
         axis_index
         for axis_index in range(len(sweep_result.axes))
-        if axis_index not in drawn_indices
+        if axis_index not in drawn_axis_indices
     ]
 
     def split_pictures(picture_values: np.ndarray) -> np.ndarray:
         """Reshape values to (n_pictures, n_x, n_y); n_y is 1 with one axis."""
         axis_lengths = [*(len(axis.values) for axis in drawn_axes), 1][:2]
-        return picture_values.transpose(*fixed_indices, *drawn_indices).reshape(-1, *axis_lengths)
+        return picture_values.transpose(*fixed_axis_indices, *drawn_axis_indices).reshape(
+            -1, *axis_lengths
+        )
 
     is_doubtful = split_pictures(
         sweep_result.converged & (sweep_result.not_stable | sweep_result.inexact)
     )
     fixed_combinations = itertools.product(
-        *(sweep_result.axes[axis_index].values for axis_index in fixed_indices)
+        *(sweep_result.axes[axis_index].values for axis_index in fixed_axis_indices)
     )
     for picture_index, fixed_combination in enumerate(
         itertools.islice(fixed_combinations, 12)
     ):  # of each quantity
-        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
+        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_axis_indices]
         fixed_value_texts = [
             f"{key_in_words(key)} {value_in_words(key, axis_value)}"
             for key, axis_value in zip(fixed_keys, fixed_combination, strict=True)
@@ -361,9 +363,9 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
             )[picture_index]
             if np.any(np.isfinite(picture_values)):
                 file_stem = (
-                    f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_indices else ''}"
+                    f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_axis_indices else ''}"
                 )
-                draw_swept(
+                draw_swept_quantity(
                     drawn_axes,
                     picture_values,
                     is_doubtful[picture_index],
@@ -374,7 +376,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
                 )
 
 
-def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
+def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
     """Return the indices of the one or two axes to be drawn.
 
     A frequency comes first, then the longest axis. Raises InputError if no axis has two or more
@@ -400,7 +402,7 @@ def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
     return axis_indices[:2]
 
 
-def draw_swept(
+def draw_swept_quantity(
     axes: Sequence[Axis],
     values: np.ndarray,
     is_doubtful: np.ndarray,
@@ -423,12 +425,12 @@ def draw_swept(
         Names and values on all other axes.
     """
     axis_arrays = [np.array(axis.values, dtype=float) for axis in axes]
-    value_orders = [np.argsort(axis_array) for axis_array in axis_arrays]
-    sorted_grid = np.ix_(*[*value_orders, np.zeros(1, dtype=int)][:2])
-    values, is_doubtful = values[sorted_grid], is_doubtful[sorted_grid]
-    scaled_axes = [
-        _scale_axis(axis, axis_array[value_order])
-        for axis, axis_array, value_order in zip(axes, axis_arrays, value_orders, strict=True)
+    sorting_indices = [np.argsort(axis_array) for axis_array in axis_arrays]
+    sorted_index_grid = np.ix_(*[*sorting_indices, np.zeros(1, dtype=int)][:2])
+    values, is_doubtful = values[sorted_index_grid], is_doubtful[sorted_index_grid]
+    scaled_values_and_labels = [
+        _scale_axis(axis, axis_array[sorting_index])
+        for axis, axis_array, sorting_index in zip(axes, axis_arrays, sorting_indices, strict=True)
     ]
     quantity_name, unit = name_and_unit
     title = ", ".join([f"{quantity_name[0].upper()}{quantity_name[1:]}", *fixed_texts])
@@ -437,23 +439,23 @@ def draw_swept(
     if has_few_lines := n_lines <= 6:
         line_labels = [quantity_name]
         if len(axes) > 1:
-            key, axis_array = axes[1].key, axis_arrays[1][value_orders[1]]
+            key, axis_array = axes[1].key, axis_arrays[1][sorting_indices[1]]
             line_labels = [
                 f"{key_in_words(key)} {value_in_words(key, float(line_value))}"
                 for line_value in axis_array
             ]
         curves_by_label, doubts_by_label = (
-            dict(zip(line_labels, value_grid.T, strict=True))
-            for value_grid in (values, is_doubtful)
+            dict(zip(line_labels, picture_grid.T, strict=True))
+            for picture_grid in (values, is_doubtful)
         )
         line_options: dict[str, Any] = {
-            "over": scaled_axes[0][1],
+            "over": scaled_values_and_labels[0][1],
             "doubtful": doubts_by_label,
             "unit": unit,
         }
         picture_path = picture_files(file_stem, caption)
         plot.draw_response(
-            scaled_axes[0][0],
+            scaled_values_and_labels[0][0],
             curves_by_label,
             quantity=quantity_name,
             path=picture_path,
@@ -461,7 +463,7 @@ def draw_swept(
             **line_options,
         )
     if not has_few_lines or (len(axes) > 1 and min(values.shape) >= 4):
-        (x_values, x_label), (y_values, y_label) = scaled_axes
+        (x_values, x_label), (y_values, y_label) = scaled_values_and_labels
         unit_factor, prefixed_unit = 1.0, unit
         if unit in ("m", "N"):
             unit_factor, prefixed_unit = choose_unit_prefix(float(np.nanmax(np.abs(values))), unit)
@@ -491,7 +493,7 @@ def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
     """Draw the growth of a crack in the scene's units."""
     caption = "The crack over the cycles; dots are the lengths that were solved."
     plot_study.draw_growth(
-        growth, path=picture_files("growth", caption), in_hertz=growth.scene.is_frequency_in_hertz
+        growth, path=picture_files("growth", caption), in_hertz=growth.scene.in_hertz
     )
 
 
@@ -501,15 +503,15 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
     engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
     caption = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
     unit_options: dict[str, Any] = {
-        "in_hertz": scene.is_frequency_in_hertz or scene.is_speed_in_rpm,
-        "in_rpm": scene.is_speed_in_rpm,
+        "in_hertz": scene.in_hertz or scene.in_rpm,
+        "in_rpm": scene.in_rpm,
     }
     plot_study.draw_campbell(
         campbell, engine_orders, path=picture_files("campbell", caption), **unit_options
     )
 
 
-def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
+def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
     """Draw each blade's passages or track, or the largest blade's fit."""
     caption = "Displacements at the probes over the speed; resonances with their engine orders."
     for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):
@@ -519,7 +521,7 @@ def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
             plot_study.draw_passages(blade_fit, arrivals, path=picture_files(file_stem, caption))
         elif isinstance(blade_fit, TipTrack):
             caption = "Amplitudes over the load's frequency, with their standard errors."
-            in_hertz = tip_timing.scene is not None and tip_timing.scene.is_frequency_in_hertz
+            in_hertz = tip_timing.scene is not None and tip_timing.scene.in_hertz
             plot_study.draw_tip_track(
                 blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
             )

@@ -23,12 +23,12 @@ from fenics_crack.basics.errors import InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import read_regular_file
-from fenics_crack.cli.account import printed_table
+from fenics_crack.cli.account import make_printed_table
 from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import Console, make_writable
-from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result, restore_result
-from fenics_crack.cli.pictures import draw_scene
-from fenics_crack.cli.scenes import describe_harmonics
+from fenics_crack.cli.given import Console, make_writable_folder
+from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, build_report, draw_result, restore_result
+from fenics_crack.cli.pictures import draw_scene_mesh
+from fenics_crack.cli.scenes import format_harmonic_count
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
@@ -46,7 +46,7 @@ from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
 from fenics_crack.sweep.result import has_omitted_options
 from fenics_crack.version import VERSION, read_packaged_text
 
-LISTED_TABLE_NAMES = (
+LISTED_SCENE_TABLE_NAMES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
@@ -63,20 +63,20 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
     )
     if first_result_path.is_dir():
         picture_folder = arguments.output or first_result_path
-    make_writable(picture_folder, console.comm)
+    make_writable_folder(picture_folder, console.comm)
 
     def draw_pictures() -> list[str]:
         if is_scene_file and len(arguments.results) == 1 and not curve_labels:
             return [
                 str(
-                    draw_scene(
+                    draw_scene_mesh(
                         Scene.load(first_result_path),
                         picture_folder,
                         file_format=console.picture_format,
                     )
                 )
             ]
-        result_files, exclusion_note = _read_result_files(arguments.results)
+        result_files, exclusion_note = _read_result_files_and_note(arguments.results)
         if not first_result_path.is_dir() and (len(result_files) > 1 or curve_labels):
             return [
                 str(
@@ -108,7 +108,7 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
     command_words = ["fenics-crack", *arguments.words]
 
     def write_page() -> str:
-        result_files, exclusion_note = _read_result_files(arguments.results)
+        result_files, exclusion_note = _read_result_files_and_note(arguments.results)
         _write_page(result_files, page_path, command_words)
         return exclusion_note
 
@@ -117,12 +117,12 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
     console.print_notes(str(page_path), exclusion_note)
 
 
-def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
+def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
     """Read result files, also from folders, without parts of other results.
 
     Returns
     -------
-    result_files : list of Stored
+    result_files : list of StoredFile
         Parts stay if all files are parts. Structures kept by commands stay without any other
         file.
     exclusion_note : str
@@ -170,8 +170,8 @@ def _draw_curves(
 ) -> Path:
     """Draw responses from several curves into one picture; return the path.
 
-    Without ``labels``, curves are labelled by differences between scenes. If two labels are equal,
-    file names are added.
+    Without ``given_labels``, curves are labelled by differences between scenes. If two labels are
+    equal, file names are added.
 
     Raises
     ------
@@ -229,8 +229,8 @@ def _write_page(
 
     Parameters
     ----------
-    stored_files : sequence of Stored
-        Results with scenes, which the page sorts by :data:`RESULT_KINDS`.
+    stored_files : sequence of StoredFile
+        Results with scenes, which the page sorts by :data:`RESULT_KIND_BY_NAME`.
     page_path : Path
         The .html file.
     command_words : sequence of str
@@ -245,7 +245,7 @@ def _write_page(
         raise InputError("--output", str(page_path), "a .html file")
     from jinja2 import Environment  # which plots do without
 
-    kind_order = list(RESULT_KINDS)
+    kind_order = list(RESULT_KIND_BY_NAME)
     files_and_results = [
         (stored_file, restore_result(stored_file))
         for stored_file in {stored_file.path: stored_file for stored_file in stored_files}.values()
@@ -259,7 +259,7 @@ def _write_page(
     scene_results = [
         result for _, result in files_and_results if result.scene is not None
     ]  # or a record
-    scene_differences = iter(
+    scene_difference_texts = iter(
         describe_differences(
             [result.scene.replace({"reduction": None}) for result in scene_results]
         )
@@ -272,7 +272,7 @@ def _write_page(
     for result_index, (stored_file, result) in enumerate(files_and_results):
         result_fields = _build_result_fields(
             stored_file, result, picture_folder / str(result_index)
-        ) | {"differs": next(scene_differences, "")}
+        ) | {"differs": next(scene_difference_texts, "")}
         if kind_names.count(stored_file.kind) > 1:
             is_repeated = file_stems.count(stored_file.path.stem) > 1
             result_fields["heading"] += (
@@ -318,9 +318,9 @@ def _build_result_fields(
         if report.misses_tolerance or report.warnings
         else "good"
     )
-    tables_by_caption = report.page_tables or {"In numbers": printed_table(report)}
+    tables_by_caption = report.page_tables or {"In numbers": make_printed_table(report)}
     return {
-        "heading": RESULT_KINDS[stored_file.kind].heading,
+        "heading": RESULT_KIND_BY_NAME[stored_file.kind].heading,
         "closing": f"{_capitalize_sentence(report.closing_sentence)}.",
         "box": box_class,
         "notes": [
@@ -355,18 +355,21 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
         mesh_picture = _encode_picture(
-            draw_scene(scene, picture_folder, structure), "The mesh with its named parts."
+            draw_scene_mesh(scene, picture_folder, structure), "The mesh with its named parts."
         )
     values_by_key = file_value_by_key(scene)
     listed_keys = [
-        key for table in LISTED_TABLE_NAMES for key in values_by_key if key.startswith(f"{table}.")
+        key
+        for table_name in LISTED_SCENE_TABLE_NAMES
+        for key in values_by_key
+        if key.startswith(f"{table_name}.")
     ]
     quantity_rows: list[tuple[str, object]] = [
         (key_in_words(key), _format_value(key, values_by_key[key])) for key in listed_keys
     ]
     if scene.excitation.order is not None:
         quantity_rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
-    quantity_rows.append(("harmonics", describe_harmonics(scene)))
+    quantity_rows.append(("harmonics", format_harmonic_count(scene)))
     return {
         "mesh": mesh_picture,
         "scene": Table(("quantity", "value"), quantity_rows),
@@ -385,15 +388,15 @@ def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
     """Tabulate program versions behind each result and the page."""
     version_rows = []
     for stored_file in stored_files:
-        file_versions = (
+        file_versions_text = (
             f"fenics_crack {stored_file.attributes['version']}, "
             f"{stored_file.attributes['versions']}"
         )
-        version_rows.append((str(stored_file.path), file_versions))
-    page_versions = (
+        version_rows.append((str(stored_file.path), file_versions_text))
+    page_versions_text = (
         f"Python {platform.python_version()}, {library_versions_text()}, h5py {h5py.__version__}"
     )
-    version_rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
+    version_rows.append(("this page", f"fenics_crack {VERSION}, {page_versions_text}"))
     return Table(("file", "made with"), version_rows)
 
 

@@ -31,7 +31,7 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 from fenics_crack.cli import account
-from fenics_crack.cli.account import MEANING_BY_BIFURCATION, OTHER_QUANTITIES_BY_NAME
+from fenics_crack.cli.account import DESCRIPTION_UNIT_AND_LEVEL_BY_NAME, MEANING_BY_BIFURCATION
 from fenics_crack.cli.scenes import describe_undamped_harmonics
 from fenics_crack.curves.curve import (
     DESCRIPTION_BY_PARAMETER,
@@ -41,7 +41,7 @@ from fenics_crack.curves.curve import (
 )
 from fenics_crack.curves.peak import LargestResponse
 from fenics_crack.curves.stability import attractors
-from fenics_crack.errors.numbers import largest_left_out, natural_name
+from fenics_crack.errors.numbers import find_largest_omitted_harmonic, natural_frequency_name
 from fenics_crack.model.modes import (
     FREQUENCY_KIND_NAMES,
     BilinearFrequencies,
@@ -64,7 +64,7 @@ from fenics_crack.time.march import TimeHistory
 
 ERROR_COLUMN_HEADING = "error [%]"
 """Heading for stated errors of numbers, in percent."""
-ERRORS_NAN_IF_UNKNOWN = ("total_error", "displacement_error")
+ERROR_NAMES_NAN_IF_UNKNOWN = ("total_error", "displacement_error")
 """Names of errors that are nan if the error is unknown."""
 QuantityRow = tuple[str, str, object, str]
 """Name, description, value and unit of a quantity."""
@@ -74,7 +74,7 @@ def report_of_modes(run: Run[Modes]) -> Report:
     """Report natural frequencies with the crack open."""
     table = run.result.table()
     frequency_names = [
-        natural_name(run.scene, "open", mode_number)
+        natural_frequency_name(run.scene, "open", mode_number)
         for mode_number in range(1, len(table.rows) + 1)
     ]
     if run.stated is not None:
@@ -97,12 +97,12 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
     report_fields
         Further fields of the :class:`Report`.
     """
-    friction_notes, friction_warnings = account.describe_friction_lines(run)
-    incomplete_notes = () if run.stated is None else run.stated.incomplete
+    friction_notes, friction_warnings = account.list_friction_line_notes_and_warnings(run)
+    incomplete_notes = () if run.stated is None else run.stated.incomplete_error_notes
     report_fields["notes"] = [
         *report_fields.get("notes", ()),
         *friction_notes,
-        *_describe_node_distances(run),
+        *_list_node_distance_notes(run),
         *incomplete_notes,
     ]
     report_fields["warnings"] = [*report_fields.get("warnings", ()), *friction_warnings]
@@ -110,12 +110,12 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
         return Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
     report_fields |= {
         "printed_table": account.select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
-        "page_tables": _number_tables_by_heading(run, table),
+        "page_tables": _quantity_text_tables_by_heading(run, table),
     }
     report = Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
     conclusion_row = [
         "conclusion",
-        OTHER_QUANTITIES_BY_NAME["conclusion"][0],
+        DESCRIPTION_UNIT_AND_LEVEL_BY_NAME["conclusion"][0],
         report.closing_sentence,
         "-",
     ]
@@ -123,7 +123,7 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
     return replace(report, table=Table(table.columns, [*table.rows, conclusion_row]))
 
 
-def _describe_node_distances(run: Run[Any]) -> list[str]:
+def _list_node_distance_notes(run: Run[Any]) -> list[str]:
     """Note how far watched nodes are from their points; empty without a distance."""
     distance_by_point = {
         watched_displacement.name.partition(".")[0]: watched_displacement.distance
@@ -173,12 +173,13 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         )
     if (
         solution.converged
-        and (omitted_harmonic := largest_left_out(solution, run.watched_dof)) is not None
+        and (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof))
+        is not None
     ):
         ratio_text = (
-            f"{omitted_harmonic[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
+            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         )
-        harmonic_text = f"harmonic {omitted_harmonic[0]}, which the solution leaves out"
+        harmonic_text = f"harmonic {order_and_ratio[0]}, which the solution leaves out"
         note_texts.append(f"{harmonic_text}, is the largest of the higher ones: {ratio_text}")
     tolerance = scene.harmonic_balance.tolerance
     is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
@@ -186,7 +187,9 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     if not solution.converged or is_tolerance_missed:
         warning_texts.append(f"{'' if solution.converged else 'not converged: '}{solution.status}")
     elif run.structure.n_pairs:
-        warning_texts += account.describe_large_error(scene, solution.report, solution.harmonics)
+        warning_texts += account.yield_large_error_warning(
+            scene, solution.report, solution.harmonics
+        )
     if solution.still:
         warning_texts.append("nothing vibrates: no load changes in time")
     if solution.converged:
@@ -194,13 +197,15 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         if stability is not None:
             if stability.verdict in ("unstable", "irregular"):
                 motion_text = _describe_departing_motions(solution, run.watched_dof)
-            warning_texts += account.describe_mode_dependence(
+            warning_texts += account.yield_mode_dependence_warning(
                 run.scene, solution, stability.verdict
             )
-        warning_texts += account.describe_instability(scene, run, stability, motion_text)
-        warning_texts += account.describe_large_motion(run, account.find_largest_displacements(run))
-        warning_texts += account.describe_ambiguous_contact(solution)
-        warning_texts += run.stated.dents if run.stated is not None else ()
+        warning_texts += account.yield_instability_warning(scene, run, stability, motion_text)
+        warning_texts += account.list_large_motion_warnings(
+            run, account.find_largest_displacements(run)
+        )
+        warning_texts += account.yield_nonunique_contact_force_warning(solution)
+        warning_texts += run.stated.point_force_warnings if run.stated is not None else ()
     return _make_report(
         run,
         table,
@@ -243,7 +248,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     }
     units_by_name = {name: "m" if name == "position" else "Pa m^0.5" for name in columns_by_name}
     lists_by_name = {
-        name: [float(f"{component:.4g}") for component in column]
+        name: [float(f"{cell_value:.4g}") for cell_value in column]
         for name, column in columns_by_name.items()
     }
     return {
@@ -254,8 +259,8 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
     """Collect numbers and texts that cast doubt on a solution.
 
-    Keys are names in :data:`OTHER_QUANTITIES_BY_NAME`. Empty texts, zeros and nan are left out. If
-    the error is unknown, its parts in :data:`ERRORS_NAN_IF_UNKNOWN` are nan.
+    Keys are names in :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`. Empty texts, zeros and nan are
+    left out. If the error is unknown, :data:`ERROR_NAMES_NAN_IF_UNKNOWN` are nan.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {"unknown_error": explain_unknown_solution_error(run)}
@@ -269,23 +274,23 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
         name: doubt for name, doubt in doubts_by_name.items() if doubt and doubt == doubt
     }
     return known_doubts_by_name | (
-        dict.fromkeys(ERRORS_NAN_IF_UNKNOWN, np.nan) if run.result.report.unknown else {}
+        dict.fromkeys(ERROR_NAMES_NAN_IF_UNKNOWN, np.nan) if run.result.report.unknown else {}
     )
 
 
-def _number_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
+def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
     """Tabulate all numbers as text, after the numbers requested by the scene."""
     requested_names = run.scene.quantities or ()
     requested_rows = [
         row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
     ]
-    requested_tables = {
-        "Requested by the scene": account.format_known_quantities(
+    requested_table_by_heading = {
+        "Requested by the scene": account.tabulate_known_quantities_as_text(
             Table(table.columns, requested_rows)
         )
     }
-    return (requested_tables if requested_rows else {}) | {
-        "In numbers": account.format_known_quantities(table)
+    return (requested_table_by_heading if requested_rows else {}) | {
+        "In numbers": account.tabulate_known_quantities_as_text(table)
     }
 
 
@@ -300,19 +305,20 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
             (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
             for attractor in attractors(solution.structure, solution)
         ]
-    settled_ranges = dict.fromkeys(
+    settled_range_texts = dict.fromkeys(
         _describe_range(amplitudes) for is_orbit, _, amplitudes in motions if is_orbit
     )
-    clauses = [f"settles to {' or '.join(settled_ranges)}"] if settled_ranges else []
+    clause_texts = [f"settles to {' or '.join(settled_range_texts)}"] if settled_range_texts else []
     if varying_motions := [
         (n_periods, amplitudes) for is_orbit, n_periods, amplitudes in motions if not is_orbit
     ]:
         period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
-        amplitude_range = _describe_range(np.concatenate(amplitude_arrays))
-        clauses.append(
-            f"still varies after {format_count(min(period_counts), 'period')}, {amplitude_range}"
+        amplitude_range_text = _describe_range(np.concatenate(amplitude_arrays))
+        clause_texts.append(
+            f"still varies after {format_count(min(period_counts), 'period')}, "
+            f"{amplitude_range_text}"
         )
-    return f"; the motion {' or '.join(clauses)} half peak-to-peak" if clauses else ""
+    return f"; the motion {' or '.join(clause_texts)} half peak-to-peak" if clause_texts else ""
 
 
 def _describe_range(amplitudes: np.ndarray) -> str:
@@ -345,7 +351,9 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
             "periods"
         )
         warning_texts.append(f"{unsettled_text}{_describe_longer_period(history)}")
-    warning_texts += account.describe_large_motion(run, np.abs(waveforms.displacement).max(axis=0))
+    warning_texts += account.list_large_motion_warnings(
+        run, np.abs(waveforms.displacement).max(axis=0)
+    )
     return _make_report(
         run,
         table,
@@ -376,8 +384,8 @@ def _tabulate_quantities(
 
     They are the load frequency ``omega`` [rad/s], indicators of the watched dofs and the crack
     faces, natural frequencies near the load's (vibration only), and the ``values_by_name`` that
-    :data:`OTHER_QUANTITIES_BY_NAME` has. Without contact pairs, errors and shares are left
-    out.
+    :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME` has. Without contact pairs, errors and shares are
+    left out.
     """
     quantity_rows: list[QuantityRow] = [
         (name, name, value, UNIT_BY_NAME[name])
@@ -394,11 +402,11 @@ def _tabulate_quantities(
         frequencies_by_name = bilinear_frequencies(run.structure).nearest(omega)
         quantity_rows += (
             (name, f"{description}, mode {frequencies_by_name['mode']}", float(value), unit)
-            for name, description, unit, value in _list_natural_frequencies(frequencies_by_name)
+            for name, description, unit, value in _yield_natural_frequencies(frequencies_by_name)
         )
     quantity_rows += [
         (name, description, values_by_name[name], unit)
-        for name, (description, unit, _) in OTHER_QUANTITIES_BY_NAME.items()
+        for name, (description, unit, _) in DESCRIPTION_UNIT_AND_LEVEL_BY_NAME.items()
         if name in values_by_name
     ]
     headings = ["name", "quantity", "value", "unit"]
@@ -433,20 +441,22 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
     frequency_kind = quantity_name.rpartition("_")[2]
     if frequency_kind in FREQUENCY_KIND_NAMES:
         mode_number = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
-        quantity_name = natural_name(run.scene, frequency_kind, int(mode_number))
+        quantity_name = natural_frequency_name(run.scene, frequency_kind, int(mode_number))
     relative_error, cause_text = run.stated.stated(quantity_name)
     error_percent = (
         100.0 * max(relative_error, MIN_REPORTED_ERROR) if relative_error < np.inf else np.nan
     )
-    missing_causes = (
-        run.stated.missing_causes(quantity_name) if quantity_name in run.stated.values else {}
+    missing_cause_reasons = (
+        run.stated.find_reasons_by_missing_cause(quantity_name)
+        if quantity_name in run.stated.values
+        else {}
     )
-    if missing_causes:
-        cause_text += f"; not included: {', '.join(missing_causes)}"
+    if missing_cause_reasons:
+        cause_text += f"; not included: {', '.join(missing_cause_reasons)}"
     return float(f"{error_percent:.3g}"), cause_text
 
 
-def _list_natural_frequencies(
+def _yield_natural_frequencies(
     frequencies_by_name: Mapping[str, np.ndarray],
 ) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Yield natural frequencies, in rad/s and Hz, and frequency ratios.
@@ -537,8 +547,8 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
 def report_of_curve(run: Run[ResponseCurve]) -> Report:
     """Report a curve, its special points, errors and stability (collective)."""
     curve, scene = run.result, run.scene
-    indicator_columns = _indicator_columns_by_heading(run, curve)
-    special_point_table = tabulate_special_points(run, indicator_columns)
+    indicator_columns_by_heading = _indicator_columns_by_heading(run, curve)
+    special_point_table = tabulate_special_points(run, indicator_columns_by_heading)
     shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
     note_texts = [
         _describe_unstable_peak(run),
@@ -555,8 +565,8 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         if bifurcation_kind in MEANING_BY_BIFURCATION
     ]
     warning_texts = [
-        *_describe_curve_warnings(run),
-        *account.describe_large_motion(run, account.find_largest_displacements(run)),
+        *_yield_curve_warnings(run),
+        *account.list_large_motion_warnings(run, account.find_largest_displacements(run)),
     ]
     indicators = curve.indicators(run.watched_dof)
     peak_index = int(np.argmax(indicators.amplitude))
@@ -565,7 +575,9 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
             f"harmonic {indicators.largest_order[peak_index]:.0f} is the largest of the higher ones"
         )
         ratio_text = f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
-        place_text = "the largest response" if _has_passed_point(curve, peak_index) else "its end"
+        place_text = (
+            "the largest response" if _is_before_early_end(curve, peak_index) else "its end"
+        )
         note_texts.append(f"at {place_text} {order_text}, {ratio_text}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
@@ -582,7 +594,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     return _make_report(
         run,
         special_point_table,
-        csv_table=tabulate_curve_points(run, indicator_columns),
+        csv_table=tabulate_curve_points(run, indicator_columns_by_heading),
         printed_table=account.select_printed_quantities(
             shortened_table, scene, IN_SPECIAL_POINTS_TABLE
         ),
@@ -607,7 +619,7 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
-    is_assessed = curve.multipliers is not None and _has_passed_point(curve, peak_index)
+    is_assessed = curve.multipliers is not None and _is_before_early_end(curve, peak_index)
     verdict = str(curve.verdicts[peak_index]) if is_assessed else ""
     if verdict not in ("unstable", "irregular"):
         return ""
@@ -615,7 +627,7 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     return f"the largest response is {verdict}{motion_text}"
 
 
-def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
+def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:
     """Return False if the curve ended early at the largest response."""
     return bool(curve.complete) or point_index < len(curve) - 1
 
@@ -628,7 +640,7 @@ def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str
     )
 
 
-def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
+def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     """Yield warnings about large errors, undecided stability and an early end."""
     curve, scene = run.result, run.scene
     if (
@@ -646,14 +658,14 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     }
     worst_index = max(error_reports_by_index, key=lambda index: error_reports_by_index[index].total)
     location_text = f" at {_format_parameters(run, curve.values[worst_index])}"
-    yield from account.describe_large_error(
+    yield from account.yield_large_error_warning(
         scene,
         error_reports_by_index[worst_index],
         solutions_by_index[worst_index].harmonics,
         location_text,
     )
-    if curve.multipliers is not None and _has_passed_point(curve, peak_index):
-        for warning_text in account.describe_mode_dependence(
+    if curve.multipliers is not None and _is_before_early_end(curve, peak_index):
+        for warning_text in account.yield_mode_dependence_warning(
             run.scene, solutions_by_index[peak_index], curve.verdicts[peak_index]
         ):
             yield f"at the largest response, {warning_text}"
@@ -678,7 +690,7 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
             f"the stability is undecided at {format_count(n_further_points, 'other point')}, "
             f"{reason_hint}"
         )
-    yield from run.stated.dents if run.stated is not None else ()
+    yield from run.stated.point_force_warnings if run.stated is not None else ()
     if not curve.complete:
         yield f"the curve ended early: {curve.status}"
 
@@ -692,7 +704,7 @@ def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
         return []
     padded_flags = np.concatenate([[0], curve.undecided, [0]])
     start_indices, stop_indices = (
-        np.flatnonzero(np.diff(padded_flags) == flag_change).tolist() for flag_change in (1, -1)
+        np.flatnonzero(np.diff(padded_flags) == flag_step).tolist() for flag_step in (1, -1)
     )
     index_ranges = [
         (start_index, stop_index - 1)
@@ -717,13 +729,17 @@ def tabulate_curve_points(
     """
     quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)
-    indicator_columns = columns_by_heading or _indicator_columns_by_heading(run, run.result)
-    indicator_rows = zip(*(column.tolist() for column in indicator_columns.values()), strict=True)
+    indicator_columns_by_heading = columns_by_heading or _indicator_columns_by_heading(
+        run, run.result
+    )
+    indicator_rows = zip(
+        *(column.tolist() for column in indicator_columns_by_heading.values()), strict=True
+    )
     point_rows = [
         [*point_row, *indicator_row]
         for point_row, indicator_row in zip(table.rows, indicator_rows, strict=True)
     ]
-    return Table((*table.columns, *indicator_columns), point_rows)
+    return Table((*table.columns, *indicator_columns_by_heading), point_rows)
 
 
 def tabulate_special_points(
@@ -740,12 +756,12 @@ def tabulate_special_points(
         columns_by_heading or _indicator_columns_by_heading(run, curve)
     )
     curve_at_bifurcations = curve.at_bifurcations if curve.bifurcations else curve
-    bifurcation_columns = _parameter_columns_by_heading(
+    bifurcation_columns_by_heading = _parameter_columns_by_heading(
         curve_at_bifurcations
     ) | _indicator_columns_by_heading(run, curve_at_bifurcations)
     peak = curve.top(run.watched_dof)
     peak_name = "largest, still rising" if peak.at_end else "largest"
-    peak_name = peak_name if _has_passed_point(curve, peak.index) else "largest so far"
+    peak_name = peak_name if _is_before_early_end(curve, peak.index) else "largest so far"
     named_row_sources = [
         ("start", 0, columns_by_heading),
         ("end", -1, columns_by_heading),
@@ -753,7 +769,7 @@ def tabulate_special_points(
     ]
     for bifurcation_number, bifurcation in enumerate(curve.bifurcations, 1):
         named_row_sources.append(
-            (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns)
+            (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns_by_heading)
         )
     if curve.multipliers is not None:
         for point_index in np.flatnonzero(curve.verdicts[1:] != curve.verdicts[:-1]):
@@ -763,8 +779,8 @@ def tabulate_special_points(
                 (f"stability {change_text} after", int(point_index), columns_by_heading)
             )
     table_rows = [
-        (point_name, *(float(column[row_index]) for column in source_columns.values()))
-        for point_name, row_index, source_columns in named_row_sources
+        (point_name, *(float(column[row_index]) for column in source_columns_by_heading.values()))
+        for point_name, row_index, source_columns_by_heading in named_row_sources
     ]
     return Table(("point", *columns_by_heading), table_rows)
 
@@ -777,13 +793,13 @@ def _interpolate_peak_columns(
     The parameter and the ratios to natural frequencies are linear between neighbouring points. The
     amplitude is the peak's; all other columns have values from the nearest point.
     """
-    neighbours = slice(max(peak.index - 1, 0), peak.index + 2)
-    parameter_order = np.argsort(run.result.values[neighbours])
-    parameter_values = run.result.values[neighbours][parameter_order]
-    parameter_columns = _parameter_columns_by_heading(run.result)
+    neighbour_slice = slice(max(peak.index - 1, 0), peak.index + 2)
+    parameter_sorting = np.argsort(run.result.values[neighbour_slice])
+    parameter_values = run.result.values[neighbour_slice][parameter_sorting]
+    parameter_columns_by_heading = _parameter_columns_by_heading(run.result)
     row_by_heading = {
-        name: np.interp([peak.value], parameter_values, column[neighbours][parameter_order])
-        if name in parameter_columns or name.startswith("over_")
+        name: np.interp([peak.value], parameter_values, column[neighbour_slice][parameter_sorting])
+        if name in parameter_columns_by_heading or name.startswith("over_")
         else column[[peak.index]]
         for name, column in columns_by_heading.items()
     }
@@ -823,7 +839,7 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
     curve, point_rows = run.result, [*table.rows]
     first_rows, other_rows = point_rows[:3], point_rows[3:]  # start, end and largest come first
     bifurcations = curve.bifurcations
-    amplitude_column = next(
+    amplitude_column_index = next(
         column_index
         for column_index, heading in enumerate(table.columns)
         if heading.endswith("amplitude [m]")
@@ -832,7 +848,7 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
         other_rows = other_rows[: len(bifurcations)]
 
     def rank_row(row_index: int) -> tuple[bool, float]:
-        return row_index < len(bifurcations), other_rows[row_index][amplitude_column]
+        return row_index < len(bifurcations), other_rows[row_index][amplitude_column_index]
 
     kept_indices = sorted(
         sorted(range(len(other_rows)), key=rank_row, reverse=True)[: N_SELECTED_ROWS - 3]
@@ -855,7 +871,7 @@ def _indicator_columns_by_heading(
     frequencies_by_name = _solve_natural_frequencies(run, curve.omega).nearest(curve.omega)
     return columns_by_heading | {
         heading_with_unit(name, unit): value
-        for name, _, unit, value in _list_natural_frequencies(frequencies_by_name)
+        for name, _, unit, value in _yield_natural_frequencies(frequencies_by_name)
     }
 
 
@@ -873,7 +889,7 @@ def _solve_natural_frequencies(
         return bilinear_frequencies(structure)
     speeds = load_omega * (curve.values[0] / curve.omega[0])
     sample_speeds = np.linspace(speeds.min(), speeds.max(), min(speeds.size, 9))
-    frequencies_by_sample = [
+    frequencies_of_samples = [
         bilinear_frequencies(structure.at_speed(float(sample_speed)))
         for sample_speed in sample_speeds
     ]
@@ -886,7 +902,7 @@ def _solve_natural_frequencies(
         return np.sqrt(np.stack(mode_omega_columns, axis=-1))
 
     open_omega_rows, bonded_omega_rows = (
-        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_by_sample]
+        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_of_samples]
         for frequency_kind in ("open", "tied")
     )
     return BilinearFrequencies(

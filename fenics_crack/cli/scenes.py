@@ -22,7 +22,7 @@ from fenics_crack.basics.tables import (
     format_range,
 )
 from fenics_crack.cli.given import CommandInputs, Console
-from fenics_crack.errors.stated import errors_of_natural
+from fenics_crack.errors.stated import estimate_frequency_mesh_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_count_and_max_omega
@@ -50,7 +50,7 @@ from fenics_crack.study.sharing import STRUCTURE_FILES
 from fenics_crack.study.solve import candidate_mode_counts
 
 
-def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
+def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
     """Mesh and assemble a scene; print key figures, natural frequencies and remarks."""
     scene = inputs.scene
     with console.report_stage("mesh and matrices"):
@@ -71,10 +71,10 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
             study, key_figures.omega_bilinear, key_figures.speed_slopes
         )
     with console.report_stage("errors due to the mesh"):
-        bonded_frequencies = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
-        frequencies_by_kind = {"open": key_figures.omega_open} | bonded_frequencies
-        mesh_errors = errors_of_natural(
-            study, frequencies_by_kind, load_resonance, key_figures.speed_slopes
+        bonded_omega_by_kind = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
+        omega_by_kind = {"open": key_figures.omega_open} | bonded_omega_by_kind
+        mesh_errors = estimate_frequency_mesh_errors(
+            study, omega_by_kind, load_resonance, key_figures.speed_slopes
         )
         vibration_mesh_error = (
             0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]
@@ -83,15 +83,15 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
             key_figures, load_resonance=replace(load_resonance, mesh_error=vibration_mesh_error)
         )
     values_by_label: dict[str, object] = {
-        **({} if structure.nodes is None else _mesh_size_rows(key_figures)),
-        **_cad_part_rows(scene, structure),
+        **({} if structure.nodes is None else _extents_by_label(key_figures)),
+        **_cad_part_texts_by_label(scene, structure),
         "degrees of freedom": structure.n_dofs,
-        **_frequency_rows(study.scene, key_figures),
-        **_mesh_error_rows(mesh_errors),
-        **_resonance_rows(study.scene, key_figures),
-        **_rotation_rows(study.scene, key_figures),
-        **_crack_and_contact_rows(study, key_figures),
-        "harmonics": describe_harmonics(scene),
+        **_frequencies_by_label(study.scene, key_figures),
+        **_mesh_error_texts_by_label(mesh_errors),
+        **_resonance_values_by_label(study.scene, key_figures),
+        **_rotation_values_by_label(study.scene, key_figures),
+        **_crack_and_contact_values_by_label(study, key_figures),
+        "harmonics": format_harmonic_count(scene),
         "unknowns of harmonic balance": (2 * n_harmonics + 1) * structure.n_pairs,
         "reduction": _describe_reduction(study),
         "memory, estimated [GiB]": round(memory_bytes / 2**30, 2),
@@ -99,11 +99,11 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     if scene.curve is not None:
         range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
-    if (curve_proposal := propose_curve_or_none(study.scene, key_figures)) is not None:
-        unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_proposal.parameter][1]
-        values_by_label["proposed curve.parameter"] = curve_proposal.parameter
-        values_by_label[f"proposed curve.start [{unit}]"] = curve_proposal.start
-        values_by_label[f"proposed curve.stop [{unit}]"] = curve_proposal.stop
+    if (proposed_curve_table := propose_curve_or_none(study.scene, key_figures)) is not None:
+        unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[proposed_curve_table.parameter][1]
+        values_by_label["proposed curve.parameter"] = proposed_curve_table.parameter
+        values_by_label[f"proposed curve.start [{unit}]"] = proposed_curve_table.start
+        values_by_label[f"proposed curve.stop [{unit}]"] = proposed_curve_table.stop
     if scene.sweep is not None:
         values_by_label["sweep"] = " x ".join(
             f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over
@@ -112,18 +112,18 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
         values_by_label["invalid cases"] = on_root(
             console.comm, lambda: _describe_invalid_cases(scene)
         )
-    damping_remark = _describe_undamped_after_reduction(
+    damping_remark_text = _describe_undamped_after_reduction(
         scene, structure, highest_harmonic_omega(scene)
     )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
     for structure_file in STRUCTURE_FILES:
         structure_file.write_structure(console.comm)
     console.print_table(Table(("what", "value"), [*values_by_label.items()]))
-    console.print_notes(damping_remark)
+    console.print_notes(damping_remark_text)
     console.print_remarks(*scene_remarks)
 
 
-def missing_curve_error(scene: Scene, console: Console) -> InputError:
+def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
     """Return the error of a scene without the table [curve] (collective).
 
     The error's example is a curve through the resonance nearest to the load, if it is found.
@@ -132,13 +132,13 @@ def missing_curve_error(scene: Scene, console: Console) -> InputError:
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
-        if curve_proposal := propose_curve_or_none(study.scene, find_key_figures(study)):
-            error.example = curve_proposal.as_toml()
+        if proposed_curve_table := propose_curve_or_none(study.scene, find_key_figures(study)):
+            error.example = proposed_curve_table.as_toml()
     return error
 
 
-def _mesh_size_rows(key_figures: KeyFigures) -> dict[str, object]:
-    """Return the lengths of the mesh's sides as a row."""
+def _extents_by_label(key_figures: KeyFigures) -> dict[str, object]:
+    """Return the lengths of the mesh's sides as one text, by label."""
     side_names = ("width", "height", "thickness")[: len(key_figures.mesh_extents)]
     return {
         " x ".join(side_names) + " [m]": " x ".join(
@@ -147,8 +147,8 @@ def _mesh_size_rows(key_figures: KeyFigures) -> dict[str, object]:
     }
 
 
-def _cad_part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
-    """Return rows on a CAD part's faces and crack fronts, else none."""
+def _cad_part_texts_by_label(scene: Scene, structure: Structure) -> dict[str, str]:
+    """Return texts on a CAD part's faces and crack fronts by label, else none."""
     if scene.geometry is None or scene.geometry.file is None:
         return {}
     from fenics_crack.fem.solid import part_text_by_name  # DOLFINx
@@ -156,8 +156,8 @@ def _cad_part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
     return part_text_by_name(scene, structure)
 
 
-def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on natural frequencies and the load's relative frequency."""
+def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+    """Return natural frequencies and the load's relative frequency by label."""
     faces_text = word_for_crack_faces(scene)
     frequencies_by_condition = {
         f", {faces_text} open": key_figures.omega_open,
@@ -196,8 +196,8 @@ def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     return values_by_label
 
 
-def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
-    """Return rows on frequency errors due to the mesh; none for matrices."""
+def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str]:
+    """Return frequency errors due to the mesh by label; none for matrices."""
     if mesh_errors.scene.structure is not None:
         return {}
     if mesh_errors.unknown:
@@ -212,13 +212,13 @@ def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
         "error of first natural frequencies due to the mesh": " and ".join(error_texts)
     }
     if "resonance" in mesh_errors.values:
-        resonance_error = format_percent(mesh_errors.stated("resonance")[0])
-        values_by_label["error of the resonance at the load due to the mesh"] = resonance_error
+        resonance_error_text = format_percent(mesh_errors.stated("resonance")[0])
+        values_by_label["error of the resonance at the load due to the mesh"] = resonance_error_text
     return values_by_label
 
 
-def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on the resonance at the load, or why it is unknown."""
+def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+    """Return the resonance at the load by label, or why it is unknown."""
     load_resonance, engine_order = key_figures.load_resonance, scene.excitation.order
     if key_figures.n_face_elements is None:
         return {}
@@ -227,16 +227,12 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         label += ", without friction"
     values_by_label: dict[str, object] = {}
     if math.isfinite(load_resonance.value) and (engine_order is None or scene.disk is not None):
-        values_by_label[f"{label} [Hz]"], values_by_label[f"{label} [rad/s]"] = (
-            load_resonance.value / RAD_PER_TURN,
-            load_resonance.value,
-        )
+        values_by_label[f"{label} [Hz]"] = load_resonance.value / RAD_PER_TURN
+        values_by_label[f"{label} [rad/s]"] = load_resonance.value
     elif math.isfinite(load_resonance.value):
         label = f"order {engine_order} meets the {label}, rotor speed"
-        values_by_label[f"{label} [rad/s]"], values_by_label[f"{label} [rpm]"] = (
-            load_resonance.value,
-            load_resonance.value / RAD_PER_S_PER_RPM,
-        )
+        values_by_label[f"{label} [rad/s]"] = load_resonance.value
+        values_by_label[f"{label} [rpm]"] = load_resonance.value / RAD_PER_S_PER_RPM
     is_not_proportional = (
         key_figures.n_closed_pairs
         or key_figures.opening_under_mean_load
@@ -248,8 +244,8 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     return values_by_label
 
 
-def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on rotor speed, and the crack's opening by rotation."""
+def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+    """Return rotor speed and the crack's opening by rotation, by label."""
     if scene.speed == 0.0:
         return {}
     values_by_label: dict[str, object] = {
@@ -263,8 +259,8 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     return values_by_label
 
 
-def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
+def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) -> dict[str, object]:
+    """Return crack lengths, contact pairs, contact law and static stiffness by label."""
     cracks_by_name = study.scene.crack_by_name
     contact_law = study.contact
     contact_table = study.scene.contact
@@ -286,8 +282,10 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
         values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
         values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
     faces_text = word_for_crack_faces(study.scene)
-    static_stiffness = format_range(key_figures.face_stiffness, ".3g")
-    values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
+    static_stiffness_text = format_range(key_figures.face_stiffness, ".3g")
+    values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = (
+        static_stiffness_text
+    )
     if key_figures.contact_stiffness_ratio is not None:
         values_by_label["contact stiffness / static stiffness"] = format_range(
             key_figures.contact_stiffness_ratio, ".3g"
@@ -299,7 +297,7 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
     return values_by_label
 
 
-def describe_harmonics(scene: Scene) -> int | str:
+def format_harmonic_count(scene: Scene) -> int | str:
     """Return the number of harmonics H, or the lowest H in words."""
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
@@ -347,28 +345,32 @@ def _describe_invalid_cases(scene: Scene) -> str:
 # --- harmonics without damping --------------------------------------------------------------------
 
 
-def describe_undamped_harmonics(structure: Structure, max_omega: float) -> str:
+def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
     """Remark that no damping acts on harmonics below a frequency [rad/s] (collective).
 
     The text is empty if all harmonics are damped, or without contact: only contact excites
     harmonics.
     """
-    damped_mode_range = damped_count_and_max_omega(structure) if structure.n_pairs else None
-    if damped_mode_range is None or max_omega <= damped_mode_range[1]:
+    damped_modes_and_highest_omega = (
+        damped_count_and_max_omega(structure) if structure.n_pairs else None
+    )
+    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
         return ""
-    n_damped_modes, max_damped_omega = damped_mode_range
+    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
     if n_damped_modes == 0:
-        return f"harmonics up to H w = {max_omega:g} rad/s: nothing damps what they excite"
+        return f"harmonics up to H w = {highest_omega:g} rad/s: nothing damps what they excite"
     modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
     harmonics_text = (
-        f"harmonics up to H w = {max_omega:g} rad/s reach beyond {modes_text} "
-        f"({max_damped_omega:g} "
+        f"harmonics up to H w = {highest_omega:g} rad/s reach beyond {modes_text} "
+        f"({highest_damped_omega:g} "
         "rad/s)"
     )
     return f"{harmonics_text}: nothing damps what they excite there"
 
 
-def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_omega: float) -> str:
+def _describe_undamped_after_reduction(
+    scene: Scene, structure: Structure, highest_omega: float
+) -> str:
     """Remark on harmonics without damping, given the scene's reduction (collective).
 
     A massless reduction damps all further modes by the last ratio of the scene: if this is above
@@ -383,4 +385,4 @@ def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_o
     ):
         if np.ravel(damping_ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
-    return describe_undamped_harmonics(structure, max_omega)
+    return describe_undamped_harmonics(structure, highest_omega)

@@ -16,7 +16,7 @@ from fenics_crack.basics.tables import (
     format_in_unit,
     format_percent,
 )
-from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, describe_large_error
+from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, yield_large_error_warning
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -28,7 +28,7 @@ from fenics_crack.sweep.result import (
     iterate_texts_by_reason,
 )
 
-SPEED_KEYS = ("rotation.speed", "rotation.rpm")
+ROTOR_SPEED_KEYS = ("rotation.speed", "rotation.rpm")
 
 
 def report_of_verification(verification: Verification) -> Report:
@@ -74,18 +74,18 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         sweep_result.build_conclusion(),
         printed_table=short_table,
         notes=[f"cases: {states_text}{selection_text}", high_order_note],
-        warnings=[*describe_sweep_warnings(sweep_result)],
+        warnings=[*yield_sweep_warnings(sweep_result)],
         page_tables=tables_by_heading,
-        remarks=[*remarks_on_scene(sweep_result.scene), *describe_skipped_peak(sweep_result)],
+        remarks=[*remarks_on_scene(sweep_result.scene), *list_skipped_peak_remarks(sweep_result)],
         has_converged=not sweep_result.failed
         and sweep_result.complete,  # mpirun calls all other ends an aborted job
     )
 
 
-def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
+def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     """Yield warnings about failed cases, large errors and stability."""
     yield from iterate_texts_by_reason(sweep_result, sweep_result.failed, "failed")
-    yield from _describe_large_errors(sweep_result)
+    yield from _yield_large_error_warnings(sweep_result)
     verdicts = sweep_result["verdict"][sweep_result.converged]
     counts_by_verdict = {
         verdict: int(np.sum(verdicts == verdict)) for verdict in VERDICTS_NOT_STABLE
@@ -105,11 +105,11 @@ def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
         yield "the sweep was stopped; the same command goes on with it"
 
 
-def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
+def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
     """Yield warnings about cases with a large error, or above the scene's tolerance.
 
     Cases with the same largest part of the error share a warning. It describes the case with the
-    largest error by :func:`describe_large_error`.
+    largest error by :func:`yield_large_error_warning`.
     """
     error_limit = min(LARGE_ERROR, sweep_result.scene.harmonic_balance.tolerance or LARGE_ERROR)
     part_errors = sweep_result.errors
@@ -131,7 +131,7 @@ def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
             f"{format_count(int(is_in_group.sum()), 'case')} with an error above "
             f"{format_percent(error_limit)}"
         )
-        for error_text in describe_large_error(
+        for error_text in yield_large_error_warning(
             case_scene,
             error_report,
             int(sweep_result["harmonics"][case_index]),
@@ -143,7 +143,7 @@ def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
             )
 
 
-def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
+def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     """Remark that a peak is narrower than a step in frequency or speed.
 
     Between the half-power points of a peak the phase falls by a quarter turn. A larger fall in one
@@ -153,22 +153,26 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
     axis_indices = [
         axis_index
         for axis_index, axis in enumerate(sweep_result.axes)
-        if axis.key in (*FREQUENCY_KEYS, *SPEED_KEYS)
+        if axis.key in (*FREQUENCY_KEYS, *ROTOR_SPEED_KEYS)
     ]
     if not axis_indices:
         return []
     swept_axis = sweep_result.axes[axis_indices[0]]
-    response = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
-    value_order = np.argsort(swept_axis.values)
-    response = np.moveaxis(response, axis_indices[0], -1)[..., value_order]
-    if swept_axis.key in SPEED_KEYS and sweep_result.scene.excitation.order is None:
-        response = response.conj()  # the resonance rises past the load's frequency
-    is_skipped = np.angle(response[..., 1:] * np.conj(response[..., :-1])) < -0.5 * np.pi
+    complex_responses = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
+    sorting_index = np.argsort(swept_axis.values)
+    complex_responses = np.moveaxis(complex_responses, axis_indices[0], -1)[..., sorting_index]
+    if swept_axis.key in ROTOR_SPEED_KEYS and sweep_result.scene.excitation.order is None:
+        complex_responses = (
+            complex_responses.conj()
+        )  # the resonance rises past the load's frequency
+    is_skipped = (
+        np.angle(complex_responses[..., 1:] * np.conj(complex_responses[..., :-1])) < -0.5 * np.pi
+    )
     if not is_skipped.any():
         return []
-    *other_indices, step_index = map(int, np.argwhere(is_skipped)[0])
+    *other_axis_indices, step_index = map(int, np.argwhere(is_skipped)[0])
     end_values = (
-        swept_axis.values[value_index] for value_index in value_order[step_index : step_index + 2]
+        swept_axis.values[value_index] for value_index in sorting_index[step_index : step_index + 2]
     )
     range_text = format_in_unit((1.0, swept_axis.key, unit_of_key(swept_axis.key)), *end_values)
     other_axes = [
@@ -176,7 +180,7 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
     ]
     location_text = "".join(
         f", {axes_text}"
-        for axes_text in [describe_swept_values(other_axes, other_indices)]
+        for axes_text in [describe_swept_values(other_axes, other_axis_indices)]
         if axes_text
     )
     n_further_steps = int(is_skipped.sum()) - 1
@@ -233,9 +237,11 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         f"{sweep_result.path.stem}.csv all"
     )
     if len(row_indices) > N_SELECTED_ROWS:
-        largest_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[:N_SELECTED_ROWS]
+        descending_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[
+            :N_SELECTED_ROWS
+        ]
         selection_text += f", {N_SELECTED_ROWS} of {len(row_indices)}"
-        row_indices = np.sort(row_indices[largest_order])
+        row_indices = np.sort(row_indices[descending_order])
     return Table(
         table.columns, [table.rows[row_index] for row_index in row_indices]
     ), selection_text

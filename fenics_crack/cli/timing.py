@@ -20,13 +20,13 @@ from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import format_count, format_speed
-from fenics_crack.cli.account import describe_instability, describe_large_error
+from fenics_crack.cli.account import yield_instability_warning, yield_large_error_warning
 from fenics_crack.cli.commands import write_and_print_report
 from fenics_crack.cli.given import (
     CommandInputs,
     Console,
-    keep_previous_result,
-    make_writable,
+    keep_previous_files_with_note,
+    make_writable_folder,
     parse_changes,
     select_blades,
 )
@@ -54,16 +54,16 @@ def fit_and_report_timing(
 ) -> Exit:
     """Fit and report the vibration in measured or computed arrival times."""
     if inputs is None:
-        return _find_vibration_of_record(arguments, console)
+        return _fit_and_report_record(arguments, console)
     scene, result_folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
     timing_table, arrivals_path = scene.given("tip_timing"), result_folder / "arrivals.csv"
     with console.report_stage("arrival times"):
         arrivals_by_blade, run = scene_timing.arrivals_of_blades(
             scene, arrival_source, console.comm
         )
-    first_arrivals = next(iter(arrivals_by_blade.values()))
+    first_blade_arrivals = next(iter(arrivals_by_blade.values()))
     if scene.disk is None:
-        _write_arrivals(first_arrivals, arrivals_path, scene, run, console)
+        _write_and_draw_arrivals(first_blade_arrivals, arrivals_path, scene, run, console)
     elif run is not None:
         on_root(
             console.comm,
@@ -72,19 +72,19 @@ def fit_and_report_timing(
         console.print_notes(
             f"arrivals of {format_count(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
         )
-    fits_by_blade = _fit_blade_vibrations(timing_table, arrivals_by_blade, console, scene, run)
+    fits_by_blade = _fit_vibration_by_blade(timing_table, arrivals_by_blade, console, scene, run)
     if scene.disk is not None and not all(
         isinstance(blade_fit, TipFit) for blade_fit in fits_by_blade.values()
     ):
         requirement_text = "arrivals at one speed of a bladed disk"
         raise InputError("arrivals", str(arrival_source or "a curve"), requirement_text)
-    doubt_texts = tuple(_describe_timing_warnings(first_arrivals, scene, run))
+    doubt_texts = tuple(_yield_timing_warnings(first_blade_arrivals, scene, run))
     return _write_timing_report(
         Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )
 
 
-def _write_arrivals(
+def _write_and_draw_arrivals(
     arrivals: ArrivalTimes,
     arrivals_path: Path,
     scene: Scene,
@@ -99,23 +99,25 @@ def _write_arrivals(
         draw_arrivals(arrivals, path=picture_path, in_rpm=scene.is_speed_in_rpm)
 
     table_text = arrivals.table().formatted("csv")
-    console.print_notes(keep_previous_result(arrivals_path, table_text, console.comm))
+    console.print_notes(keep_previous_files_with_note(arrivals_path, table_text, console.comm))
     on_root(console.comm, write_files)
-    first_speed, last_speed = (
+    first_speed_text, last_speed_text = (
         format_speed(arrivals.speed[row_index], scene.is_speed_in_rpm) for row_index in (0, -1)
     )
-    speed_range = (
-        f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
+    speed_range_text = (
+        f"{first_speed_text} to {last_speed_text}"
+        if scene_timing.is_run_up(arrivals, run)
+        else first_speed_text
     )
     console.print_notes(
-        f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range}: {arrivals_path}, "
+        f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range_text}: {arrivals_path}, "
         f".{console.picture_format}"
     )
     if run is not None:
         console.print_notes(scene_timing.describe_tip(scene.given("tip_timing"), run))
 
 
-def _fit_blade_vibrations(
+def _fit_vibration_by_blade(
     timing_table: TipTiming,
     arrivals_by_blade: Mapping[int, ArrivalTimes],
     console: Console,
@@ -145,7 +147,7 @@ def _describe_arrival_counts(arrivals: ArrivalTimes) -> str:
     return f"{revolutions_text}, {format_count(len(arrivals.probes), 'probe')}"
 
 
-def _describe_timing_warnings(
+def _yield_timing_warnings(
     arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None
 ) -> Iterator[str]:
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
@@ -156,12 +158,12 @@ def _describe_timing_warnings(
             scene.speed > 0.0
             and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
         ):
-            record_speed, scene_speed = (
+            record_speed_text, scene_speed_text = (
                 format_speed(rotor_speed, scene.is_speed_in_rpm)
                 for rotor_speed in record_and_scene_speeds
             )
             yield (
-                f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
+                f"the arrivals are of {record_speed_text}, [rotation] has {scene_speed_text}: "
                 "are they in seconds?"
             )
         return
@@ -172,20 +174,20 @@ def _describe_timing_warnings(
     yield from filter(None, doubt_texts)
     if scene_timing.get_response_curve(run) is None:
         motion = run.result
-        yield from describe_large_error(run.scene, motion.report, motion.harmonics)
-        yield from describe_instability(run.scene, run, motion.stability)
+        yield from yield_large_error_warning(run.scene, motion.report, motion.harmonics)
+        yield from yield_instability_warning(run.scene, run, motion.stability)
 
 
-def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
+def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
     """Fit and report the vibration in a record without a scene."""
     table_values_by_name = {}
     for full_key, key_value in parse_changes(arguments.set).items():
         table_name, _, key_name = full_key.partition(".")
         if table_name != "tip_timing" or key_name not in RECORD_TIMING_KEYS:
-            allowed_keys = ", ".join(
+            allowed_keys_text = ", ".join(
                 f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
             )
-            requirement_text = f"left out with a record in place of a scene, or {allowed_keys}"
+            requirement_text = f"left out with a record in place of a scene, or {allowed_keys_text}"
             raise InputError(full_key, key_value, requirement_text)
         table_values_by_name[key_name] = TipTiming.convert_value(key_name, key_value)
     with console.report_stage("arrival times"):
@@ -197,25 +199,25 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
         )
         arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
     result_folder = arguments.output or Path("output") / arguments.scene.stem
-    make_writable(result_folder, console.comm)
-    first_arrivals = next(iter(arrivals_by_blade.values()))
+    make_writable_folder(result_folder, console.comm)
+    first_blade_arrivals = next(iter(arrivals_by_blade.values()))
     console.print_notes(
         f"{format_count(len(arrivals_by_blade), 'blade')}, "
-        f"{_describe_arrival_counts(first_arrivals)}"
+        f"{_describe_arrival_counts(first_blade_arrivals)}"
     )
     needs_probes = (
-        first_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
+        first_blade_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
     )
     if needs_probes and not has_probe_angles(arguments.scene):
         raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT_TEXT)
     record_values_by_name = {
-        "probes": np.degrees(first_arrivals.probes).tolist(),
-        "tip_radius": first_arrivals.tip_radius,
+        "probes": np.degrees(first_blade_arrivals.probes).tolist(),
+        "tip_radius": first_blade_arrivals.tip_radius,
     }
-    fits_by_blade = _fit_blade_vibrations(
+    fits_by_blade = _fit_vibration_by_blade(
         TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
     )
-    doubt_texts = tuple(scene_timing.list_arrival_remarks(first_arrivals))
+    doubt_texts = tuple(scene_timing.list_arrival_remarks(first_blade_arrivals))
     return _write_timing_report(
         Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )

@@ -35,7 +35,7 @@ from fenics_crack.draw.figure import (
     label_axis,
     label_count_axis,
 )
-from fenics_crack.errors.convergence import SAFE
+from fenics_crack.errors.convergence import ASYMPTOTIC_SAFETY_FACTOR
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.scene.words import key_in_words
@@ -310,7 +310,7 @@ def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuant
     drawn_quantities = [
         quantity_name
         for quantity_name, convergence in verification.parts[cause].items()
-        if convergence.is_asymptotic
+        if convergence.has_error_from_limit
         and verification.values[quantity_name]
         and convergence.extrapolated not in convergence.values
     ]
@@ -345,7 +345,9 @@ def _draw_contributions(
                 lw=1.6,
             )
         for cause, absolute_uncertainty in verification.contributions(quantity_name).items():
-            has_small_factor = verification.parts[cause][quantity_name].factor <= SAFE
+            has_small_factor = (
+                verification.parts[cause][quantity_name].factor <= ASYMPTOTIC_SAFETY_FACTOR
+            )
             error_percent = 100.0 * verification.relative(quantity_name, absolute_uncertainty)
             if error_percent > 100.0 * MIN_REPORTED_ERROR:
                 fill_colour = colours[cause] if has_small_factor else "none"

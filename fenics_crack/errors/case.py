@@ -33,14 +33,14 @@ from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.causes import RUN_WORDS_BY_CAUSE
 from fenics_crack.basics.errors import InputError
-from fenics_crack.errors.convergence import GridConvergence, Varied
+from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.errors.numbers import (
     Numbers,
-    accepted_orbit,
-    many_harmonics,
-    numbers_of,
-    of_orbit,
-    sizes_of_change,
+    choose_n_orbit_harmonics,
+    compute_numbers,
+    compute_orbit_values_by_name,
+    find_accepted_orbit_or_none,
+    measure_changes_by_name,
 )
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import CoulombFriction, friction_of
@@ -49,27 +49,27 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, scene_contact_law
 
-FRICTION_MODES = 20, 10
+MODE_COUNTS_FOR_FRICTION = 20, 10
 """Numbers of modes with which the effect of friction is computed, the first for the part itself.
 
 With 40 modes an orbit takes three times as long, and ten times if the search is hard.
 """
-TURNING_FACTOR = 2.0
+TURNING_SAFETY_FACTOR = 2.0
 """Safety factor, 2, on the error r |change by friction| due to sliding across friction lines.
 
 Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2 times
 the stated error.
 """
-SLIDING_QUANTITIES = ("K_II_max", "K_III_max")
+SLIDING_STRESS_INTENSITY_NAMES = ("K_II_max", "K_III_max")
 """Stress intensities that friction at the tip itself changes."""
-START_HARMONICS = 10
+N_START_HARMONICS = 10
 """Harmonics per load period of the solutions that start the search for both orbits."""
-CAUSE_WITHOUT_CONTACT = "without contact there is one"
+SINGLE_HARMONIC_REASON_TEXT = "without contact there is one"
 """Reason why harmonics are not varied."""
 
 
 @dataclass(frozen=True)
-class Case:
+class JudgedAnswer:
     """Hold an answer whose causes of error are varied.
 
     Attributes
@@ -78,102 +78,128 @@ class Case:
         Study of the answer, with the answer's reduced structure.
     answer : PeriodicSolution
         Solution whose errors are sought.
-    answer_numbers : dict of str to float
+    answer_values_by_name : dict of str to float
         Numbers of the answer.
-    wave : PeriodicSolution
+    balance_solution : PeriodicSolution
         Solution by harmonic balance with the answer's number of harmonics, the base of comparisons.
         :mod:`verify` uses the answer itself; :mod:`stated`, too, if harmonic balance fails and the
         answer is an exact orbit.
-    numbers : Numbers
-        Numbers of the wave.
+    balance_numbers : Numbers
+        Numbers of the balance solution.
     """
 
     study: Study
     answer: PeriodicSolution
-    answer_numbers: Mapping[str, float]
-    wave: PeriodicSolution
-    numbers: Numbers
+    answer_values_by_name: Mapping[str, float]
+    balance_solution: PeriodicSolution
+    balance_numbers: Numbers
 
-    def compute_values(
+    def compute_values_by_name(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
     ) -> dict[str, float]:
         """Return a motion's numbers, by default in the answer's study (collective)."""
-        study, mode = study or self.study, self.numbers.mode
+        study, mode_number = study or self.study, self.balance_numbers.mode_number
         if isinstance(motion, PeriodicOrbit):
-            return of_orbit(study, self.answer, motion, mode)
-        return numbers_of(study, motion, mode).values
+            return compute_orbit_values_by_name(study, self.answer, motion, mode_number)
+        return compute_numbers(study, motion, mode_number).values_by_name
 
     @cached_property
-    def orbit_values(self) -> dict[str, float] | None:
+    def orbit_values_by_name(self) -> dict[str, float] | None:
         """Numbers of the answer's accepted exact orbit, or None (collective)."""
-        orbit = accepted_orbit(self.answer)
-        return None if orbit is None else self.compute_values(orbit)
+        orbit = find_accepted_orbit_or_none(self.answer)
+        return None if orbit is None else self.compute_values_by_name(orbit)
 
-    def distance_to_orbit(self, orbit_values: Mapping[str, float]) -> Varied:
-        """Return the part of harmonics from the exact orbit's numbers."""
-        counts = self.answer.harmonics, many_harmonics(self.answer)
-        sizes = 1.0 / counts[1], 1.0 / counts[0]
-        parts = {}
-        for name, value in self.compute_values(self.answer).items():
-            limit = orbit_values.get(name, 0.0)
-            parts[name] = GridConvergence(
-                sizes, (limit, value), "exact orbit", factor=1.0, extrapolated=limit
+    def estimate_harmonics_error_by_orbit(
+        self, orbit_values_by_name: Mapping[str, float]
+    ) -> PartOrReason:
+        """Estimate the error by harmonics from the exact orbit's numbers."""
+        harmonic_counts = self.answer.harmonics, choose_n_orbit_harmonics(self.answer)
+        reciprocal_counts = 1.0 / harmonic_counts[1], 1.0 / harmonic_counts[0]
+        convergence_by_name = {}
+        for name, value in self.compute_values_by_name(self.answer).items():
+            orbit_value = orbit_values_by_name.get(name, 0.0)
+            convergence_by_name[name] = GridConvergence(
+                reciprocal_counts,
+                (orbit_value, value),
+                "exact orbit",
+                factor=1.0,
+                extrapolated=orbit_value,
             )
-        return counts, parts
+        return harmonic_counts, convergence_by_name
 
-    def friction(self) -> Varied:
-        """Judge friction by exact orbits with and without friction (collective).
+    def estimate_error_by_friction(self) -> PartOrReason:
+        """Estimate the error by friction from orbits with and without friction (collective).
 
-        With friction along lines, judge by the sliding across the lines instead. There is no part
-        with any further friction law, with a coefficient in the scene, or without contact.
+        With friction along lines, the sliding across the lines gives the error instead. There is
+        no part with any further friction law, with a coefficient in the scene, or without contact.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
-        law, structure = study.contact, study.structure
-        if law is None or not np.any(answer.contact_force(answer.instants()) > 0.0):
+        contact_law, structure = study.contact, study.structure
+        if contact_law is None or not np.any(answer.contact_force(answer.instants()) > 0.0):
             return ""
-        if (friction := friction_of(law)) is not None:
-            return "" if friction.direction is None else self._sliding_across_lines(friction)
-        table = scene.given("contact")
-        if table.friction is not None:
+        if (friction_law := friction_of(contact_law)) is not None:
+            return (
+                ""
+                if friction_law.direction is None
+                else self._estimate_sliding_across_lines(friction_law)
+            )
+        contact_table = scene.given("contact")
+        if contact_table.friction is not None:
             return ""
-        if not (coefficient := table.friction_error):
+        if not (friction_coefficient := contact_table.friction_error):
             return "contact.friction_error = false"
         tangential_structure = structure.whole.with_tangents()
         if scene.disk is not None or tangential_structure.tangential is None:
             return "not estimated, only of single plates and solids"
-        keys: dict[str, Any] = {"contact.friction": coefficient, "output.quantities": None}
-        keys["harmonic_balance.form"] = "condensed"
+        friction_values_by_key: dict[str, Any] = {
+            "contact.friction": friction_coefficient,
+            "output.quantities": None,
+        }
+        friction_values_by_key["harmonic_balance.form"] = "condensed"
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
-            keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
-        (orbits, numbers), (coarse_orbits, coarse_numbers) = (
-            self._orbits_without_and_with(count, tangential_structure, keys)
-            for count in FRICTION_MODES
+            friction_values_by_key["contact.tangential_stiffness_per_area"] = (
+                contact_table.stiffness_per_area
+            )
+        (orbits, values_of_orbits), (few_mode_orbits, values_of_few_mode_orbits) = (
+            self._find_orbits_without_and_with_friction(
+                n_modes, tangential_structure, friction_values_by_key
+            )
+            for n_modes in MODE_COUNTS_FOR_FRICTION
         )
         if len(orbits) < 2:
-            return f"not estimated, no exact orbit next to {START_HARMONICS} harmonics"
-        if len(coarse_orbits) < 2:
-            coarse_numbers = numbers
-        sizes = sizes_of_change(study, *orbits)
-        coefficients, parts = (0.0, float(coefficient)), {}
-        for name, value in self.answer_numbers.items():
-            if name in SLIDING_QUANTITIES:
+            return f"not estimated, no exact orbit next to {N_START_HARMONICS} harmonics"
+        if len(few_mode_orbits) < 2:
+            values_of_few_mode_orbits = values_of_orbits
+        change_by_name = measure_changes_by_name(study, *orbits)
+        friction_coefficients, convergence_by_name = (0.0, float(friction_coefficient)), {}
+        for quantity_name, value in self.answer_values_by_name.items():
+            if quantity_name in SLIDING_STRESS_INTENSITY_NAMES:
                 continue
-            change = _relative_change(name, *numbers)
-            error = abs(change) + abs(change - _relative_change(name, *coarse_numbers))
-            if size := abs(numbers[0].get(name, 0.0)):
-                error = max(error, sizes.get(name, 0.0) / size)
-            values = value, value * (1.0 + change)
-            factor = error / abs(change) if change else 1.0
-            parts[name] = GridConvergence(coefficients, values, "two coefficients", factor=factor)
-        return FRICTION_MODES[:1] * 2, parts
+            relative_change = _relative_change(quantity_name, *values_of_orbits)
+            relative_error = abs(relative_change) + abs(
+                relative_change - _relative_change(quantity_name, *values_of_few_mode_orbits)
+            )
+            if frictionless_size := abs(values_of_orbits[0].get(quantity_name, 0.0)):
+                relative_error = max(
+                    relative_error, change_by_name.get(quantity_name, 0.0) / frictionless_size
+                )
+            answer_and_changed_value = value, value * (1.0 + relative_change)
+            safety_factor = relative_error / abs(relative_change) if relative_change else 1.0
+            convergence_by_name[quantity_name] = GridConvergence(
+                friction_coefficients,
+                answer_and_changed_value,
+                "two coefficients",
+                factor=safety_factor,
+            )
+        return MODE_COUNTS_FOR_FRICTION[:1] * 2, convergence_by_name
 
-    def _orbits_without_and_with(
-        self, count: int, whole_structure: Structure, keys: Mapping[str, Any]
+    def _find_orbits_without_and_with_friction(
+        self, n_modes: int, whole_structure: Structure, friction_values_by_key: Mapping[str, Any]
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Find exact orbits without and with friction (collective).
 
-        The structure is reduced to ``count`` modes, or half its dofs. ``keys`` of the scene
-        describe the friction.
+        The structure is reduced to ``n_modes`` modes, or half its dofs. The friction is
+        described by ``friction_values_by_key``, which replace keys of the scene.
 
         Returns
         -------
@@ -182,94 +208,104 @@ class Case:
         list of dict of str to float
             Numbers of each orbit.
         """
-        study, answer, periods = self.study, self.answer, self.answer.subharmonic
-        count = min(count, whole_structure.n_dofs // 2)
+        study, answer, n_periods = self.study, self.answer, self.answer.subharmonic
+        n_modes = min(n_modes, whole_structure.n_dofs // 2)
         reduced_structure = reduce_structure(
-            whole_structure, modes=count, method="massless", reference=False
+            whole_structure, modes=n_modes, method="massless", reference=False
         )
-        orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
-        for law in (study.contact, scene_contact_law(study.scene.replace(keys), reduced_structure)):
-            assert law is not None
-            contact_law = law_along_lines(reduced_structure, law, lambda _: orbits[0])
-            problem = Problem(
+        orbits, values_of_orbits = list[PeriodicOrbit](), list[dict[str, float]]()
+        for unaligned_law in (
+            study.contact,
+            scene_contact_law(study.scene.replace(friction_values_by_key), reduced_structure),
+        ):
+            assert unaligned_law is not None
+            contact_law = law_along_lines(reduced_structure, unaligned_law, lambda _: orbits[0])
+            balance_problem = Problem(
                 reduced_structure,
                 answer.omega,
                 contact_law,
-                START_HARMONICS * periods,
-                subharmonic=periods,
+                N_START_HARMONICS * n_periods,
+                subharmonic=n_periods,
             )
-            orbit = Solver(problem).solve(answer).assessment.nearest_orbit
+            orbit = Solver(balance_problem).solve(answer).assessment.nearest_orbit
             if orbit is None:
                 break
-            twin = replace(study, structure=reduced_structure, contact=contact_law)
+            orbit_study = replace(study, structure=reduced_structure, contact=contact_law)
             orbits.append(orbit)
-            numbers.append(self.compute_values(orbit, twin))
-        return orbits, numbers
+            values_of_orbits.append(self.compute_values_by_name(orbit, orbit_study))
+        return orbits, values_of_orbits
 
-    def _sliding_across_lines(self, friction: CoulombFriction) -> Varied:
-        """Return the part due to sliding across a solid's friction lines (collective)."""
+    def _estimate_sliding_across_lines(self, friction_law: CoulombFriction) -> PartOrReason:
+        """Estimate the error by sliding across a solid's friction lines (collective)."""
         study, answer = self.study, self.answer
-        structure, periods = study.structure, answer.subharmonic
+        structure, n_periods = study.structure, answer.subharmonic
         frictionless_motion = motion_without_friction(
-            structure, answer.omega, friction.law, periods
+            structure, answer.omega, friction_law.law, n_periods
         )
-        frictionless_numbers = self.compute_values(
-            frictionless_motion, replace(study, contact=friction.law)
+        frictionless_values = self.compute_values_by_name(
+            frictionless_motion, replace(study, contact=friction_law.law)
         )
-        turning_ratio = find_line_angles_and_turning(frictionless_motion, friction.direction)[1]
-        parts = {}
-        for name, value in self.answer_numbers.items():
+        turning_ratio = find_line_angles_and_turning(frictionless_motion, friction_law.direction)[1]
+        convergence_by_name = {}
+        for quantity_name, value in self.answer_values_by_name.items():
             value_with_turning = value + turning_ratio * (
-                frictionless_numbers.get(name, 0.0) - value
+                frictionless_values.get(quantity_name, 0.0) - value
             )
-            parts[name] = GridConvergence(
-                (0.0, 1.0), (value, value_with_turning), "two coefficients", factor=TURNING_FACTOR
+            convergence_by_name[quantity_name] = GridConvergence(
+                (0.0, 1.0),
+                (value, value_with_turning),
+                "two coefficients",
+                factor=TURNING_SAFETY_FACTOR,
             )
-        return (structure.n_modes, structure.n_modes), parts
+        return (structure.n_modes, structure.n_modes), convergence_by_name
 
 
 def _relative_change(
-    name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
+    quantity_name: str,
+    values_by_name: Mapping[str, float],
+    other_values_by_name: Mapping[str, float],
 ) -> float:
     """Return a number's relative change between motions, or 0 from 0."""
-    value = numbers.get(name, 0.0)
-    return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
+    value = values_by_name.get(quantity_name, 0.0)
+    return other_values_by_name.get(quantity_name, 0.0) / value - 1.0 if value else 0.0
 
 
-def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Verification:
-    """Add each cause's part to the errors, or the reason for failure (collective)."""
-    for cause, find_part in causes.items():
+def add_error_parts(
+    verification: Verification, part_function_by_cause: Mapping[str, Callable[[], PartOrReason]]
+) -> Verification:
+    """Add each cause's part to a verification, or the reason for failure (collective)."""
+    for cause, find_part_or_reason in part_function_by_cause.items():
         try:
-            errors = errors.with_part(cause, find_part())
+            verification = verification.with_part(cause, find_part_or_reason())
         except REFUSAL_EXCEPTIONS as error:
-            other_run = RUN_WORDS_BY_CAUSE.get(cause, f"a run with more {cause}")
-            errors = errors.with_unknown(cause, reason_of_failure(other_run, error))
+            run_text = RUN_WORDS_BY_CAUSE.get(cause, f"a run with more {cause}")
+            verification = verification.with_unknown(cause, describe_failed_run(run_text, error))
             if cause == "mesh":
-                errors = replace(errors, failed_causes=(cause,))
-    return errors
+                verification = replace(verification, failed_causes=(cause,))
+    return verification
 
 
-def reason_of_failure(run: str, error: Exception) -> str:
+def describe_failed_run(run_text: str, error: Exception) -> str:
     """Describe why a run gives no error (key refused or no solution)."""
     if isinstance(error, InputError):
-        return f"{run} cannot be used, for its {error.key}"
-    return f"{run} has no solution"
+        return f"{run_text} cannot be used, for its {error.key}"
+    return f"{run_text} has no solution"
 
 
-def solve_again(
-    study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
+def solve_without_stability(
+    study: Study, omega: float, n_harmonics: int, start_solution: PeriodicSolution | None = None
 ) -> PeriodicSolution:
     """Solve a reduced study without stability (ConvergenceError without a solution)."""
     if study.contact is None:
-        return solve_linear(study.structure, omega, harmonics=harmonics)
-    return _solver(study, omega, harmonics).solve(initial)
+        return solve_linear(study.structure, omega, harmonics=n_harmonics)
+    return _make_solver(study, omega, n_harmonics).solve(start_solution)
 
 
-def solve_orbit_or_in_steps(
+def solve_by_half_then_all_harmonics(
     study: Study,
     omega: float,
-    harmonics: int,
-    initial: PeriodicSolution | None = None,
+    n_harmonics: int,
+    start_solution: PeriodicSolution | None = None,
     *,
     by_orbit: bool,
 ) -> PeriodicSolution:
@@ -279,21 +315,21 @@ def solve_orbit_or_in_steps(
     harmonics find a motion from rest in less time. If all harmonics do not converge, the first
     solution is returned.
     """
-    if by_orbit:
-        problem = _solver(study, omega, harmonics).problem
-        if (orbit := search_initial_orbit(problem, initial).orbit) is not None:
-            return truncated_orbit_solution(problem, orbit, orbit.coefficients(harmonics))
-    n_first = max(harmonics // 2, least_harmonics(study.structure, 1))
-    solution = solve_again(study, omega, n_first, initial)
+    n_first_harmonics = max(n_harmonics // 2, least_harmonics(study.structure, 1))
+    half_harmonics_solution = solve_without_stability(
+        study, omega, n_first_harmonics, start_solution
+    )
     if study.contact is None:
-        return solution
-    solver = _solver(study, omega, harmonics)
-    search, finer_solution = solver.search_and_solution(solution, with_whole_budget=False)
-    return finer_solution if search.has_converged else solution
+        return half_harmonics_solution
+    solver = _make_solver(study, omega, n_harmonics)
+    search_outcome, all_harmonics_solution = solver.search_and_solution(
+        half_harmonics_solution, with_whole_budget=False
+    )
+    return all_harmonics_solution if search_outcome.has_converged else half_harmonics_solution
 
 
-def _solver(study: Study, omega: float, harmonics: int) -> Solver:
+def _make_solver(study: Study, omega: float, n_harmonics: int) -> Solver:
     """Return a study's solver, with friction along the sliding directions."""
     assert study.contact is not None
-    law = slide_along_lines(study.structure, omega, study.contact)
-    return Solver(Problem(study.structure, omega, law, harmonics))
+    contact_law = slide_along_lines(study.structure, omega, study.contact)
+    return Solver(Problem(study.structure, omega, contact_law, n_harmonics))

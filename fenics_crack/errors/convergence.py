@@ -36,13 +36,13 @@ from fenics_crack.basics.tables import Described
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.scene.scene import Scene
 
-SAFE, CAUTIOUS = 1.25, 3.0
+ASYMPTOTIC_SAFETY_FACTOR, CAUTIOUS_SAFETY_FACTOR = 1.25, 3.0
 """Factors of safety with three sizes and a credible order, and otherwise."""
 ROUNDING_SPREAD = 1e-9
 """Largest relative spread of values that differ by rounding only."""
-TIP_ORDER, CLAMP_ORDER = 1.0, 1.5
+TIP_CONVERGENCE_ORDER, CLAMP_CONVERGENCE_ORDER = 1.0, 1.5
 """Orders of convergence at a crack tip and at a clamp's ends."""
-MIN_ORDER = 0.5
+MIN_OBSERVED_ORDER = 0.5
 """Minimum observed order in the asymptotic range."""
 
 
@@ -77,23 +77,24 @@ class GridConvergence(Described):
     behaviour: str
     order: float = math.nan
     exponent: float = math.nan
-    factor: float = CAUTIOUS
+    factor: float = CAUTIOUS_SAFETY_FACTOR
     extrapolated: float = math.nan
 
     @property
-    def is_asymptotic(self) -> bool:
+    def has_error_from_limit(self) -> bool:
         """True if the error is the distance to the extrapolated value."""
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
-    def uncertainty(self, place: int = 0) -> float:
+    def uncertainty(self, value_index: int = 0) -> float:
         """Return a value's uncertainty F abs(f_i - f), by default f_1.
 
-        Without :attr:`is_asymptotic`, return F times the spread; 0 if values differ by rounding.
+        Without :attr:`has_error_from_limit`, return F times the spread; 0 if the values differ by
+        rounding.
         """
         if self.behaviour == "unchanged":
             return 0.0
-        if self.is_asymptotic:
-            return self.factor * abs(self.values[place] - self.extrapolated)
+        if self.has_error_from_limit:
+            return self.factor * abs(self.values[value_index] - self.extrapolated)
         return self.factor * (max(self.values) - min(self.values))
 
     @property
@@ -155,24 +156,26 @@ def grid_convergence(
         raise InputError("values", values, f"{len(h)} finite numbers, one for each size")
     ascending_indices = np.argsort(h)
     h, f = h[ascending_indices], f[ascending_indices]
-    behaviour, order, exponent = _classify(h, f, formal, highest)
+    behaviour, observed_order, exponent = _find_behaviour_and_orders(h, f, formal, highest)
     if behaviour == "unchanged":
-        limit = float(f[0])
+        extrapolated_limit = float(f[0])
     else:
-        limit = float(f[0] + (f[0] - f[1]) / math.expm1(exponent * math.log(h[1] / h[0])))
+        extrapolated_limit = float(
+            f[0] + (f[0] - f[1]) / math.expm1(exponent * math.log(h[1] / h[0]))
+        )
     return GridConvergence(
         tuple(h.tolist()),
         tuple(f.tolist()),
         behaviour,
-        order,
+        observed_order,
         exponent,
-        SAFE if behaviour == "asymptotic" else CAUTIOUS,
-        limit,
+        ASYMPTOTIC_SAFETY_FACTOR if behaviour == "asymptotic" else CAUTIOUS_SAFETY_FACTOR,
+        extrapolated_limit,
     )
 
 
-def _classify(
-    h: np.ndarray, f: np.ndarray, formal: float, scheme_order: float
+def _find_behaviour_and_orders(
+    h: np.ndarray, f: np.ndarray, formal_order: float, scheme_order: float
 ) -> tuple[str, float, float]:
     """Classify the convergence of values with ascending sizes.
 
@@ -188,17 +191,19 @@ def _classify(
     if np.ptp(f) <= ROUNDING_SPREAD * np.abs(f).max():
         return "unchanged", math.nan, math.nan
     if len(h) == 2:
-        return "two sizes", math.nan, formal
-    oscillates = (f[2] - f[1]) * (f[1] - f[0]) < 0.0
-    order = math.nan if oscillates else _observed_order(h, f)
-    if not 0.0 < order <= scheme_order or math.isinf(order):
-        return "irregular", order, math.nan
-    max_order = scheme_order if math.isfinite(scheme_order) else 1.5 * formal
-    behaviour = "asymptotic" if MIN_ORDER <= order <= max_order else "outside"
-    return behaviour, order, min(max(order, MIN_ORDER), formal)
+        return "two sizes", math.nan, formal_order
+    is_oscillating = (f[2] - f[1]) * (f[1] - f[0]) < 0.0
+    observed_order = math.nan if is_oscillating else _find_observed_order(h, f)
+    if not 0.0 < observed_order <= scheme_order or math.isinf(observed_order):
+        return "irregular", observed_order, math.nan
+    max_credible_order = scheme_order if math.isfinite(scheme_order) else 1.5 * formal_order
+    behaviour = (
+        "asymptotic" if MIN_OBSERVED_ORDER <= observed_order <= max_credible_order else "outside"
+    )
+    return behaviour, observed_order, min(max(observed_order, MIN_OBSERVED_ORDER), formal_order)
 
 
-def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
+def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:
     """Return the order p of three monotonic values, negative for divergence."""
     fine_log_ratio, coarse_log_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
     if f[1] == f[0] or f[2] == f[1]:
@@ -228,42 +233,46 @@ def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
 # --- parts of a cause -----------------------------------------------------------------------------
 
 
-Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
+ErrorPart = tuple[tuple[int, ...], dict[str, GridConvergence]]
 """Counts of a cause, the answer's count first, and the cause's part in each number."""
-Varied = Part | str
+PartOrReason = ErrorPart | str
 """A part; or the reason for no part, "" if the cause does not apply."""
-Level = tuple[int, Mapping[str, float]]
+CountAndValues = tuple[int, Mapping[str, float]]
 """Count of elements, modes, harmonics or samples of a run, and its numbers."""
 
 
-def part_of(
+def find_error_part(
     cause: str,
-    levels: Sequence[Level],
+    counts_and_values: Sequence[CountAndValues],
     scene: Scene,
     *,
-    ratio: float | None = None,
-    formal: float = TIP_ORDER,
+    size_ratio: float | None = None,
+    formal_order: float = TIP_CONVERGENCE_ORDER,
     scheme_order: float = math.inf,
-) -> Part:
+) -> ErrorPart:
     """Return a cause's part in the error of each number.
 
-    The answer is the first level. A number missing in a further level counts as 0. Two or three
-    levels are judged by :func:`grid_convergence`, with the orders ``formal`` and ``scheme_order``.
-    With a ratio h_2 / h_1 of sizes, two levels give an expected error, with a safety factor of 1.
+    The answer comes first. A number missing in a further run counts as 0. Two or three runs are
+    judged by :func:`grid_convergence`, with ``formal_order`` and ``scheme_order``. With a
+    ``size_ratio`` h_2 / h_1, two runs give an expected error, with a safety factor of 1.
     """
-    counts, runs = zip(*levels, strict=True)
-    sizes = [_size_of(cause, count, scene) for count in counts]
-    if ratio is not None:
-        sizes[1] = ratio * sizes[0]
-    parts = {}
-    for name in runs[0]:
-        values = [run.get(name, 0.0) for run in runs]
-        convergence = grid_convergence(sizes, values, formal=formal, highest=scheme_order)
-        parts[name] = convergence if ratio is None else replace(convergence, factor=1.0)
-    return counts, parts
+    counts, values_of_runs = zip(*counts_and_values, strict=True)
+    step_sizes = [_find_mean_step_size(cause, count, scene) for count in counts]
+    if size_ratio is not None:
+        step_sizes[1] = size_ratio * step_sizes[0]
+    convergence_by_name = {}
+    for quantity_name in values_of_runs[0]:
+        values = [run_values.get(quantity_name, 0.0) for run_values in values_of_runs]
+        convergence = grid_convergence(
+            step_sizes, values, formal=formal_order, highest=scheme_order
+        )
+        convergence_by_name[quantity_name] = (
+            convergence if size_ratio is None else replace(convergence, factor=1.0)
+        )
+    return counts, convergence_by_name
 
 
-def _size_of(cause: str, count: int, scene: Scene) -> float:
+def _find_mean_step_size(cause: str, count: int, scene: Scene) -> float:
     """Return the mean element size of a mesh, or a count's reciprocal.
 
     The mean element is a square or cube; the size is the side [m] (Celik et al., equation 1).

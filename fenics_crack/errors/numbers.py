@@ -52,14 +52,14 @@ from fenics_crack.study.observer import observe_quantities
 from fenics_crack.study.prepare import Study
 
 
-def natural_name(scene: Scene, kind: str, mode: int) -> str:
+def natural_frequency_name(scene: Scene, kind: str, mode_number: int) -> str:
     """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1"."""
-    return f"{'frequency' if scene.is_frequency_in_hertz else 'omega'}_{kind}_{mode}"
+    return f"{'frequency' if scene.is_frequency_in_hertz else 'omega'}_{kind}_{mode_number}"
 
 
-def bilinear_of(structure: Structure, mode: int) -> float:
+def find_bilinear_omega(structure: Structure, mode_number: int) -> float:
     """Return the bilinear frequency [rad/s] of a mode, counted from 1 (collective)."""
-    return float(bilinear_frequencies(structure).omega_bilinear[mode - 1])
+    return float(bilinear_frequencies(structure).omega_bilinear[mode_number - 1])
 
 
 @dataclass(frozen=True)
@@ -68,53 +68,65 @@ class Numbers:
 
     Attributes
     ----------
-    values, units : dict of str to float, and to str
+    values_by_name, unit_by_name : dict of str to float, and to str
         Value and unit by name, as in :class:`Verification`.
-    resonance : str
+    resonance_name : str
         Name of the mode's bilinear frequency; without contact pairs, the open frequency.
-    mode : int
+    mode_number : int
         Mode of the resonance, counted from 1.
     """
 
-    values: dict[str, float]
-    units: dict[str, str]
-    resonance: str
-    mode: int
+    values_by_name: dict[str, float]
+    unit_by_name: dict[str, str]
+    resonance_name: str
+    mode_number: int
 
 
-def numbers_of(
-    study: Study, motion: PeriodicSolution | TruncatedOrbit, mode: int | None = None
+def compute_numbers(
+    study: Study, motion: PeriodicSolution | TruncatedOrbit, mode_number: int | None = None
 ) -> Numbers:
     """Return the requested numbers and natural frequencies of a motion (collective).
 
-    The frequencies are open modes 1 to 3, and open, bonded and bilinear frequencies at ``mode``, by
-    default the mode with the resonance nearest to the load. Numbers that vanish to rounding are
-    left out.
+    The frequencies are open modes 1 to 3, and open, bonded and bilinear frequencies at
+    ``mode_number``, by default the mode with the resonance nearest to the load.
+    Numbers that vanish to rounding are left out.
     """
-    quantities = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
-    values: dict[str, float] = {}
-    units: dict[str, str] = {}
-    displacements = motion.measure([point.dof for point in study.watched])
-    rounding = NEGLIGIBLE * min(  # of closed pairs
-        indicators.amplitude + abs(indicators.mean) for indicators in displacements
+    quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
+    values_by_name: dict[str, float] = {}
+    unit_by_name: dict[str, str] = {}
+    displacement_indicators = motion.measure([point.dof for point in study.watched])
+    rounding_size = NEGLIGIBLE * min(  # of closed pairs
+        indicators.amplitude + abs(indicators.mean) for indicators in displacement_indicators
     )
-    requested_numbers = (
-        number for number in observe_quantities(study, motion) if number.name in quantities
+    requested_observations = (
+        observation
+        for observation in observe_quantities(study, motion)
+        if observation.name in quantity_names
     )
-    for number in sorted(requested_numbers, key=lambda number: quantities.index(number.name)):
-        place, value = OBSERVABLES_BY_NAME[number.name].place, float(number.value)
-        min_size = {"1": ROUNDING_SPREAD, "m": rounding * (place is Place.FACES)}.get(
-            number.unit, 0.0
-        )
-        if abs(value) > min_size or (place.is_made_on_request and value == 0.0):
-            values[number.column_name] = value
-            units[number.column_name] = number.unit.replace("1", "")
-    resonance, mode = _add_frequencies(study, motion.omega, mode, values, units)
-    return Numbers(values, units, resonance, mode)
+    for observation in sorted(
+        requested_observations, key=lambda observation: quantity_names.index(observation.name)
+    ):
+        observable_place = OBSERVABLES_BY_NAME[observation.name].place
+        value = float(observation.value)
+        min_size = {
+            "1": ROUNDING_SPREAD,
+            "m": rounding_size * (observable_place is Place.FACES),
+        }.get(observation.unit, 0.0)
+        if abs(value) > min_size or (observable_place.is_made_on_request and value == 0.0):
+            values_by_name[observation.column_name] = value
+            unit_by_name[observation.column_name] = observation.unit.replace("1", "")
+    resonance_name, mode_number = _add_natural_frequencies(
+        study, motion.omega, mode_number, values_by_name, unit_by_name
+    )
+    return Numbers(values_by_name, unit_by_name, resonance_name, mode_number)
 
 
-def _add_frequencies(
-    study: Study, omega: float, mode: int | None, values: dict[str, float], units: dict[str, str]
+def _add_natural_frequencies(
+    study: Study,
+    omega: float,
+    mode_number: int | None,
+    values_by_name: dict[str, float],
+    unit_by_name: dict[str, str],
 ) -> tuple[str, int]:
     """Add natural frequencies to numbers and units, in place (collective).
 
@@ -123,28 +135,33 @@ def _add_frequencies(
     str
         Name of the resonance.
     int
-        Mode of the resonance, counted from 1; ``mode`` if given.
+        Mode of the resonance, counted from 1; ``mode_number`` if given.
     """
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
-    frequencies = bilinear_frequencies(study.structure)
-    mode = mode or int(frequencies.nearest(omega)["mode"])
-    factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
-    modes_by_kind = {"open": sorted({1, 2, 3, mode})}
+    natural_frequencies = bilinear_frequencies(study.structure)
+    mode_number = mode_number or int(natural_frequencies.nearest(omega)["mode"])
+    unit_factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
+    mode_numbers_by_kind = {"open": sorted({1, 2, 3, mode_number})}
     if has_pairs:
-        modes_by_kind |= {"tied": [mode], "bilinear": [mode]}
+        mode_numbers_by_kind |= {"tied": [mode_number], "bilinear": [mode_number]}
     for kind in FREQUENCY_KIND_NAMES:
-        for number in modes_by_kind.get(kind, []):
-            if number <= len(frequencies.omega_open):
-                name = natural_name(scene, kind, number)
-                omegas = getattr(frequencies, f"omega_{kind}")
-                values[name], units[name] = factor * float(omegas[number - 1]), unit
-    return natural_name(scene, "bilinear" if has_pairs else "open", mode), mode
+        for kind_mode_number in mode_numbers_by_kind.get(kind, []):
+            if kind_mode_number <= len(natural_frequencies.omega_open):
+                frequency_name = natural_frequency_name(scene, kind, kind_mode_number)
+                omega_of_modes = getattr(natural_frequencies, f"omega_{kind}")
+                values_by_name[frequency_name] = unit_factor * float(
+                    omega_of_modes[kind_mode_number - 1]
+                )
+                unit_by_name[frequency_name] = unit
+    return natural_frequency_name(
+        scene, "bilinear" if has_pairs else "open", mode_number
+    ), mode_number
 
 
 # --- of orbits ------------------------------------------------------------------------------------
 
 
-def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
+def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | None:
     """Return a solution's accepted exact orbit, or None (collective).
 
     None also if the search would take too long.
@@ -155,7 +172,7 @@ def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
     )
 
 
-def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
+def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
     """Find a dof's largest harmonic if missing in the solution (collective).
 
     Harmonics k above the load's are compared in the solution's accepted exact orbit. Return None
@@ -166,27 +183,30 @@ def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] 
     int, float
         Order k in multiples of the load's frequency, and U_k / U_1 of the amplitudes.
     """
-    orbit = accepted_orbit(solution)
+    orbit = find_accepted_orbit_or_none(solution)
     if orbit is None:
         return None
-    displacement = orbit.coefficients(many_harmonics(solution)).displacement
-    rows = solution.structure.values_at(displacement, [dof])[:, 0]
-    harmonics = Harmonics(rows, solution.subharmonic)
-    if not harmonics.largest_order * solution.subharmonic > solution.harmonics:
+    displacement_coefficients = orbit.coefficients(choose_n_orbit_harmonics(solution)).displacement
+    dof_coefficients = solution.structure.values_at(displacement_coefficients, [dof])[:, 0]
+    harmonic_indicators = Harmonics(dof_coefficients, solution.subharmonic)
+    if not harmonic_indicators.largest_order * solution.subharmonic > solution.harmonics:
         return None
-    return int(harmonics.largest_order), float(harmonics.ratio_largest)
+    return int(harmonic_indicators.largest_order), float(harmonic_indicators.ratio_largest)
 
 
 def add_changes(
-    values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
+    values_by_name: Mapping[str, float],
+    start_by_name: Mapping[str, float],
+    end_by_name: Mapping[str, float],
 ) -> dict[str, float]:
     """Add the change from a start to an end (absent numbers: 0)."""
     return {
-        name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
+        name: value + end_by_name.get(name, 0.0) - start_by_name.get(name, 0.0)
+        for name, value in values_by_name.items()
     }
 
 
-def many_harmonics(solution: PeriodicSolution) -> int:
+def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
     """Return the number of harmonics for an orbit's motion at points.
 
     This is the larger of 100 and four times the solution's number.
@@ -213,24 +233,31 @@ class TruncatedOrbit(ObservedMotion):
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield the orbit's records, with ``harmonics`` coefficients."""
-        waves = self.orbit.product_coefficients(rows, self.harmonics)
-        return (replace(record, coefficients=waves) for record in self.orbit.records(rows))
+        coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
+        return (
+            replace(record, coefficients=coefficient_rows) for record in self.orbit.records(rows)
+        )
 
 
-def of_orbit(
-    study: Study, solution: PeriodicSolution, orbit: PeriodicOrbit, mode: int
+def compute_orbit_values_by_name(
+    study: Study, solution: PeriodicSolution, orbit: PeriodicOrbit, mode_number: int
 ) -> dict[str, float]:
     """Return the numbers of an orbit near a solution (collective).
 
-    The study must have the orbit's structure. Numbers at points have :func:`many_harmonics`.
+    The study must have the orbit's structure. Numbers at points have
+    :func:`choose_n_orbit_harmonics`.
     """
-    return numbers_of(study, TruncatedOrbit(orbit, many_harmonics(solution)), mode).values
+    return compute_numbers(
+        study, TruncatedOrbit(orbit, choose_n_orbit_harmonics(solution)), mode_number
+    ).values_by_name
 
 
 # --- sizes of change ------------------------------------------------------------------------------
 
 
-def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) -> dict[str, float]:
+def measure_changes_by_name(
+    study: Study, *motions: PeriodicOrbit | PeriodicSolution
+) -> dict[str, float]:
     """Return the size of each number's change between two motions (collective).
 
     Parameters
@@ -245,60 +272,69 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     dict of str to float
         Size by the number's column, in the number's unit.
     """
-    dofs = [point.dof for point in study.watched]
+    watched_dofs = [point.dof for point in study.watched]
     record, other_record = (
         next(
             motion.records(
-                dof_selection_rows(motion.structure, dofs), INSTANTS_PER_PERIOD * motion.subharmonic
+                dof_selection_rows(motion.structure, watched_dofs),
+                INSTANTS_PER_PERIOD * motion.subharmonic,
             )
         )
         for motion in motions
     )
-    ratios = _ratios(record)
-    changes = np.abs(_ratios(other_record) - ratios)
-    order_index = 2 + np.argmax(np.abs(ratios[2:]), axis=0)
-    sizes = {
+    harmonic_ratios = _complex_harmonic_ratios(record)
+    ratio_changes = np.abs(_complex_harmonic_ratios(other_record) - harmonic_ratios)
+    largest_order_index = 2 + np.argmax(np.abs(harmonic_ratios[2:]), axis=0)
+    change_by_indicator = {
         "amplitude": (other_record.row_products - record.row_products).std(axis=0),
-        "ratio_2_1": changes[2],
-        "ratio_3_1": changes[3],
-        "ratio_largest": np.take_along_axis(changes, order_index[None], axis=0)[0],
-        "mean_shift": changes[2],
+        "ratio_2_1": ratio_changes[2],
+        "ratio_3_1": ratio_changes[3],
+        "ratio_largest": np.take_along_axis(ratio_changes, largest_order_index[None], axis=0)[0],
+        "mean_shift": ratio_changes[2],
     }
-    return _sizes_of_face_changes(record, other_record) | {
-        point.column_name(name): float(size[index])
-        for name, size in sizes.items()
-        for index, point in enumerate(study.watched)
+    return _measure_face_changes_by_name(record, other_record) | {
+        point.column_name(indicator_name): float(change_at_points[point_index])
+        for indicator_name, change_at_points in change_by_indicator.items()
+        for point_index, point in enumerate(study.watched)
     }
 
 
-def _ratios(record: Record) -> np.ndarray:
+def _complex_harmonic_ratios(record: Record) -> np.ndarray:
     """Return complex c_k (n_harmonics, m) for m signals, k from 0."""
     spectrum = np.fft.rfft(record.row_products, axis=0)[:: record.subharmonic]
-    size = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
-    orders = np.arange(len(spectrum))[:, None]
-    return np.asarray(spectrum / size * (spectrum[1].conj() / size) ** orders)
+    first_amplitudes = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
+    harmonic_orders = np.arange(len(spectrum))[:, None]
+    return np.asarray(
+        spectrum / first_amplitudes * (spectrum[1].conj() / first_amplitudes) ** harmonic_orders
+    )
 
 
-def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, float]:
+def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[str, float]:
     """Return sizes of change at crack faces, none without pairs."""
     if not record.n_pairs:
         return {}
-    faces, other_faces = CrackFaces(record), CrackFaces(other_record)
-    force_change = (other_faces.force - faces.force) @ record.is_pair_in_crack
-    parts, other_parts = _parts_of_pairs(record, faces), _parts_of_pairs(record, other_faces)
+    crack_faces, other_crack_faces = CrackFaces(record), CrackFaces(other_record)
+    force_change = (other_crack_faces.force - crack_faces.force) @ record.is_pair_in_crack
+    contributions_by_name = _pair_contributions_by_name(record, crack_faces)
+    other_contributions_by_name = _pair_contributions_by_name(record, other_crack_faces)
     return {
-        "opening": float((other_faces.gap - faces.gap).std(axis=0).max()),
+        "opening": float((other_crack_faces.gap - crack_faces.gap).std(axis=0).max()),
         "crack_force": float(force_change.std(axis=0).max()),
-        **{name: float(np.abs(other_parts[name] - part).sum()) for name, part in parts.items()},
+        **{
+            name: float(np.abs(other_contributions_by_name[name] - pair_contributions).sum())
+            for name, pair_contributions in contributions_by_name.items()
+        },
     }
 
 
-def _parts_of_pairs(record: Record, faces: CrackFaces) -> dict[str, np.ndarray]:
+def _pair_contributions_by_name(record: Record, crack_faces: CrackFaces) -> dict[str, np.ndarray]:
     """Return each pair's part (n_pairs,) in every sum over pairs, by name."""
-    parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
+    contributions_by_name = {
+        "closed_share": (crack_faces.force > 0.0).mean(axis=0) / record.n_pairs
+    }
     if record.friction_coefficient is None:
-        return parts
-    return parts | {
-        "slip_share": faces.is_slipping_at_instants.mean(axis=0) / record.n_pairs,
-        "friction_loss": faces.losses,
+        return contributions_by_name
+    return contributions_by_name | {
+        "slip_share": crack_faces.is_slipping_at_instants.mean(axis=0) / record.n_pairs,
+        "friction_loss": crack_faces.losses,
     }

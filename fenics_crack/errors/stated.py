@@ -68,34 +68,34 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.more_modes import more_modes_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
+from fenics_crack.basics.causes import REDUCED_STRUCTURE_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.case import (
-    CAUSE_WITHOUT_CONTACT,
-    Case,
-    reason_of_failure,
-    solve_again,
-    solve_orbit_or_in_steps,
-    vary,
+    SINGLE_HARMONIC_REASON_TEXT,
+    JudgedAnswer,
+    add_error_parts,
+    describe_failed_run,
+    solve_by_half_then_all_harmonics,
+    solve_without_stability,
 )
 from fenics_crack.errors.convergence import (
     ROUNDING_SPREAD,
-    TIP_ORDER,
+    TIP_CONVERGENCE_ORDER,
     GridConvergence,
-    Varied,
-    part_of,
+    PartOrReason,
+    find_error_part,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
-    bilinear_of,
-    natural_name,
-    numbers_of,
-    sizes_of_change,
+    compute_numbers,
+    find_bilinear_omega,
+    measure_changes_by_name,
+    natural_frequency_name,
 )
-from fenics_crack.errors.verification import Verification, dent_by_force
+from fenics_crack.errors.verification import Verification, displacement_added_by_halved_elements
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import (
     BilinearFrequencies,
@@ -107,30 +107,27 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.meshes import prepare_coarser_study_or_reason
-from fenics_crack.study.observer import (
-    estimate_closed_front_and_mesh_errors,
-    make_requested_extra_rows,
-)
+from fenics_crack.study.meshes import prepare_coarser_study
+from fenics_crack.study.observer import estimate_front_errors, make_requested_rows
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
-STATED_CAUSES = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
+STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
 """Causes with a stated error."""
-HARMONIC_FACTORS = 2, 4
+HARMONIC_COUNT_FACTORS = 2, 4
 """Factors on the answer's harmonics; the second is for a large truncation error in the report."""
-MIN_EXTRAPOLATED, MAX_EXTRAPOLATED = 3, 8
+MIN_EXTRAPOLATED_RESONANCES, MAX_EXTRAPOLATED_RESONANCES = 3, 8
 """Minimum and maximum number of extrapolated resonances for a mesh's shift error."""
-MESH_MODES = 50
+MAX_MODES_FOR_MESH_ERROR = 50
 """Maximum number of modes to compute a mesh error. With 120 modes the breathing plate's orbits take
 14 times as long; the mesh error changes by less than the modal error."""
-CANCELLING_FRACTION = 0.1
+CANCELLING_UNCERTAINTY_FRACTION = 0.1
 """Uncertain fraction of the smaller mesh part, as both parts may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
 """Motion with numbers to compare."""
 
 
-def errors_of(study: Study, result: object) -> Verification | None:
+def estimate_result_errors(study: Study, result: object) -> Verification | None:
     """Return the stated errors of a result, or None (collective).
 
     The result may be natural modes, a converged solution with estimated errors, or a curve over
@@ -138,20 +135,22 @@ def errors_of(study: Study, result: object) -> Verification | None:
     Inside the curve this peak moves with the resonance, at an end not.
     """
     if isinstance(result, Modes):
-        return errors_of_natural(study, {"open": result.omega})
+        return estimate_frequency_mesh_errors(study, {"open": result.omega})
     if isinstance(result, ResponseCurve) and result.parameter in ("omega", "speed"):
-        top = result.top(study.watched[0].dof)
-        solution = result.solution(top.index)
+        largest_response = result.top(study.watched[0].dof)
+        solution = result.solution(largest_response.index)
         if not isinstance(solution.structure, RunUpStructure):
-            return stated_errors(study, solution, of_peak=not top.at_end)
-        return _errors_at_speed(study, solution, solution.structure, of_peak=not top.at_end)
+            return estimate_solution_errors(study, solution, is_peak=not largest_response.at_end)
+        return _estimate_run_up_errors(
+            study, solution, solution.structure, is_peak=not largest_response.at_end
+        )
     if isinstance(result, PeriodicSolution) and result.converged and result.report.estimated:
-        return stated_errors(study, result)
+        return estimate_solution_errors(study, result)
     return None
 
 
-def _errors_at_speed(
-    study: Study, solution: PeriodicSolution, structure: RunUpStructure, *, of_peak: bool
+def _estimate_run_up_errors(
+    study: Study, solution: PeriodicSolution, structure: RunUpStructure, *, is_peak: bool
 ) -> Verification:
     """Return the errors of a solution in a run-up (collective).
 
@@ -159,38 +158,49 @@ def _errors_at_speed(
     for a resonance w. A relative error e of the resonance gives the error e / (1 - s) of the speed
     at resonance.
     """
-    speed, rate = structure.speed, 1.0 - structure.stiffening(solution.omega)
-    changes = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
-    fixed_study = prepare(study.scene.replace(changes), structure.whole.comm, like=study)
-    answer = solve_again(fixed_study, solution.omega, solution.harmonics, solution)
-    errors = stated_errors(fixed_study, answer, of_peak=of_peak)
-    if (resonance := errors.resonance) not in errors.values:
-        return errors
-    resonance_value = errors.values[resonance]
+    speed, detuning_per_speed = structure.speed, 1.0 - structure.stiffening(solution.omega)
+    values_by_key = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
+    fixed_speed_study = prepare(
+        study.scene.replace(values_by_key), structure.whole.comm, like=study
+    )
+    fixed_speed_solution = solve_without_stability(
+        fixed_speed_study, solution.omega, solution.harmonics, solution
+    )
+    verification = estimate_solution_errors(
+        fixed_speed_study, fixed_speed_solution, is_peak=is_peak
+    )
+    if (resonance_name := verification.resonance) not in verification.values:
+        return verification
+    resonance_value = verification.values[resonance_name]
 
-    def speed_of(frequency: float) -> float:
-        return speed * (1.0 + (frequency / resonance_value - 1.0) / rate)
+    def speed_at_resonance(frequency: float) -> float:
+        return speed * (1.0 + (frequency / resonance_value - 1.0) / detuning_per_speed)
 
-    def part_of_speed(part: GridConvergence) -> GridConvergence:
-        limit = speed_of(part.extrapolated)
-        return replace(part, values=tuple(map(speed_of, part.values)), extrapolated=limit)
+    def convert_to_speed(convergence: GridConvergence) -> GridConvergence:
+        extrapolated_speed = speed_at_resonance(convergence.extrapolated)
+        return replace(
+            convergence,
+            values=tuple(map(speed_at_resonance, convergence.values)),
+            extrapolated=extrapolated_speed,
+        )
 
     return replace(
-        errors,
-        values=errors.values | {"speed": speed},
-        units=errors.units | {"speed": "rad/s"},
+        verification,
+        values=verification.values | {"speed": speed},
+        units=verification.units | {"speed": "rad/s"},
         parts={
-            cause: parts | {"speed": part_of_speed(parts[resonance])}
-            for cause, parts in errors.parts.items()
+            cause: convergence_by_name
+            | {"speed": convert_to_speed(convergence_by_name[resonance_name])}
+            for cause, convergence_by_name in verification.parts.items()
         },
     )
 
 
-def errors_of_natural(
+def estimate_frequency_mesh_errors(
     study: Study,
-    natural_frequencies: Mapping[str, np.ndarray],
-    at_load: LoadResonance = UNSOUGHT_RESONANCE,
-    slopes: np.ndarray | None = None,
+    omega_by_kind: Mapping[str, np.ndarray],
+    load_resonance: LoadResonance = UNSOUGHT_RESONANCE,
+    speed_slopes: np.ndarray | None = None,
 ) -> Verification:
     """Return mesh errors of natural frequencies and the load's resonance (collective).
 
@@ -198,52 +208,54 @@ def errors_of_natural(
     ----------
     study : Study
         Study of the whole structure.
-    natural_frequencies : dict of str to (m,) [rad/s]
-        Frequencies with "open" and "tied" (bonded) crack faces.
-    at_load : LoadResonance
+    omega_by_kind : dict of str to (m,) [rad/s]
+        Natural frequencies with "open" and "tied" (bonded) crack faces.
+    load_resonance : LoadResonance
         Resonance at the load on the same structure; the result includes the ``numbers``.
-    slopes : (m,), optional
+    speed_slopes : (m,), optional
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
-    factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
+    unit_factor, _, unit = frequency_axis(scene.in_hertz)
 
-    def by_name(frequencies: Mapping[str, np.ndarray]) -> dict[str, float]:
+    def name_frequencies(kind_omegas: Mapping[str, np.ndarray]) -> dict[str, float]:
         return {
-            natural_name(scene, kind, number): factor * float(omega)
-            for kind, omegas in frequencies.items()
-            for number, omega in enumerate(omegas, 1)
+            natural_frequency_name(scene, kind, mode_number): unit_factor * float(omega)
+            for kind, omega_of_modes in kind_omegas.items()
+            for mode_number, omega in enumerate(omega_of_modes, 1)
             if 0.0 < omega < np.inf
         }
 
-    def mesh_error() -> Varied:
-        coarse_mesh = prepare_coarser_study_or_reason(study)
-        if isinstance(coarse_mesh, str):
-            return coarse_mesh
-        twin, counts, ratio = coarse_mesh
-        n_modes = max(map(len, natural_frequencies.values()))
-        coarse_frequencies = {"open": solve_modes(twin.structure, n_modes).omega}
-        if "tied" in natural_frequencies:
-            coarse_frequencies["tied"] = solve_bonded_modes(twin.structure, n_modes).omega
-        coarse_mesh_numbers = by_name(coarse_frequencies)
-        if at_load.numbers and slopes is not None:
-            estimates = BilinearFrequencies(coarse_frequencies["open"], coarse_frequencies["tied"])
-            coarse_mesh_numbers |= find_study_resonance(
-                twin, estimates.omega_bilinear, slopes
+    def estimate_error_by_mesh() -> PartOrReason:
+        coarse_study_or_reason = prepare_coarser_study(study)
+        if isinstance(coarse_study_or_reason, str):
+            return coarse_study_or_reason
+        coarse_study, element_counts, length_ratio = coarse_study_or_reason
+        n_modes = max(map(len, omega_by_kind.values()))
+        coarse_omega_by_kind = {"open": solve_modes(coarse_study.structure, n_modes).omega}
+        if "tied" in omega_by_kind:
+            coarse_omega_by_kind["tied"] = solve_bonded_modes(coarse_study.structure, n_modes).omega
+        coarse_mesh_values = name_frequencies(coarse_omega_by_kind)
+        if load_resonance.numbers and speed_slopes is not None:
+            coarse_bilinear = BilinearFrequencies(
+                coarse_omega_by_kind["open"], coarse_omega_by_kind["tied"]
+            )
+            coarse_mesh_values |= find_study_resonance(
+                coarse_study, coarse_bilinear.omega_bilinear, speed_slopes
             ).numbers
-        levels = zip(counts, (values, coarse_mesh_numbers), strict=True)
-        return part_of("mesh", [*levels], scene, ratio=ratio)
+        counts_and_values = zip(element_counts, (values_by_name, coarse_mesh_values), strict=True)
+        return find_error_part("mesh", [*counts_and_values], scene, size_ratio=length_ratio)
 
-    values = by_name(natural_frequencies) | at_load.numbers
-    errors = Verification(scene, values, dict.fromkeys(values, unit))
-    return vary(errors, {"mesh": mesh_error})
+    values_by_name = name_frequencies(omega_by_kind) | load_resonance.numbers
+    verification = Verification(scene, values_by_name, dict.fromkeys(values_by_name, unit))
+    return add_error_parts(verification, {"mesh": estimate_error_by_mesh})
 
 
-def stated_errors(
+def estimate_solution_errors(
     study: Study,
     answer: PeriodicSolution,
     *,
-    of_peak: bool = False,
+    is_peak: bool = False,
     causes: Sequence[str] = STATED_CAUSES,
 ) -> Verification:
     """Return the expected errors of a solution's numbers by cause (collective).
@@ -254,7 +266,7 @@ def stated_errors(
         Study of the solution, with the solution's structure.
     answer : PeriodicSolution
         Solution to judge.
-    of_peak : bool
+    is_peak : bool
         True if the answer is a curve's peak over frequency, which moves with the resonance.
     causes : sequence of str
         Causes to vary.
@@ -265,92 +277,124 @@ def stated_errors(
         ``absent`` or ``unknown`` has the reason for each cause without a part. A cause that does
         not apply is left out.
     """
-    numbers = numbers_of(study, answer)
-    errors = Verification(study.scene, numbers.values, numbers.units)
+    numbers = compute_numbers(study, answer)
+    verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
     if not is_small(study.structure):  # three more solutions take three times as long
-        reasons = dict.fromkeys(REDUCED_STRUCTURE_ERROR_CAUSES, "the structure is not reduced")
-        return replace(errors, unknown=reasons)
+        reason_by_cause = dict.fromkeys(REDUCED_STRUCTURE_CAUSES, "the structure is not reduced")
+        return replace(verification, unknown=reason_by_cause)
     if answer.report.unknown:  # other runs may agree by chance
-        return errors.with_unknown("harmonics", not_estimated(answer.report))
-    wave, wave_numbers = answer, numbers
-    if answer.orbit is None:
-        try:
-            wave = solve_again(study, answer.omega, answer.harmonics, answer)
-        except REFUSAL_EXCEPTIONS as error:
-            reason = reason_of_failure("harmonic balance from it", error)
-            return errors.with_unknown("harmonics", reason)
-        wave_numbers = numbers_of(study, wave, numbers.mode)
-    case = StatedCase(study, answer, numbers.values, wave, wave_numbers, of_peak)
-    return vary(errors, {cause: getattr(case, cause) for cause in causes})
+        return verification.with_unknown("harmonics", describe_unknown_error_part(answer.report))
+    try:
+        balance_solution = solve_without_stability(study, answer.omega, answer.harmonics, answer)
+    except REFUSAL_EXCEPTIONS as error:
+        if answer.orbit is None:
+            reason_text = describe_failed_run("harmonic balance from it", error)
+            return verification.with_unknown("harmonics", reason_text)
+        balance_solution = answer  # has the coefficients of an exact orbit
+    balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
+    judged_answer = AnswerJudgedByExtraRuns(
+        study, answer, numbers.values_by_name, balance_solution, balance_numbers, is_peak
+    )
+    return add_error_parts(
+        verification,
+        {cause: getattr(judged_answer, f"estimate_error_by_{cause}") for cause in causes},
+    )
 
 
-def error_by_modes(study: Study, solution: PeriodicSolution) -> float:
+def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
     """Return the largest expected modal truncation error (collective).
 
     The error is relative, the maximum over watched amplitudes and the crack opening; inf if
     unknown.
     """
-    errors = stated_errors(study, solution, causes=["modes"])
-    names = [*(point.column_name("amplitude") for point in study.watched), "opening"]
-    if errors.unknown:
+    verification = estimate_solution_errors(study, solution, causes=["modes"])
+    compared_names = [*(point.column("amplitude") for point in study.watched), "opening"]
+    if verification.unknown:
         return math.inf
-    stated_names = [name for name in names if errors.parts and errors.values.get(name)]
-    return max((errors.stated(name)[0] for name in stated_names), default=0.0)
+    stated_names = [
+        name for name in compared_names if verification.parts and verification.values.get(name)
+    ]
+    return max((verification.stated(name)[0] for name in stated_names), default=0.0)
 
 
-def not_estimated(report: ErrorReport) -> str:
+def describe_unknown_error_part(report: ErrorReport) -> str:
     """Describe the part of an unknown error that could not be estimated."""
-    part = report.largest_part
-    words = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
-    return f"the error due to the {words.get(part, part)} could not be estimated"
+    part_name = report.largest_part
+    text_by_part = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
+    return f"the error due to the {text_by_part.get(part_name, part_name)} could not be estimated"
 
 
 @dataclass(frozen=True)
-class StatedCase(Case):
+class AnswerJudgedByExtraRuns(JudgedAnswer):
     """Judge each cause of an answer's error by an additional run.
 
     Attributes
     ----------
-    of_peak : bool
+    is_peak : bool
         True if the answer is a peak, which moves with the resonance.
     """
 
-    of_peak: bool
+    is_peak: bool
 
-    def modes(self) -> Varied:
-        """Judge modes by the motion with the reference's modes (collective).
+    def estimate_error_by_modes(self) -> PartOrReason:
+        """Estimate the error by modes from a motion with more modes (collective).
 
         If the motions are truncated to harmonics, the error is at least the part of harmonics: with
         few harmonics, modes above all harmonics are static in both motions.
         """
-        structure, reference = self.study.structure, more_modes_structure_of(self.wave)
-        if reference is None:
+        structure = self.study.structure
+        structure_with_more_modes = more_modes_structure_of(self.balance_solution)
+        if structure_with_more_modes is None:
             return "all are kept"
         assert isinstance(structure, ReducedStructure)
-        larger_study = replace(self.study, structure=reference)
-        base_motion, motion = self._motions_with(larger_study)
-        is_truncated = isinstance(motion, PeriodicSolution)
-        base_values = None if is_truncated else self.orbit_values
-        numbers_with_more_modes = add_changes(
-            self.numbers.values,
-            base_values or self.compute_values(base_motion),
-            self.compute_values(motion, larger_study),
+        larger_study = replace(self.study, structure=structure_with_more_modes)
+        base_motion, motion_with_more_modes = self._find_motions_with_kept_and_more_modes(
+            larger_study
         )
-        min_sizes = sizes_of_change(self.study, base_motion, motion)
-        if is_truncated and self._has_massless_flow and not isinstance(self.truncation, str):
-            for name, part in self.truncation[1].items():
-                size = structure.share * part.uncertainty(-1)
-                min_sizes[name] = max(min_sizes.get(name, 0.0), size)
-        counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
-        levels = zip(counts, (self.numbers.values, numbers_with_more_modes), strict=True)
-        _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, ROUNDING_SPREAD))
-        for name, size in min_sizes.items():
-            error = parts[name].uncertainty(-1) if name in parts else 0.0
-            if 0.0 < error < size / structure.share:
-                parts[name] = replace(parts[name], factor=size / structure.share / error)
-        return counts, parts
+        is_truncated = isinstance(motion_with_more_modes, PeriodicSolution)
+        base_values = None if is_truncated else self.orbit_values_by_name
+        values_with_more_modes = add_changes(
+            self.balance_numbers.values_by_name,
+            base_values or self.compute_values_by_name(base_motion),
+            self.compute_values_by_name(motion_with_more_modes, larger_study),
+        )
+        min_change_by_name = measure_changes_by_name(
+            self.study, base_motion, motion_with_more_modes
+        )
+        if (
+            is_truncated
+            and self._can_search_massless_orbits
+            and not isinstance(self.harmonics_error_part_or_reason, str)
+        ):
+            for quantity_name, convergence in self.harmonics_error_part_or_reason[1].items():
+                min_change = structure.share * convergence.uncertainty(-1)
+                min_change_by_name[quantity_name] = max(
+                    min_change_by_name.get(quantity_name, 0.0), min_change
+                )
+        mode_counts = (len(structure.omega), len(structure_with_more_modes.omega))
+        size_ratio = 1.0 - structure.share
+        counts_and_values = zip(
+            mode_counts, (self.balance_numbers.values_by_name, values_with_more_modes), strict=True
+        )
+        _, convergence_by_name = find_error_part(
+            "modes",
+            [*counts_and_values],
+            self.study.scene,
+            size_ratio=max(size_ratio, ROUNDING_SPREAD),
+        )
+        for quantity_name, min_change in min_change_by_name.items():
+            error = (
+                convergence_by_name[quantity_name].uncertainty(-1)
+                if quantity_name in convergence_by_name
+                else 0.0
+            )
+            if 0.0 < error < min_change / structure.share:
+                convergence_by_name[quantity_name] = replace(
+                    convergence_by_name[quantity_name], factor=min_change / structure.share / error
+                )
+        return mode_counts, convergence_by_name
 
-    def _motions_with(self, larger_study: Study) -> tuple[Motion, Motion]:
+    def _find_motions_with_kept_and_more_modes(self, larger_study: Study) -> tuple[Motion, Motion]:
         """Return the motions with the answer's modes and a larger study's modes (collective).
 
         Both are the nearest exact orbits, if known; with few harmonics the second may be a
@@ -358,222 +402,316 @@ class StatedCase(Case):
         affordable and crack faces have no mass, there are at least
         :data:`MIN_HARMONICS_FOR_MODAL_CHANGE` harmonics per load period.
         """
-        wave, assessment = self.wave, self.answer.assessment
-        min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * wave.subharmonic
-        if assessment.can_search_orbit and (more_modes := assessment.more_modes):
-            is_short = self.answer.orbit is None and wave.harmonics < min_harmonics
-            if motion := more_modes.orbit_or_corrected_motion if is_short else more_modes.orbit:
-                return more_modes.nearest_orbit, motion
-        if self._has_massless_flow and wave.harmonics < min_harmonics:
-            wave = solve_again(self.study, wave.omega, min_harmonics, wave)
-        start = wave if self.study.structure.light_lips else None  # else it has other coordinates
-        return wave, solve_again(larger_study, wave.omega, wave.harmonics, start)
+        balance_solution, assessment = self.balance_solution, self.answer.assessment
+        min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
+        if assessment.can_search_orbit and (larger_assessment := assessment.more_modes):
+            has_few_harmonics = (
+                self.answer.orbit is None and balance_solution.harmonics < min_harmonics
+            )
+            if (
+                motion := larger_assessment.orbit_or_corrected_motion
+                if has_few_harmonics
+                else larger_assessment.orbit
+            ):
+                return larger_assessment.nearest_orbit, motion
+        if self._can_search_massless_orbits and balance_solution.harmonics < min_harmonics:
+            balance_solution = solve_without_stability(
+                self.study, balance_solution.omega, min_harmonics, balance_solution
+            )
+        start_solution = (
+            balance_solution if self.study.structure.light_lips else None
+        )  # else it has other coordinates
+        return balance_solution, solve_without_stability(
+            larger_study, balance_solution.omega, balance_solution.harmonics, start_solution
+        )
 
     @property
-    def _has_massless_flow(self) -> bool:
+    def _can_search_massless_orbits(self) -> bool:
         """True if exact orbits are affordable and crack faces have no mass."""
         return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
 
-    def harmonics(self) -> Varied:
-        """Judge harmonics by the exact orbit, or by more harmonics (collective)."""
-        return self.truncation
+    def estimate_error_by_harmonics(self) -> PartOrReason:
+        """Estimate the error by harmonics from an orbit or more harmonics (collective)."""
+        return self.harmonics_error_part_or_reason
 
     @cached_property
-    def truncation(self) -> Varied:
+    def harmonics_error_part_or_reason(self) -> PartOrReason:
         """Part of the cause harmonics (collective)."""
         if self.study.contact is None:
-            return CAUSE_WITHOUT_CONTACT
-        if self.orbit_values is not None:
-            return self.distance_to_orbit(self.orbit_values)
-        count, solution, parts_by_factor = self.wave.harmonics, self.wave, []
+            return SINGLE_HARMONIC_REASON_TEXT
+        if self.orbit_values_by_name is not None:
+            return self.estimate_harmonics_error_by_orbit(self.orbit_values_by_name)
+        n_harmonics = self.balance_solution.harmonics
+        solution = self.balance_solution
+        convergences_of_factors = []
         n_runs = 2 if self.answer.report.truncation > LARGE_ERROR else 1
-        for factor in HARMONIC_FACTORS[:n_runs]:
-            solution = solve_again(self.study, self.wave.omega, factor * count, solution)
-            levels = (count, self.numbers.values), (factor * count, self.compute_values(solution))
-            _, parts = part_of("harmonics", levels, self.study.scene, ratio=1.0 / factor)
-            parts_by_factor.append(parts)
-        select_largest = partial(max, key=methodcaller("uncertainty"))
-        parts = {
-            name: select_largest(parts[name] for parts in parts_by_factor)
-            for name in self.numbers.values
+        for factor in HARMONIC_COUNT_FACTORS[:n_runs]:
+            solution = solve_without_stability(
+                self.study, self.balance_solution.omega, factor * n_harmonics, solution
+            )
+            counts_and_values = (
+                (n_harmonics, self.balance_numbers.values_by_name),
+                (factor * n_harmonics, self.compute_values_by_name(solution)),
+            )
+            _, convergence_by_name = find_error_part(
+                "harmonics", counts_and_values, self.study.scene, size_ratio=1.0 / factor
+            )
+            convergences_of_factors.append(convergence_by_name)
+        select_largest_uncertainty = partial(max, key=methodcaller("uncertainty"))
+        convergence_by_name = {
+            name: select_largest_uncertainty(
+                convergence_by_name[name] for convergence_by_name in convergences_of_factors
+            )
+            for name in self.balance_numbers.values_by_name
         }
-        if "closed_share" in parts:
-            part = parts["closed_share"]  # counted at instants, it is not known to one
-            error = math.hypot(part.uncertainty(-1), 1.0 / len(self.wave.instants()))
-            parts["closed_share"] = replace(part, extrapolated=part.values[-1] + error)
-        return (count, 2 * count), parts
+        if "closed_share" in convergence_by_name:
+            convergence = convergence_by_name[
+                "closed_share"
+            ]  # counted at instants, it is not known to one
+            error = math.hypot(
+                convergence.uncertainty(-1), 1.0 / len(self.balance_solution.instants())
+            )
+            convergence_by_name["closed_share"] = replace(
+                convergence, extrapolated=convergence.values[-1] + error
+            )
+        return (n_harmonics, 2 * n_harmonics), convergence_by_name
 
-    def mesh(self) -> Varied:
-        """Judge the mesh by a coarser mesh, with few modes (collective).
+    def estimate_error_by_mesh(self) -> PartOrReason:
+        """Estimate the error by the mesh from a coarser mesh, with few modes (collective).
 
-        A reduced plate or solid has at most :data:`MESH_MODES` modes in both runs.
+        A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR` modes in both runs.
         """
-        few_modes = self._with_few_modes()
-        mesh_part = few_modes._judge_by_coarser_mesh()
-        if few_modes is self or isinstance(mesh_part, str):
-            return mesh_part
-        counts, few_mode_parts = mesh_part
-        parts = {}
-        for name, value in self.numbers.values.items():
-            if (part := few_mode_parts.get(name)) is None:
+        few_modes_answer = self._answer_with_few_modes()
+        part_or_reason = few_modes_answer._estimate_error_by_coarser_mesh()
+        if few_modes_answer is self or isinstance(part_or_reason, str):
+            return part_or_reason
+        element_counts, few_mode_convergence_by_name = part_or_reason
+        convergence_by_name = {}
+        for quantity_name, value in self.balance_numbers.values_by_name.items():
+            if (convergence := few_mode_convergence_by_name.get(quantity_name)) is None:
                 continue
-            change = value - few_modes.numbers.values[name]
-            values = part.values[0] + change, part.values[1] + change
-            parts[name] = replace(part, values=values, extrapolated=part.extrapolated + change)
-        return counts, parts
+            value_change = value - few_modes_answer.balance_numbers.values_by_name[quantity_name]
+            value_pair = convergence.values[0] + value_change, convergence.values[1] + value_change
+            convergence_by_name[quantity_name] = replace(
+                convergence, values=value_pair, extrapolated=convergence.extrapolated + value_change
+            )
+        return element_counts, convergence_by_name
 
-    def _with_few_modes(self) -> StatedCase:
-        """Return the answer's case with at most :data:`MESH_MODES` modes (collective).
+    def _answer_with_few_modes(self) -> AnswerJudgedByExtraRuns:
+        """Return the answer's case with few modes (collective).
 
-        Disks and structures without reduction stay unchanged.
+        The maximum is :data:`MAX_MODES_FOR_MESH_ERROR`. Disks and structures without
+        reduction stay unchanged.
         """
         study, scene = self.study, self.study.scene
         structure = study.structure
         if not isinstance(structure, ReducedStructure) or scene.disk is not None:
             return self
-        if len(structure.omega) <= MESH_MODES:
+        if len(structure.omega) <= MAX_MODES_FOR_MESH_ERROR:
             return self
-        scene = scene.replace({scene.modes_key: MESH_MODES})
+        scene = scene.replace({scene.modes_key: MAX_MODES_FOR_MESH_ERROR})
         study = reduce_study(
             replace(study, scene=scene, structure=structure.whole), with_reference=False
         )
-        start = self.wave if structure.light_lips else None  # else it has other coordinates
-        wave = self._solve_run(study, self.wave.omega, start)
-        numbers = numbers_of(study, wave, self.numbers.mode)
-        return replace(self, study=study, wave=wave, numbers=numbers)
+        start_solution = (
+            self.balance_solution if structure.light_lips else None
+        )  # else it has other coordinates
+        balance_solution = solve_without_stability(
+            study, self.balance_solution.omega, self.balance_solution.harmonics, start_solution
+        )
+        balance_numbers = compute_numbers(study, balance_solution, self.balance_numbers.mode_number)
+        return replace(
+            self, study=study, balance_solution=balance_solution, balance_numbers=balance_numbers
+        )
 
-    def _judge_by_coarser_mesh(self) -> Varied:
-        """Judge the mesh by a coarser mesh with equally many modes (collective).
+    def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
+        """Estimate the error by the mesh from a coarser mesh, modes unchanged (collective).
 
         The part is the maximum over the mesh's orders. Besides the shape error, the part includes
         the shift of the resonance unless the answer is a peak. Further parts are the shifted
-        clearance, closed crack fronts and the dent under a force (see the module).
+        clearance, closed crack fronts and the increase under a point force (see the module).
         """
-        study, wave = self.study, self.wave
-        coarse_mesh = prepare_coarser_study_or_reason(study)
-        if isinstance(coarse_mesh, str):
-            return coarse_mesh
-        coarse_study, counts, ratio = coarse_mesh
-        coarse_study, mode = _with_known_numbers(coarse_study), self._mode_of_shift()
-        frequency_ratio = bilinear_of(coarse_study.structure, mode)
-        frequency_ratio /= bilinear_of(study.structure, mode)
-        coarse_wave = self._solve_run(coarse_study, wave.omega * frequency_ratio)
-        coarse_mesh_numbers = self.compute_values(coarse_wave, coarse_study)
-        levels = zip(counts, (self.numbers.values, coarse_mesh_numbers), strict=True)
-        _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
-        orders = 2.0 * study.scene.mesh.order, TIP_ORDER
-        ends = tuple(1.0 / (ratio**order - 1.0) for order in orders)
-        shift_range = abs(1.0 - frequency_ratio) * (ends[1] - ends[0])
-        factors = np.linspace(*ends, self._n_extrapolated(shift_range, mode))
-        numbers_by_shift = self._values_at_shifts(factors * (1.0 - frequency_ratio))
-        numbers_with_clearance_shift = self._values_with_shifted_clearance()
-        dents = dict.fromkeys(observable_names(Place.POINT), self._relative_dent)
-        closed_errors, front_changes = estimate_closed_front_and_mesh_errors(
-            study, wave, coarse_study, coarse_wave
+        study, balance_solution = self.study, self.balance_solution
+        coarse_study_or_reason = prepare_coarser_study(study)
+        if isinstance(coarse_study_or_reason, str):
+            return coarse_study_or_reason
+        coarse_study, element_counts, length_ratio = coarse_study_or_reason
+        coarse_study = _without_refused_stress_intensities(coarse_study)
+        shifted_mode_number = self._find_mode_with_strongest_shift()
+        resonance_ratio = find_bilinear_omega(coarse_study.structure, shifted_mode_number)
+        resonance_ratio /= find_bilinear_omega(study.structure, shifted_mode_number)
+        coarse_solution = solve_by_half_then_all_harmonics(
+            coarse_study, balance_solution.omega * resonance_ratio, balance_solution.harmonics
         )
-        for name, part in parts.items():
-            value, coarse_mesh_number = part.values
-            shape_errors = factors * (value - coarse_mesh_number)
-            shift_errors = np.array([values.get(name, 0.0) for values in numbers_by_shift]) - value
-            cancelling_size = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
+        coarse_mesh_values = self.compute_values_by_name(coarse_solution, coarse_study)
+        counts_and_values = zip(
+            element_counts, (self.balance_numbers.values_by_name, coarse_mesh_values), strict=True
+        )
+        _, convergence_by_name = find_error_part(
+            "mesh", [*counts_and_values], study.scene, size_ratio=length_ratio
+        )
+        convergence_orders = 2.0 * study.scene.mesh.order, TIP_CONVERGENCE_ORDER
+        end_factors = tuple(
+            1.0 / (length_ratio**convergence_order - 1.0)
+            for convergence_order in convergence_orders
+        )
+        relative_shift_range = abs(1.0 - resonance_ratio) * (end_factors[1] - end_factors[0])
+        extrapolation_factors = np.linspace(
+            *end_factors,
+            self._count_extrapolated_resonances(relative_shift_range, shifted_mode_number),
+        )
+        values_at_shifts = self._compute_values_at_resonance_shifts(
+            extrapolation_factors * (1.0 - resonance_ratio)
+        )
+        values_with_shifted_clearance = self._compute_values_with_shifted_clearance()
+        relative_increase_by_name = dict.fromkeys(
+            observable_names(Place.POINT), self._relative_amplitude_added_by_halving
+        )
+        closed_front_error_by_name, front_change_by_name = estimate_front_errors(
+            study, balance_solution, coarse_study, coarse_solution
+        )
+        for quantity_name, convergence in convergence_by_name.items():
+            value, coarse_mesh_value = convergence.values
+            shape_errors = extrapolation_factors * (value - coarse_mesh_value)
+            shift_errors = (
+                np.array(
+                    [values_by_name.get(quantity_name, 0.0) for values_by_name in values_at_shifts]
+                )
+                - value
+            )
+            smaller_error_part = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
             error = math.hypot(
                 np.abs(shape_errors + shift_errors).max(),
-                CANCELLING_FRACTION * cancelling_size,
-                numbers_with_clearance_shift.get(name, value) - value,
-                closed_errors.get(name, 0.0),
-                dents.get(name, 0.0) * value,
+                CANCELLING_UNCERTAINTY_FRACTION * smaller_error_part,
+                values_with_shifted_clearance.get(quantity_name, value) - value,
+                closed_front_error_by_name.get(quantity_name, 0.0),
+                relative_increase_by_name.get(quantity_name, 0.0) * value,
             )
-            error = max(error, front_changes.get(name, 0.0) * factors.max())
-            parts[name] = replace(part, extrapolated=value + error)
-        return counts, parts
+            error = max(
+                error, front_change_by_name.get(quantity_name, 0.0) * extrapolation_factors.max()
+            )
+            convergence_by_name[quantity_name] = replace(convergence, extrapolated=value + error)
+        return element_counts, convergence_by_name
 
-    def _solve_run(
-        self, study: Study, omega: float, initial: PeriodicSolution | None = None
-    ) -> PeriodicSolution:
-        """Solve another run as the answer was solved: by an exact orbit, or by harmonics."""
-        by_orbit = self.answer.orbit is not None
-        return solve_orbit_or_in_steps(
-            study, omega, self.wave.harmonics, initial, by_orbit=by_orbit
-        )
-
-    def _values_at_shifts(self, shifts: np.ndarray) -> list[dict[str, float]]:
+    def _compute_values_at_resonance_shifts(
+        self, relative_shifts: np.ndarray
+    ) -> list[dict[str, float]]:
         """Return the numbers at relative shifts of the resonance (collective).
 
         Peaks have unchanged numbers. Each solution starts from rest, as on a finer mesh, and may
         reach a different motion.
         """
-        if self.of_peak:
-            return [self.numbers.values] * len(shifts)
-        frequencies = self.wave.omega / (1.0 + shifts)
-        solutions = (self._solve_run(self.study, float(omega)) for omega in frequencies)
-        return [self.compute_values(solution) for solution in solutions]
+        if self.is_peak:
+            return [self.balance_numbers.values_by_name] * len(relative_shifts)
+        load_omegas = self.balance_solution.omega / (1.0 + relative_shifts)
+        solutions = (
+            solve_by_half_then_all_harmonics(
+                self.study, float(load_omega), self.balance_solution.harmonics
+            )
+            for load_omega in load_omegas
+        )
+        return [self.compute_values_by_name(solution) for solution in solutions]
 
-    def _n_extrapolated(self, shift_range: float, mode: int) -> int:
+    def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
         """Return the number of extrapolated resonances in a range of relative shifts.
 
-        A peak's half-power width has four, within the limits :data:`MIN_EXTRAPOLATED` and
-        :data:`MAX_EXTRAPOLATED`.
+        A peak's half-power width has four, within the limits
+        :data:`MIN_EXTRAPOLATED_RESONANCES` and :data:`MAX_EXTRAPOLATED_RESONANCES`.
         """
-        modes = all_modes(self.study.structure)
-        rates = modes.damping if modes.damping.ndim == 1 else np.diag(modes.damping)
-        omega = math.sqrt(max(modes.squares[mode - 1], sys.float_info.min))
-        n_steps = math.ceil(
-            4.0 * shift_range * omega / max(rates[mode - 1], ROUNDING_SPREAD * omega)
+        modal_properties = all_modes(self.study.structure)
+        damping_rates = (
+            modal_properties.damping
+            if modal_properties.damping.ndim == 1
+            else np.diag(modal_properties.damping)
         )
-        return min(max(1 + n_steps, MIN_EXTRAPOLATED), MAX_EXTRAPOLATED)
+        natural_omega = math.sqrt(
+            max(modal_properties.squares[mode_number - 1], sys.float_info.min)
+        )
+        n_steps = math.ceil(
+            4.0
+            * relative_shift_range
+            * natural_omega
+            / max(damping_rates[mode_number - 1], ROUNDING_SPREAD * natural_omega)
+        )
+        return min(max(1 + n_steps, MIN_EXTRAPOLATED_RESONANCES), MAX_EXTRAPOLATED_RESONANCES)
 
-    def _mode_of_shift(self) -> int:
+    def _find_mode_with_strongest_shift(self) -> int:
         """Return the mode with the strongest shift effect on watched points (collective).
 
         Let w be the load frequency, w_j the bilinear frequency of mode j and U_k the amplitude of
         harmonic k. The harmonic changes by about 2 U_k / |1 - (k w / w_j)^2| times the relative
         shift of w_j.
         """
-        wave = self.wave
-        rows = wave.coefficients_at([point.dof for point in self.study.watched])
-        sizes = np.hypot(rows[1::2], rows[2::2]).max(axis=1)
-        harmonics = np.arange(1, wave.harmonics + 1)
-        omega = bilinear_frequencies(self.study.structure).omega_bilinear
-        distances = np.abs(1.0 - (harmonics * wave.omega / omega[:, None]) ** 2)
-        return int(np.argmax((sizes / np.maximum(distances, ROUNDING_SPREAD)).max(axis=1))) + 1
+        balance_solution = self.balance_solution
+        coefficient_rows = balance_solution.coefficients_at(
+            [point.dof for point in self.study.watched]
+        )
+        harmonic_amplitudes = np.hypot(coefficient_rows[1::2], coefficient_rows[2::2]).max(axis=1)
+        harmonic_orders = np.arange(1, balance_solution.harmonics + 1)
+        bilinear_omega = bilinear_frequencies(self.study.structure).omega_bilinear
+        resonance_distances = np.abs(
+            1.0 - (harmonic_orders * balance_solution.omega / bilinear_omega[:, None]) ** 2
+        )
+        return (
+            int(
+                np.argmax(
+                    (harmonic_amplitudes / np.maximum(resonance_distances, ROUNDING_SPREAD)).max(
+                        axis=1
+                    )
+                )
+            )
+            + 1
+        )
 
     @property
-    def _relative_dent(self) -> float:
+    def _relative_amplitude_added_by_halving(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
-        if self.study.scene.output_points:
+        if self.study.scene.points:
             return 0.0
-        amplitude = self.wave.amplitude(self.study.watched[0].dof)
-        return dent_by_force(self.study.scene) / amplitude
+        amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
+        return displacement_added_by_halved_elements(self.study.scene) / amplitude
 
-    def _values_with_shifted_clearance(self) -> dict[str, float]:
+    def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
         """Return the numbers with each crack's clearance shifted (collective).
 
         The shift [m] is half the step of the extreme gap between neighbouring pairs, times the
         range of the pairs' closed shares of the period. Without cracks, return no numbers.
         """
-        study, wave, instants = self.study, self.wave, self.wave.instants()
-        cracks = study.structure.pairs.cracks
-        if cracks is None or not len(cracks):
+        study = self.study
+        balance_solution = self.balance_solution
+        times = self.balance_solution.instants()
+        crack_index_of_pairs = study.structure.pairs.cracks
+        if crack_index_of_pairs is None or not len(crack_index_of_pairs):
             return {}
-        gap, touches = wave.gap(instants), wave.contact_force(instants) > 0.0
-        shifts = np.zeros(len(cracks))
-        for crack in np.unique(cracks):
-            is_of_crack = cracks == crack
-            closed_shares, crack_gap = touches[:, is_of_crack].mean(axis=0), gap[:, is_of_crack]
-            extreme_gaps = crack_gap.min(axis=0) if closed_shares.all() else crack_gap.max(axis=0)
-            n_along = is_of_crack.sum() ** (1.0 / (study.scene.dimension - 1))
-            shifts[is_of_crack] = 0.5 * np.ptp(extreme_gaps) / n_along * np.ptp(closed_shares)
-        shifted_study = replace(study, structure=study.structure.varied(clearance=shifts))
-        solution = self._solve_run(shifted_study, wave.omega, wave)
-        return self.compute_values(solution, shifted_study)
+        gap_samples = balance_solution.gap(times)
+        is_closed_at_times = balance_solution.contact_force(times) > 0.0
+        clearance_shifts = np.zeros(len(crack_index_of_pairs))
+        for crack_index in np.unique(crack_index_of_pairs):
+            is_of_crack = crack_index_of_pairs == crack_index
+            closed_shares = is_closed_at_times[:, is_of_crack].mean(axis=0)
+            crack_gap_samples = gap_samples[:, is_of_crack]
+            extreme_gaps = (
+                crack_gap_samples.min(axis=0)
+                if closed_shares.all()
+                else crack_gap_samples.max(axis=0)
+            )
+            n_pairs_along_crack = is_of_crack.sum() ** (1.0 / (study.scene.dimension - 1))
+            clearance_shifts[is_of_crack] = (
+                0.5 * np.ptp(extreme_gaps) / n_pairs_along_crack * np.ptp(closed_shares)
+            )
+        shifted_study = replace(study, structure=study.structure.varied(clearance=clearance_shifts))
+        solution = solve_by_half_then_all_harmonics(
+            shifted_study, balance_solution.omega, balance_solution.harmonics, balance_solution
+        )
+        return self.compute_values_by_name(solution, shifted_study)
 
 
-def _with_known_numbers(study: Study) -> Study:
+def _without_refused_stress_intensities(study: Study) -> Study:
     """Drop stress intensities from a study with elements that are too long."""
     try:
-        make_requested_extra_rows(study)
+        make_requested_rows(study)
     except InputError:
         refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
-        names = [name for name in study.scene.quantities or () if name not in refused_names]
-        return replace(study, scene=study.scene.replace({"output.quantities": names or None}))
+        kept_names = [name for name in study.scene.quantities or () if name not in refused_names]
+        return replace(study, scene=study.scene.replace({"output.quantities": kept_names or None}))
     return study

@@ -29,13 +29,13 @@ from fenics_crack.basics.tables import (
     format_quantity,
     heading_with_unit,
 )
-from fenics_crack.errors.convergence import GridConvergence, Varied
+from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.files.codec import Datasets, dataclass_from_json, to_json_text
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 
-DOUBTS = {
+DOUBT_TEXT_BY_BEHAVIOUR = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
     "irregular": "the values show no order: the uncertainty is 3 times their spread",
@@ -92,22 +92,24 @@ class Verification(SavedResult):
 
     KIND: ClassVar[str] = "verification"
 
-    def with_part(self, cause: str, part: Varied) -> Verification:
+    def with_part(self, cause: str, part_or_reason: PartOrReason) -> Verification:
         """Add the part of a cause, or the reason for no part.
 
         Without a part, an optional cause is unknown; any further cause contributes nothing. An
         empty reason adds nothing.
         """
-        if not isinstance(part, str):
-            counts, convergence = part
+        if not isinstance(part_or_reason, str):
+            counts, convergence_by_name = part_or_reason
             return replace(
-                self, counts=self.counts | {cause: counts}, parts=self.parts | {cause: convergence}
+                self,
+                counts=self.counts | {cause: counts},
+                parts=self.parts | {cause: convergence_by_name},
             )
-        if not part:
+        if not part_or_reason:
             return self
         if cause in OPTIONAL_ERROR_CAUSES:
-            return self.with_unknown(cause, part)
-        return replace(self, absent=self.absent | {cause: part})
+            return self.with_unknown(cause, part_or_reason)
+        return replace(self, absent=self.absent | {cause: part_or_reason})
 
     def with_unknown(self, cause: str, reason: str) -> Verification:
         """Add a cause whose contribution is unknown, and the reason."""
@@ -115,16 +117,16 @@ class Verification(SavedResult):
 
     # --- files ------------------------------------------------------------------------------------
 
-    def text(self) -> str:
+    def to_json(self) -> str:
         """Return everything except the scene as JSON text, for a file."""
         return to_json_text(self, "", {})
 
     def _pack_fields(self) -> Datasets:
-        return {"verification": self.text()}
+        return {"verification": self.to_json()}
 
     @classmethod
-    def _unpack_fields(cls, parts: Datasets, scene: Scene | None) -> Verification:
-        return dataclass_from_json(cls, parts["verification"], scene)
+    def _unpack_fields(cls, datasets_by_name: Datasets, scene: Scene | None) -> Verification:
+        return dataclass_from_json(cls, datasets_by_name["verification"], scene)
 
     # --- numbers ----------------------------------------------------------------------------------
 
@@ -146,18 +148,20 @@ class Verification(SavedResult):
         check_choice("quantity", quantity, self.values)
         return {
             # Sizes are in the order of the smallest; the scene's own choice is the first count.
-            cause: cause_parts[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
-            for cause, cause_parts in self.parts.items()
-            if quantity in cause_parts
+            cause: convergence_by_quantity[quantity].uncertainty(
+                sorted(counts, reverse=True).index(counts[0])
+            )
+            for cause, convergence_by_quantity in self.parts.items()
+            if quantity in convergence_by_quantity
             for counts in [self.counts[cause]]
         }
 
-    def missing_causes(self, quantity: str) -> dict[str, str]:
+    def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
         """Return reasons by varied cause without a part for a quantity."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(cause, "the other run has no such number")
-            for cause, parts in self.parts.items()
-            if quantity not in parts
+            for cause, convergence_by_quantity in self.parts.items()
+            if quantity not in convergence_by_quantity
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
@@ -166,21 +170,38 @@ class Verification(SavedResult):
         Contributions by the mesh and the mesh's shift are added first. The total is the root of
         the sum of squares; if the causes are not ``independent``, the total is the sum.
         """
-        contributions = self._parts(quantity).values()
-        return math.hypot(*contributions) if independent else sum(contributions)
+        contributions_of_causes = self._contributions_with_whole_mesh(quantity).values()
+        return math.hypot(*contributions_of_causes) if independent else sum(contributions_of_causes)
 
-    def _parts(self, quantity: str) -> dict[str, float]:
+    def _contributions_with_whole_mesh(self, quantity: str) -> dict[str, float]:
         """Return contributions by cause, with mesh and shift added up as "mesh"."""
-        parts = self.contributions(quantity)
-        mesh = [parts.pop(cause) for cause in MESH_ERROR_CAUSES if cause in parts]
-        return ({"mesh": sum(mesh)} if mesh else {}) | parts
+        contribution_by_cause = self.contributions(quantity)
+        mesh_contributions = [
+            contribution_by_cause.pop(cause)
+            for cause in MESH_ERROR_CAUSES
+            if cause in contribution_by_cause
+        ]
+        return (
+            {"mesh": sum(mesh_contributions)} if mesh_contributions else {}
+        ) | contribution_by_cause
 
     def extrapolated(self, quantity: str) -> float:
         """Return a quantity's value, corrected by all causes with a finite limit."""
-        scene_number = self.values[quantity]
-        parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
-        limits = (parts[quantity].extrapolated for parts in parts_with_quantity)
-        return scene_number + sum(limit - scene_number for limit in limits if math.isfinite(limit))
+        scene_value = self.values[quantity]
+        convergences_with_quantity = (
+            convergence_by_quantity
+            for convergence_by_quantity in self.parts.values()
+            if quantity in convergence_by_quantity
+        )
+        extrapolated_limits = (
+            convergence_by_quantity[quantity].extrapolated
+            for convergence_by_quantity in convergences_with_quantity
+        )
+        return scene_value + sum(
+            extrapolated_limit - scene_value
+            for extrapolated_limit in extrapolated_limits
+            if math.isfinite(extrapolated_limit)
+        )
 
     def relative(self, quantity: str, error: float) -> float:
         """Divide an error by a quantity's size (nan for a quantity 0)."""
@@ -200,17 +221,19 @@ class Verification(SavedResult):
             Cause with the largest part: "mesh", "modes", "harmonics", "friction" or "samples"; ""
             with nan.
         """
-        unknown = any(
+        is_unknown = any(
             cause in self.unknown for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes)
         )
-        parts = self._parts(quantity) if quantity in self.values else {}
-        if not parts or unknown:
+        contribution_by_cause = (
+            self._contributions_with_whole_mesh(quantity) if quantity in self.values else {}
+        )
+        if not contribution_by_cause or is_unknown:
             return math.nan, ""
-        total = self.relative(quantity, self.total(quantity))
-        if total == 0.0 and (self.unknown or self.missing_causes(quantity)):
+        relative_total = self.relative(quantity, self.total(quantity))
+        if relative_total == 0.0 and (self.unknown or self.find_reasons_by_missing_cause(quantity)):
             return math.nan, ""
-        cause = max(parts, key=lambda part_cause: parts[part_cause])
-        return math.inf if total >= 1.0 else total, cause
+        cause = max(contribution_by_cause, key=lambda part_cause: contribution_by_cause[part_cause])
+        return math.inf if relative_total >= 1.0 else relative_total, cause
 
     def doubt(self, quantity: str) -> str:
         """Return the reason for doubt about a quantity's error.
@@ -232,19 +255,19 @@ class Verification(SavedResult):
 
         In a run-up the name is "speed", the speed at the resonance.
         """
-        resonances = (name for name in self.values if "_bilinear_" in name)
-        return "speed" if "speed" in self.values else next(resonances, "")
+        bilinear_names = (name for name in self.values if "_bilinear_" in name)
+        return "speed" if "speed" in self.values else next(bilinear_names, "")
 
     @property
-    def without(self) -> str:
+    def omitted_causes_text(self) -> str:
         """Unknown causes in words: "error due to the mesh not included"; or empty."""
         return describe_omitted_causes(self.unknown)
 
     @property
-    def left_out(self) -> str:
-        """Unknown causes (:attr:`without`) and the reasons; or empty."""
-        reasons = "; ".join(dict.fromkeys(self.unknown.values()))
-        return f"{self.without}: {reasons}" if self.unknown else ""
+    def omitted_causes_and_reasons_text(self) -> str:
+        """Unknown causes (:attr:`omitted_causes_text`) and the reasons; or empty."""
+        reasons_text = "; ".join(dict.fromkeys(self.unknown.values()))
+        return f"{self.omitted_causes_text}: {reasons_text}" if self.unknown else ""
 
     # --- tables -----------------------------------------------------------------------------------
 
@@ -254,18 +277,38 @@ class Verification(SavedResult):
         A row has the value, relative contributions and totals [%] to three digits, the mesh's
         observed order, and the extrapolated value.
         """
-        rows = []
-        for name, value in self.values.items():
-            contributions = self.contributions(name)
-            errors = [contributions.get(cause, math.nan) for cause in self.causes]
-            errors += [self.total(name), self.total(name, independent=False)]
-            shares = [float(f"{100.0 * self.relative(name, error):.3g}") for error in errors]
-            mesh = self.parts.get("mesh", {})
-            order = mesh[name].order if name in mesh else math.nan
-            quantity = heading_with_unit(name, self.units[name])
-            rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
-        columns = [f"{label} [%]" for label in (*self.causes, "total", "sum")]
-        return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
+        table_rows = []
+        for quantity_name, value in self.values.items():
+            contribution_by_cause = self.contributions(quantity_name)
+            absolute_errors = [contribution_by_cause.get(cause, math.nan) for cause in self.causes]
+            absolute_errors += [
+                self.total(quantity_name),
+                self.total(quantity_name, independent=False),
+            ]
+            error_percents = [
+                float(f"{100.0 * self.relative(quantity_name, error):.3g}")
+                for error in absolute_errors
+            ]
+            mesh_convergence_by_name = self.parts.get("mesh", {})
+            mesh_order = (
+                mesh_convergence_by_name[quantity_name].order
+                if quantity_name in mesh_convergence_by_name
+                else math.nan
+            )
+            quantity_heading = heading_with_unit(quantity_name, self.units[quantity_name])
+            table_rows.append(
+                [
+                    quantity_heading,
+                    value,
+                    *error_percents,
+                    round(mesh_order, 2),
+                    self.extrapolated(quantity_name),
+                ]
+            )
+        percent_headings = [f"{label} [%]" for label in (*self.causes, "total", "sum")]
+        return Table(
+            ["quantity", "value", *percent_headings, "order in h", "extrapolated"], table_rows
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns with a row per quantity and cause or total.
@@ -273,57 +316,100 @@ class Verification(SavedResult):
         A row has the varied counts, up to three values, the order and factor from these values,
         and the uncertainty of the first value.
         """
-        rows = [row for name in self.values for row in self._rows(name)]
+        rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
 
-    def _rows(self, name: str) -> Iterator[dict[str, Any]]:
-        quantity_entries = {"quantity": name, "unit": self.units[name]}
-        for cause in self.contributions(name):
-            part, counts = self.parts[cause][name], self.counts[cause]
-            row: dict[str, Any] = quantity_entries | {"cause": cause, "behaviour": part.behaviour}
-            row |= {f"{key}_{n}": math.nan for key in ("count", "value") for n in (1, 2, 3)}
-            row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
-            by_count = dict(zip(sorted(counts, reverse=True), part.values, strict=True))
-            row |= {f"value_{n}": by_count[count] for n, count in enumerate(counts, 1)}
-            numbers = "order", "exponent", "factor", "extrapolated"
-            row |= {key: getattr(part, key) for key in numbers} | {"gci_finest": part.gci}
-            yield row | _uncertainty_entries(self, name, self.contributions(name)[cause])
-        for cause, independent in (("total", True), ("sum", False)):
-            value_entries = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
-            total = _uncertainty_entries(self, name, self.total(name, independent=independent))
-            yield quantity_entries | {"cause": cause, "behaviour": ""} | value_entries | total
+    def _yield_cause_rows(self, quantity_name: str) -> Iterator[dict[str, Any]]:
+        quantity_entry_by_key = {"quantity": quantity_name, "unit": self.units[quantity_name]}
+        for cause in self.contributions(quantity_name):
+            convergence, counts = self.parts[cause][quantity_name], self.counts[cause]
+            row: dict[str, Any] = quantity_entry_by_key | {
+                "cause": cause,
+                "behaviour": convergence.behaviour,
+            }
+            row |= {
+                f"{key}_{count_number}": math.nan
+                for key in ("count", "value")
+                for count_number in (1, 2, 3)
+            }
+            row |= {f"count_{count_number}": count for count_number, count in enumerate(counts, 1)}
+            value_by_count = dict(
+                zip(sorted(counts, reverse=True), convergence.values, strict=True)
+            )
+            row |= {
+                f"value_{count_number}": value_by_count[count]
+                for count_number, count in enumerate(counts, 1)
+            }
+            attribute_names = "order", "exponent", "factor", "extrapolated"
+            row |= {key: getattr(convergence, key) for key in attribute_names} | {
+                "gci_finest": convergence.gci
+            }
+            yield row | _make_uncertainty_entries(
+                self, quantity_name, self.contributions(quantity_name)[cause]
+            )
+        for cause, is_independent in (("total", True), ("sum", False)):
+            value_entry_by_key = {
+                "value_1": self.values[quantity_name],
+                "extrapolated": self.extrapolated(quantity_name),
+            }
+            total_entry_by_key = _make_uncertainty_entries(
+                self, quantity_name, self.total(quantity_name, independent=is_independent)
+            )
+            yield (
+                quantity_entry_by_key
+                | {"cause": cause, "behaviour": ""}
+                | value_entry_by_key
+                | total_entry_by_key
+            )
 
     def _title(self) -> str:
         return self.statement[0]
 
     def build_conclusion(self) -> Conclusion:
         """Return the parts of the study's concluding sentence."""
-        name = next(iter(self.values))
-        words = getattr(OBSERVABLES_BY_NAME.get(name.rpartition(".")[2]), "words", name)
-        error, cause = self.stated(name)
-        value = f"{words} {format_quantity(self.values[name], self.units[name])}"
-        answer = f"{value} within {format_error(error)}, factors of safety included, mostly due "
-        answer += f"to the {cause}"
+        quantity_name = next(iter(self.values))
+        quantity_text = getattr(
+            OBSERVABLES_BY_NAME.get(quantity_name.rpartition(".")[2]), "words", quantity_name
+        )
+        error, cause = self.stated(quantity_name)
+        value_text = (
+            f"{quantity_text} "
+            f"{format_quantity(self.values[quantity_name], self.units[quantity_name])}"
+        )
+        answer_text = (
+            f"{value_text} within {format_error(error)}, factors of safety included, mostly due "
+        )
+        answer_text += f"to the {cause}"
         if math.isnan(error):
-            answer = f"{value}; nothing that was varied changes the numbers"
-        doubt = self.doubt(name)
-        verdicts = (f"{run}: {verdict}" for run, verdict in self.verdicts.items())
-        return Conclusion("verified", value if doubt else answer, doubt, [self.without, *verdicts])
+            answer_text = f"{value_text}; nothing that was varied changes the numbers"
+        doubt_text = self.doubt(quantity_name)
+        verdict_texts = (f"{run_name}: {verdict}" for run_name, verdict in self.verdicts.items())
+        return Conclusion(
+            "verified",
+            value_text if doubt_text else answer_text,
+            doubt_text,
+            [self.omitted_causes_text, *verdict_texts],
+        )
 
     # --- words ------------------------------------------------------------------------------------
 
     @property
     def statement(self) -> tuple[str, ...]:
         """Sentences on the errors, including unknown and doubtful errors."""
-        main_quantity = next(iter(self.values))
-        shares = {name: self.relative(name, self.total(name)) for name in self.values}
-        worst_quantity = max(shares, key=lambda name: shares[name])
-        sentences = [self._in_words(main_quantity)]
-        if worst_quantity != main_quantity:
-            sentences.append(f"largest of all: {self._in_words(worst_quantity)}")
+        main_quantity_name = next(iter(self.values))
+        relative_total_by_name = {
+            quantity_name: self.relative(quantity_name, self.total(quantity_name))
+            for quantity_name in self.values
+        }
+        worst_quantity_name = max(
+            relative_total_by_name, key=lambda quantity_name: relative_total_by_name[quantity_name]
+        )
+        sentences = [self._describe_error(main_quantity_name)]
+        if worst_quantity_name != main_quantity_name:
+            sentences.append(f"largest of all: {self._describe_error(worst_quantity_name)}")
         sentences += [
-            f"{cause}, no contribution: {reason}" for cause, reason in self.absent.items()
+            f"{cause}, no contribution: {reason_text}" for cause, reason_text in self.absent.items()
         ]
         return (*sentences, *self.warnings)
 
@@ -331,22 +417,31 @@ class Verification(SavedResult):
     def warnings(self) -> tuple[str, ...]:
         """Sentences with doubts about the numbers."""
         sentences = [
-            f"{cause} not varied, so it is missing in the totals: {reason}"
-            for cause, reason in self.unknown.items()
+            f"{cause} not varied, so it is missing in the totals: {reason_text}"
+            for cause, reason_text in self.unknown.items()
         ]
-        sentences += self.incomplete
-        sentences += [f"failed, {text}" for text in self.failures]
+        sentences += self.incomplete_error_notes
+        sentences += [f"failed, {failure_text}" for failure_text in self.failures]
         sentences += [
-            f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()
+            f"the orbit with {run_name} is {verdict}" for run_name, verdict in self.verdicts.items()
         ]
-        for cause, parts in self.parts.items():
-            for kind, doubt in DOUBTS.items():
-                names = [n for n in parts if parts[n].behaviour == kind and self._matters(n, cause)]
-                if names:
-                    sentences.append(f"{cause}, {', '.join(names)}: {doubt}")
-        sentences += self.dents
-        contact = self.scene.contact if self.resonance else None  # of crack faces
-        if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
+        for cause, convergence_by_quantity in self.parts.items():
+            for behaviour, doubt_text in DOUBT_TEXT_BY_BEHAVIOUR.items():
+                doubted_names = [
+                    quantity_name
+                    for quantity_name in convergence_by_quantity
+                    if convergence_by_quantity[quantity_name].behaviour == behaviour
+                    and self._is_contribution_relevant(quantity_name, cause)
+                ]
+                if doubted_names:
+                    sentences.append(f"{cause}, {', '.join(doubted_names)}: {doubt_text}")
+        sentences += self.point_force_warnings
+        contact_table = self.scene.contact if self.resonance else None  # of crack faces
+        if (
+            "mesh" in self.parts
+            and contact_table is not None
+            and contact_table.stiffness is not None
+        ):
             sentences.append(
                 "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
                 "changes the law, too; contact.stiffness_per_area stays the same law"
@@ -354,64 +449,81 @@ class Verification(SavedResult):
         return tuple(sentences)
 
     @property
-    def incomplete(self) -> tuple[str, ...]:
+    def incomplete_error_notes(self) -> tuple[str, ...]:
         """Sentences on numbers with an error that lacks a varied cause."""
         return tuple(
-            f"{', '.join(names)}: error due to the {cause} not included: "
-            f"{self.missing_causes(names[0])[cause]}"
-            for cause, parts in self.parts.items()
-            if (names := [name for name in self.values if name not in parts])
+            f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
+            f"{self.find_reasons_by_missing_cause(names_without_cause[0])[cause]}"
+            for cause, convergence_by_quantity in self.parts.items()
+            if (
+                names_without_cause := [
+                    name for name in self.values if name not in convergence_by_quantity
+                ]
+            )
         )
 
     @property
-    def dents(self) -> tuple[str, ...]:
+    def point_force_warnings(self) -> tuple[str, ...]:
         """Warning about the unlimited displacement under a point force.
 
         Given if elements half as long add much to the amplitude.
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
-        dent = dent_by_force(scene)
-        if scene.output_points or not dent > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0:
+        amplitude_increase = displacement_added_by_halved_elements(scene)
+        if (
+            scene.output_points
+            or not amplitude_increase > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0
+        ):
             return ()
-        growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
+        growth_text, side_text = (
+            ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
+        )
         return (
             "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth}, by about {format_percent(dent / amplitude)} with elements half as long; "
-            f"watch another place (output.points), or load {side} (loads)",
+            f"{growth_text}, by about {format_percent(amplitude_increase / amplitude)} with "
+            "elements half as long; watch another place (output.points), or load "
+            f"{side_text} (loads)",
         )
 
-    def _matters(self, name: str, cause: str) -> bool:
+    def _is_contribution_relevant(self, quantity_name: str, cause: str) -> bool:
         """Return True if doubts about a contribution are reported.
 
         The contribution must reach a tenth of the total, and a tenth of the value times
         ``DEFAULT_ERROR_TOLERANCE``.
         """
-        size = max(self.total(name), DEFAULT_ERROR_TOLERANCE * abs(self.values[name]))
-        return self.contributions(name)[cause] >= 0.1 * size
+        compared_error = max(
+            self.total(quantity_name), DEFAULT_ERROR_TOLERANCE * abs(self.values[quantity_name])
+        )
+        return self.contributions(quantity_name)[cause] >= 0.1 * compared_error
 
-    def _in_words(self, name: str) -> str:
+    def _describe_error(self, quantity_name: str) -> str:
         """Return a quantity, its uncertainty and the largest cause in words."""
-        parts = self.contributions(name)
-        text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
-        if not any(parts.values()):
-            return f"{text}: nothing that was varied changes it"
-        shares = (
-            self.relative(name, self.total(name, independent=is_independent))
+        contribution_by_cause = self.contributions(quantity_name)
+        error_text = (
+            f"{quantity_name} = {self.values[quantity_name]:.5g} {self.units[quantity_name]}"
+        ).rstrip()
+        if not any(contribution_by_cause.values()):
+            return f"{error_text}: nothing that was varied changes it"
+        relative_errors = (
+            self.relative(quantity_name, self.total(quantity_name, independent=is_independent))
             for is_independent in (True, False)
         )
-        share, bound = map(format_percent, shares)
-        cause = max(parts, key=lambda part_cause: parts[part_cause])
-        largest_part = self.parts[cause][name]
-        order_words = (
-            f"observed order {largest_part.order:.2g}"
-            if math.isfinite(largest_part.order)
-            else largest_part.behaviour
+        total_text, sum_text = map(format_percent, relative_errors)
+        largest_cause = max(
+            contribution_by_cause, key=lambda part_cause: contribution_by_cause[part_cause]
         )
-        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {order_words}"
-        return f"{text}; extrapolated {self.extrapolated(name):.5g}"
+        largest_convergence = self.parts[largest_cause][quantity_name]
+        order_text = (
+            f"observed order {largest_convergence.order:.2g}"
+            if math.isfinite(largest_convergence.order)
+            else largest_convergence.behaviour
+        )
+        error_text += f" +- {total_text} (sum of all: {sum_text}), mostly due to "
+        error_text += f"{largest_cause}, {order_text}"
+        return f"{error_text}; extrapolated {self.extrapolated(quantity_name):.5g}"
 
 
-def verification_of(result_file: StoredFile) -> Verification | None:
+def read_verification_or_none(result_file: StoredFile) -> Verification | None:
     """Return the verification in a result's file, or None without any.
 
     Raises
@@ -419,15 +531,17 @@ def verification_of(result_file: StoredFile) -> Verification | None:
     InputError
         The stored verification does not fit.
     """
-    with result_file.yield_checked_datasets() as parts:
-        if "verification" not in parts:
+    with result_file.yield_checked_datasets() as datasets_by_name:
+        if "verification" not in datasets_by_name:
             return None
-        verification = dataclass_from_json(Verification, parts["verification"], result_file.scene())
+        verification = dataclass_from_json(
+            Verification, datasets_by_name["verification"], result_file.scene()
+        )
         verification.to_dict()  # whose rows have every part
         return verification
 
 
-def dent_by_force(scene: Scene) -> float:
+def displacement_added_by_halved_elements(scene: Scene) -> float:
     """Estimate the displacement [m] added by halved elements at a force.
 
     F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
@@ -437,23 +551,33 @@ def dent_by_force(scene: Scene) -> float:
     structure, return 0.
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
-    at_points = [load for load in scene.loads if load.point is not None]
-    load = scene.excitation if scene.excitation.first_force_key else next(iter(at_points), None)
+    point_loads = [load for load in scene.loads if load.point is not None]
+    load = scene.excitation if scene.excitation.first_force_key else next(iter(point_loads), None)
     if load is None or scene.structure is not None:
         return 0.0
-    mesh, sides, thickness = scene.mesh, scene.geometry.sides, scene.geometry.thickness
-    parts = [getattr(load, name) or () for name in ("force_sin", "force_cos")]
-    force = math.hypot(*(x for part in parts for x in part)) / scene.material.young
+    mesh_table, side_lengths, thickness = scene.mesh, scene.geometry.sides, scene.geometry.thickness
+    force_vectors = [getattr(load, force_key) or () for force_key in ("force_sin", "force_cos")]
+    force_over_young = (
+        math.hypot(*(component for force_vector in force_vectors for component in force_vector))
+        / scene.material.young
+    )
     if scene.dimension == 3 or thickness is None:
-        return force / mesh.size if mesh.size else 0.0
-    edges = 1
-    if mesh.layout != "file":
-        edges = sum(x in (0.0, side) for x, side in zip(load.point or (), sides, strict=True))
-    angle = math.pi * 2.0 ** (1 - edges)
-    wedge = 1.0 / (angle + math.sin(angle)) + 1.0 / (angle - math.sin(angle))
-    return force / thickness * math.log(2.0) * wedge
+        return force_over_young / mesh_table.size if mesh_table.size else 0.0
+    n_edges = 1
+    if mesh_table.layout != "file":
+        n_edges = sum(
+            component in (0.0, side_length)
+            for component, side_length in zip(load.point or (), side_lengths, strict=True)
+        )
+    corner_angle = math.pi * 2.0 ** (1 - n_edges)
+    wedge_factor = 1.0 / (corner_angle + math.sin(corner_angle)) + 1.0 / (
+        corner_angle - math.sin(corner_angle)
+    )
+    return force_over_young / thickness * math.log(2.0) * wedge_factor
 
 
-def _uncertainty_entries(verification: Verification, name: str, error: float) -> dict[str, float]:
+def _make_uncertainty_entries(
+    verification: Verification, quantity_name: str, error: float
+) -> dict[str, float]:
     """Return the columns for a quantity's error, absolute and relative."""
-    return {"uncertainty": error, "relative": verification.relative(name, error)}
+    return {"uncertainty": error, "relative": verification.relative(quantity_name, error)}

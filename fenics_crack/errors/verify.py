@@ -32,9 +32,25 @@ from mpi4py import MPI
 from fenics_crack.balance.contact_integrals import default_n_samples
 from fenics_crack.basics.errors import MAX_SAMPLES_PER_PERIOD, ConvergenceError
 from fenics_crack.basics.progress import prefix_stages
-from fenics_crack.errors.case import CAUSE_WITHOUT_CONTACT, Case, solve_again, vary
-from fenics_crack.errors.convergence import CLAMP_ORDER, TIP_ORDER, Level, Varied, part_of
-from fenics_crack.errors.numbers import accepted_orbit, add_changes, bilinear_of, numbers_of
+from fenics_crack.errors.case import (
+    SINGLE_HARMONIC_REASON_TEXT,
+    JudgedAnswer,
+    add_error_parts,
+    solve_without_stability,
+)
+from fenics_crack.errors.convergence import (
+    CLAMP_CONVERGENCE_ORDER,
+    TIP_CONVERGENCE_ORDER,
+    CountAndValues,
+    PartOrReason,
+    find_error_part,
+)
+from fenics_crack.errors.numbers import (
+    add_changes,
+    compute_numbers,
+    find_accepted_orbit_or_none,
+    find_bilinear_omega,
+)
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
@@ -48,11 +64,11 @@ from fenics_crack.study.prepare import (
 )
 from fenics_crack.study.solve import SolvedStudy, solve_study
 
-REFINEMENT_FACTORS = (1, 2, 4)
+REFINED_COUNT_FACTORS = (1, 2, 4)
 """Factors on the count in the answer and both finer runs."""
-SAMPLES_ORDER = 2.0
+SAMPLING_CONVERGENCE_ORDER = 2.0
 """Order of convergence with samples of a force."""
-SCENE_CHOICE = "the scene's own choice"
+SCENE_RUN_NAME = "the scene's own choice"
 
 
 def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
@@ -94,99 +110,112 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     >>> verification = fc.verify(scene)
     >>> error = verification.total("amplitude")
     """
-    with prefix_stages(SCENE_CHOICE):
+    with prefix_stages(SCENE_RUN_NAME):
         whole_study = prepare(scene, comm, whole=True)
         run = solve_study(whole_study)
         if scene.harmonic_balance.tolerance is not None and run.result.converged:
-            run = solve_study(replace(run, scene=_settled_scene(run)), run.result)
+            run = solve_study(replace(run, scene=_scene_with_chosen_counts(run)), run.result)
     answer = run.result
     if not answer.converged:
-        raise ConvergenceError(f"{SCENE_CHOICE}: {answer.status}")
-    whole_study = replace(whole_study, scene=_settled_scene(run))
-    numbers = numbers_of(run, answer)
-    case = _VerifiedCase(run, answer, numbers.values, answer, numbers, whole_study)
-    case.note_verdict(SCENE_CHOICE, run)
-    errors = Verification(whole_study.scene, numbers.values, numbers.units)
-    errors = vary(errors, {"mesh": case.mesh})
-    causes: dict[str, Callable[[], Varied]] = {
-        "shift": partial(case.shift, errors),
-        "modes": case.modes,
-        "harmonics": case.harmonics,
-        "samples": case.samples,
-        "friction": case.friction,
+        raise ConvergenceError(f"{SCENE_RUN_NAME}: {answer.status}")
+    whole_study = replace(whole_study, scene=_scene_with_chosen_counts(run))
+    numbers = compute_numbers(run, answer)
+    judged_answer = _AnswerJudgedByFinerRuns(
+        run, answer, numbers.values_by_name, answer, numbers, whole_study
+    )
+    judged_answer.note_verdict(SCENE_RUN_NAME, run)
+    verification = Verification(whole_study.scene, numbers.values_by_name, numbers.unit_by_name)
+    verification = add_error_parts(verification, {"mesh": judged_answer.estimate_error_by_mesh})
+    part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
+        "shift": partial(judged_answer.estimate_error_by_shift, verification),
+        "modes": judged_answer.estimate_error_by_modes,
+        "harmonics": judged_answer.estimate_error_by_harmonics,
+        "samples": judged_answer.estimate_error_by_samples,
+        "friction": judged_answer.estimate_error_by_friction,
     }
-    errors = vary(errors, causes)
-    return replace(errors, failures=tuple(case.failures), verdicts=case.verdicts)
+    verification = add_error_parts(verification, part_function_by_cause)
+    return replace(
+        verification,
+        failures=tuple(judged_answer.failure_texts),
+        verdicts=judged_answer.verdict_by_run,
+    )
 
 
-def _settled_scene(run: SolvedStudy) -> Scene:
+def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
     """Return a solution's scene with the chosen harmonics and modes.
 
     If all modes are kept, reduction is off, so a finer mesh keeps all modes, too.
     """
     scene, whole_structure = run.scene, run.structure.whole
-    changes: dict[str, Any] = {}
+    values_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is not None:
-        changes["harmonic_balance.tolerance"] = None
-        changes["harmonic_balance.harmonics"] = run.result.harmonics
+        values_by_key["harmonic_balance.tolerance"] = None
+        values_by_key["harmonic_balance.harmonics"] = run.result.harmonics
     if scene.disk is not None:
-        return scene.replace(changes)
+        return scene.replace(values_by_key)
     reduction = modal_reduction_or_none(scene, whole_structure)
     if reduction is None or reduction.n_modes >= whole_structure.n_dofs:
-        changes |= {"reduction.method": "off", "reduction.modes": None}
+        values_by_key |= {"reduction.method": "off", "reduction.modes": None}
     else:
-        changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.n_modes}
-    return scene.replace(changes)
+        values_by_key |= {
+            "reduction.method": reduction.method,
+            "reduction.modes": reduction.n_modes,
+        }
+    return scene.replace(values_by_key)
 
 
-def _kept_modes(study: Study) -> tuple[int, int] | str:
+def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
     """Return kept and possible mode numbers, or the reason for no variation.
 
     The numbers for a disk count modes per nodal diameter.
     """
-    disk, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
-    if disk is not None:
-        return disk.families, study.structure.n_dofs // disk.sectors
+    disk_table, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
+    if disk_table is not None:
+        return disk_table.families, study.structure.n_dofs // disk_table.sectors
     if reduction is None:
         return "the structure is not reduced"
-    max_modes = study.structure.n_dofs - study.structure.n_pairs
-    return "all are kept" if reduction.n_modes >= max_modes else (reduction.n_modes, max_modes)
+    n_possible_modes = study.structure.n_dofs - study.structure.n_pairs
+    return (
+        "all are kept"
+        if reduction.n_modes >= n_possible_modes
+        else (reduction.n_modes, n_possible_modes)
+    )
 
 
 @dataclass(frozen=True)
-class _VerifiedCase(Case):
+class _AnswerJudgedByFinerRuns(JudgedAnswer):
     """Judge each cause of an answer's error by finer runs.
 
     Attributes
     ----------
     whole_study : Study
-        Study of the settled scene (:func:`_settled_scene`), with the whole structure.
-    failures : list of str
+        Study of the settled scene (:func:`_scene_with_chosen_counts`), with the whole structure.
+    failure_texts : list of str
         Failed finer runs, with reasons.
-    verdicts : dict of str to str
+    verdict_by_run : dict of str to str
         Verdict on stability by run, if the run is not known to be stable.
     """
 
     whole_study: Study
-    failures: list[str] = field(default_factory=list)
-    verdicts: dict[str, str] = field(default_factory=dict)
+    failure_texts: list[str] = field(default_factory=list)
+    verdict_by_run: dict[str, str] = field(default_factory=dict)
 
-    def note_verdict(self, name: str, run: SolvedStudy) -> None:
+    def note_verdict(self, run_name: str, run: SolvedStudy) -> None:
         """Add a run's verdict unless the run is known to be stable."""
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
-            self.verdicts[name] = stability.verdict
+            self.verdict_by_run[run_name] = stability.verdict
 
-    def _judge_by(
+    def _estimate_error_by_finer_runs(
         self,
         cause: str,
         finer_scenes: Sequence[tuple[str, int | None, Scene]],
         count: int,
-        formal: float,
+        formal_order: float,
         *,
         shared_study: Study | None = None,
         scheme_order: float = math.inf,
-    ) -> Varied:
+    ) -> PartOrReason:
         """Return a cause's part from finer runs (collective).
 
         Parameters
@@ -197,7 +226,7 @@ class _VerifiedCase(Case):
             Finer runs. The count is None for a mesh, to count the elements after meshing.
         count : int
             Count in the answer.
-        formal, scheme_order : float
+        formal_order, scheme_order : float
             Orders expected by theory, and of the undisturbed scheme.
         shared_study : Study, optional
             Study with the structure of all runs; None for meshes, to make a structure per run.
@@ -207,178 +236,222 @@ class _VerifiedCase(Case):
         ConvergenceError
             All finer runs fail.
         """
-        levels: list[Level] = [(count, self.numbers.values)]
-        for name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
-            with prefix_stages(name):
+        counts_and_values: list[CountAndValues] = [(count, self.balance_numbers.values_by_name)]
+        for run_name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
+            with prefix_stages(run_name):
                 try:
-                    run = self._run(scene, shared_study)
+                    run = self._solve_finer_scene(scene, shared_study)
                 except REFUSAL_EXCEPTIONS as error:
-                    self.failures.append(f"{name}: {error}")
+                    self.failure_texts.append(f"{run_name}: {error}")
                     continue
-            level = finer_count or count_elements(run.structure), self._run_values(run, cause)
-            levels.insert(1, level)
-            self.note_verdict(name, run)
-        if len(levels) == 1:
+            count_and_values = (
+                finer_count or count_elements(run.structure),
+                self._compute_run_values_by_name(run, cause),
+            )
+            counts_and_values.insert(1, count_and_values)
+            self.note_verdict(run_name, run)
+        if len(counts_and_values) == 1:
             raise ConvergenceError(cause)
-        if len({level_count for level_count, _ in levels}) < len(levels):
+        if len({run_count for run_count, _ in counts_and_values}) < len(counts_and_values):
             return "finer ones have as many elements, as mesh.size is that of the plate"
-        return part_of(
-            cause, levels, self.whole_study.scene, formal=formal, scheme_order=scheme_order
+        return find_error_part(
+            cause,
+            counts_and_values,
+            self.whole_study.scene,
+            formal_order=formal_order,
+            scheme_order=scheme_order,
         )
 
-    def _run(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
+    def _solve_finer_scene(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
         With the answer's structure the search starts from the answer. On a new mesh the load
         frequency keeps the ratio to the resonance. ConvergenceError without a solution.
         """
-        study, mode = self.study, self.numbers.mode
-        initial, omega = self.answer if shared_study is study else None, self.answer.omega
+        study, mode_number = self.study, self.balance_numbers.mode_number
+        start_solution = self.answer if shared_study is study else None
+        load_omega = self.answer.omega
         if shared_study is not None:
             finer_study = reduce_study(replace(shared_study, scene=scene), with_reference=False)
         else:
             finer_study = prepare(scene, study.structure.comm, judged=False)
-            omega *= bilinear_of(finer_study.structure, mode) / bilinear_of(study.structure, mode)
-        run = solve_study(finer_study, initial, omega)
+            load_omega *= find_bilinear_omega(
+                finer_study.structure, mode_number
+            ) / find_bilinear_omega(study.structure, mode_number)
+        run = solve_study(finer_study, start_solution, load_omega)
         if not run.result.converged:
             raise ConvergenceError(run.result.status)
         return run
 
-    def _run_values(self, run: SolvedStudy, cause: str) -> dict[str, float]:
+    def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return a finer run's numbers (collective).
 
         With more modes, the numbers change as between exact orbits if both runs have an accepted
         orbit: with few harmonics, modes above all harmonics seem static.
         """
-        if cause == "modes" and self.orbit_values is not None:
-            orbit = accepted_orbit(run.result)
+        if cause == "modes" and self.orbit_values_by_name is not None:
+            orbit = find_accepted_orbit_or_none(run.result)
             if orbit is not None:
-                orbit_values = self.compute_values(orbit, run)
-                return add_changes(self.numbers.values, self.orbit_values, orbit_values)
-        return self.compute_values(run.result, run)
+                orbit_values_by_name = self.compute_values_by_name(orbit, run)
+                return add_changes(
+                    self.balance_numbers.values_by_name,
+                    self.orbit_values_by_name,
+                    orbit_values_by_name,
+                )
+        return self.compute_values_by_name(run.result, run)
 
-    def _judge_by_more(
+    def _estimate_error_by_larger_counts(
         self,
         cause: str,
         shared_study: Study,
         scene: Scene,
-        key: str,
+        count_key: str,
         count: int,
         max_count: int,
-        formal: float,
-    ) -> Varied:
-        """Judge a cause by two and four times a key's count (collective).
+        formal_order: float,
+    ) -> PartOrReason:
+        """Estimate a cause's error from two and four times a key's count (collective).
 
         No count is above ``max_count``.
         """
-        counts = sorted({min(factor * count, max_count) for factor in REFINEMENT_FACTORS})
-        name = key.rpartition(".")[2]
+        counts = sorted({min(factor * count, max_count) for factor in REFINED_COUNT_FACTORS})
+        count_name = count_key.rpartition(".")[2]
         finer_scenes = [
-            (f"{finer_count} {name}", finer_count, scene.replace({key: finer_count}))
+            (f"{finer_count} {count_name}", finer_count, scene.replace({count_key: finer_count}))
             for finer_count in counts[1:]
         ]
-        return self._judge_by(cause, finer_scenes, count, formal, shared_study=shared_study)
+        return self._estimate_error_by_finer_runs(
+            cause, finer_scenes, count, formal_order, shared_study=shared_study
+        )
 
-    def mesh(self) -> Varied:
-        """Judge the mesh by finer meshes (collective)."""
+    def estimate_error_by_mesh(self) -> PartOrReason:
+        """Estimate the error by the mesh from finer meshes (collective)."""
         scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
-        factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
+        refinement_factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
         finer_scenes = [
-            (f"a mesh {factor:g} times finer", None, finer_scene)
-            for factor in factors
-            if (finer_scene := refine_scene_or_none(scene, factor)) is not None
+            (f"a mesh {refinement_factor:g} times finer", None, finer_scene)
+            for refinement_factor in refinement_factors
+            if (finer_scene := refine_scene_or_none(scene, refinement_factor)) is not None
         ]
         if not finer_scenes:
             return (
                 "mesh.file is one mesh; solve states its part by mesh.coarser, and "
                 "fc.grid_convergence compares several"
             )
-        formal = TIP_ORDER if self.whole_study.structure.n_pairs else CLAMP_ORDER
-        count, scheme_order = count_elements(self.study.structure), 2.0 * scene.mesh.order
-        return self._judge_by("mesh", finer_scenes, count, formal, scheme_order=scheme_order)
+        formal_order = (
+            TIP_CONVERGENCE_ORDER if self.whole_study.structure.n_pairs else CLAMP_CONVERGENCE_ORDER
+        )
+        n_elements, scheme_order = count_elements(self.study.structure), 2.0 * scene.mesh.order
+        return self._estimate_error_by_finer_runs(
+            "mesh", finer_scenes, n_elements, formal_order, scheme_order=scheme_order
+        )
 
-    def shift(self, errors: Verification) -> Varied:
-        """Judge the mesh's shift of the resonance (collective).
+    def estimate_error_by_shift(self, verification: Verification) -> PartOrReason:
+        """Estimate the error by the mesh's shift of the resonance (collective).
 
         The part is a number's largest change at up to three shifts: half the resonance's
         uncertainty, all the uncertainty, and the shift to an extrapolated value. Peaks may lie
         between.
         """
-        if "mesh" not in errors.parts:
+        if "mesh" not in verification.parts:
             return ""
-        counts, resonance = errors.counts["mesh"], errors.parts["mesh"][self.numbers.resonance]
-        frequency = self.numbers.values[self.numbers.resonance]
-        relative_error = resonance.uncertainty(-1) / frequency
-        is_extrapolated = math.isfinite(resonance.extrapolated)
-        rises = is_extrapolated and resonance.extrapolated > frequency
-        exponent = -1.0 if rises else 1.0
-        factors = [(1.0 + relative_error * fraction) ** exponent for fraction in (0.5, 1.0)]
+        element_counts = verification.counts["mesh"]
+        resonance_convergence = verification.parts["mesh"][self.balance_numbers.resonance_name]
+        resonance_frequency = self.balance_numbers.values_by_name[
+            self.balance_numbers.resonance_name
+        ]
+        relative_error = resonance_convergence.uncertainty(-1) / resonance_frequency
+        is_extrapolated = math.isfinite(resonance_convergence.extrapolated)
+        is_resonance_rising = (
+            is_extrapolated and resonance_convergence.extrapolated > resonance_frequency
+        )
+        shift_sign = -1.0 if is_resonance_rising else 1.0
+        load_frequency_factors = [
+            (1.0 + relative_error * fraction) ** shift_sign for fraction in (0.5, 1.0)
+        ]
         if is_extrapolated:
-            factors.append(frequency / resonance.extrapolated)
-        solution, numbers_by_shift = self.answer, []
-        for factor in factors:  # each is sought from the one before
-            omega = self.answer.omega * factor
-            solution = solve_again(self.study, omega, self.answer.harmonics, solution)
-            numbers_by_shift.append(self.compute_values(solution))
-        parts = {}
-        for name, value in self.numbers.values.items():
-            values = [numbers.get(name, 0.0) for numbers in numbers_by_shift]
-            extreme_number = max(values, key=lambda candidate: abs(candidate - value))
-            parts[name] = replace(
-                resonance,
-                sizes=(resonance.sizes[0], resonance.sizes[-1]),
-                factor=1.0,
-                values=(extreme_number, value),
-                behaviour="carried",
-                extrapolated=values[-1] if is_extrapolated else math.nan,
+            load_frequency_factors.append(resonance_frequency / resonance_convergence.extrapolated)
+        solution, values_at_shifts = self.answer, []
+        for load_frequency_factor in load_frequency_factors:  # each is sought from the one before
+            load_omega = self.answer.omega * load_frequency_factor
+            solution = solve_without_stability(
+                self.study, load_omega, self.answer.harmonics, solution
             )
-        return counts[:: len(counts) - 1], parts
+            values_at_shifts.append(self.compute_values_by_name(solution))
+        convergence_by_name = {}
+        for quantity_name, value in self.balance_numbers.values_by_name.items():
+            shifted_value_list = [
+                values_by_name.get(quantity_name, 0.0) for values_by_name in values_at_shifts
+            ]
+            extreme_value = max(shifted_value_list, key=lambda candidate: abs(candidate - value))
+            convergence_by_name[quantity_name] = replace(
+                resonance_convergence,
+                sizes=(resonance_convergence.sizes[0], resonance_convergence.sizes[-1]),
+                factor=1.0,
+                values=(extreme_value, value),
+                behaviour="carried",
+                extrapolated=shifted_value_list[-1] if is_extrapolated else math.nan,
+            )
+        return element_counts[:: len(element_counts) - 1], convergence_by_name
 
-    def modes(self) -> Varied:
-        """Judge modes by more modes (collective)."""
-        whole_study, kept_modes = self.whole_study, _kept_modes(self.whole_study)
-        if isinstance(kept_modes, str):
-            return kept_modes
-        return self._judge_by_more(
+    def estimate_error_by_modes(self) -> PartOrReason:
+        """Estimate the error by modes from more modes (collective)."""
+        whole_study = self.whole_study
+        mode_counts_or_reason = _count_kept_and_possible_modes(self.whole_study)
+        if isinstance(mode_counts_or_reason, str):
+            return mode_counts_or_reason
+        return self._estimate_error_by_larger_counts(
             "modes",
             whole_study,
             whole_study.scene,
             whole_study.scene.modes_key,
-            *kept_modes,
-            TIP_ORDER,
+            *mode_counts_or_reason,
+            TIP_CONVERGENCE_ORDER,
         )
 
-    def harmonics(self) -> Varied:
-        """Judge harmonics by the exact orbit, or by more harmonics (collective).
+    def estimate_error_by_harmonics(self) -> PartOrReason:
+        """Estimate the error by harmonics from an orbit or more harmonics (collective).
 
         With a given number of samples, more harmonics are always used.
         """
         scene = self.whole_study.scene
-        table = scene.harmonic_balance
+        balance_table = scene.harmonic_balance
         if self.study.contact is None:
-            return CAUSE_WITHOUT_CONTACT
-        if table.samples is not None:  # enough for all of them
-            min_samples = 4 * REFINEMENT_FACTORS[-1] * table.harmonics + 1
-            samples = max(table.samples, min_samples)
-            scene = scene.replace({"harmonic_balance.samples": samples})
-        elif self.orbit_values is not None:
-            return self.distance_to_orbit(self.orbit_values)
-        key = "harmonic_balance.harmonics"
-        return self._judge_by_more(
-            "harmonics", self.study, scene, key, table.harmonics, MAX_SAMPLES_PER_PERIOD, TIP_ORDER
+            return SINGLE_HARMONIC_REASON_TEXT
+        if balance_table.samples is not None:  # enough for all of them
+            min_n_samples = 4 * REFINED_COUNT_FACTORS[-1] * balance_table.harmonics + 1
+            n_samples = max(balance_table.samples, min_n_samples)
+            scene = scene.replace({"harmonic_balance.samples": n_samples})
+        elif self.orbit_values_by_name is not None:
+            return self.estimate_harmonics_error_by_orbit(self.orbit_values_by_name)
+        harmonics_key = "harmonic_balance.harmonics"
+        return self._estimate_error_by_larger_counts(
+            "harmonics",
+            self.study,
+            scene,
+            harmonics_key,
+            balance_table.harmonics,
+            MAX_SAMPLES_PER_PERIOD,
+            TIP_CONVERGENCE_ORDER,
         )
 
-    def samples(self) -> Varied:
-        """Judge samples by more samples of the contact force (collective)."""
-        scene, law = self.whole_study.scene, self.study.contact
-        table, key = scene.harmonic_balance, "harmonic_balance.samples"
-        if law is None:
+    def estimate_error_by_samples(self) -> PartOrReason:
+        """Estimate the error by samples from more samples of the contact force (collective)."""
+        scene, contact_law = self.whole_study.scene, self.study.contact
+        balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"
+        if contact_law is None:
             return "without contact there are none"
-        if table.samples is None and is_unilateral(law):
+        if balance_table.samples is None and is_unilateral(contact_law):
             return "contact is integrated exactly"
-        count = table.samples or default_n_samples(table.harmonics)
-        return self._judge_by_more(
-            "samples", self.study, scene, key, count, MAX_SAMPLES_PER_PERIOD, SAMPLES_ORDER
+        n_samples = balance_table.samples or default_n_samples(balance_table.harmonics)
+        return self._estimate_error_by_larger_counts(
+            "samples",
+            self.study,
+            scene,
+            samples_key,
+            n_samples,
+            MAX_SAMPLES_PER_PERIOD,
+            SAMPLING_CONVERGENCE_ORDER,
         )

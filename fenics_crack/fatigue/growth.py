@@ -39,7 +39,7 @@ from fenics_crack.basics.tables import (
     format_quantity,
     hertz_property,
 )
-from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
+from fenics_crack.errors.stated import STATED_CAUSES, estimate_solution_errors
 from fenics_crack.fatigue.ellipse import (
     EQUIVALENT_RANGE_COLUMNS,
     EllipsePath,
@@ -795,11 +795,13 @@ def _estimate_quantity_error(scene: Scene, quantity_name: str) -> tuple[float, l
     solved_run = solve(scene, MPI.COMM_SELF)
     cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
     is_at_peak = scene.given("growth").drive == "resonance"
-    error_statement = stated_errors(
-        solved_run, solved_run.result, of_peak=is_at_peak, causes=cause_names
+    error_statement = estimate_solution_errors(
+        solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
     )
     omission_remarks = (
-        [f"vibration: {error_statement.left_out}"] if error_statement.left_out else []
+        [f"vibration: {error_statement.omitted_causes_and_reasons_text}"]
+        if error_statement.omitted_causes_and_reasons_text
+        else []
     )
     return error_statement.stated(quantity_name)[0], omission_remarks
 

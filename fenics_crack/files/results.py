@@ -67,7 +67,7 @@ def save(
         solution (2H+1,) and of a curve (n, 2H+1), or displacements in time (n,) [m]. ``load``
         ignores it.
     errors : str, optional
-        Errors of the numbers, the text of ``Verification.text``, for :func:`fenics_crack.load_run`.
+        Errors of the numbers, by ``Verification.to_json``, for :func:`fenics_crack.load_run`.
 
     Raises
     ------

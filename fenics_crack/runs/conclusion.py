@@ -24,8 +24,8 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit
 from fenics_crack.curves.peak import RISING_AT_END_TEXT
-from fenics_crack.errors.numbers import natural_name
-from fenics_crack.errors.stated import not_estimated
+from fenics_crack.errors.numbers import natural_frequency_name
+from fenics_crack.errors.stated import describe_unknown_error_part
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
@@ -101,7 +101,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
         return ""
     cause_text = f", mostly due to the {main_cause}" if relative_error > 1e-4 else ""
     error_text = f"{format_error(relative_error)}{cause_text}"
-    return ", ".join(filter(None, (error_text, run.stated.left_out)))
+    return ", ".join(filter(None, (error_text, run.stated.omitted_causes_and_reasons_text)))
 
 
 def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
@@ -118,7 +118,7 @@ def explain_unknown_solution_error(run: StudyWithResult) -> str:
     """Return why a solution's error is unknown, by its report or stated errors."""
     error_report = run.result.report
     return (
-        not_estimated(error_report)
+        describe_unknown_error_part(error_report)
         if error_report.unknown
         else explain_unknown_amplitude_error(run)
     )
@@ -146,7 +146,8 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
     )
     answer_text += (
-        f"({first_omega:.5g} rad/s){_error_clause(run, natural_name(run.scene, 'open', 1))}"
+        f"({first_omega:.5g} rad/s)"
+        f"{_error_clause(run, natural_frequency_name(run.scene, 'open', 1))}"
     )
     return Conclusion("modes found", answer_text)
 
@@ -158,7 +159,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
     """
     if error_text := describe_stated_error(run, quantity_name):
         return f", estimated error {error_text}"
-    missing_causes_text = "" if run.stated is None else run.stated.left_out
+    missing_causes_text = "" if run.stated is None else run.stated.omitted_causes_and_reasons_text
     return f"{fallback_text}, {missing_causes_text}" if missing_causes_text else fallback_text
 
 

@@ -17,7 +17,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS, InputError
 from fenics_crack.basics.tables import format_percent
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors.stated import error_by_modes
+from fenics_crack.errors.stated import find_largest_modal_error
 from fenics_crack.model.contact import friction_of, is_rigid
 from fenics_crack.model.modes import bilinear_frequencies
 from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE
@@ -101,7 +101,7 @@ def curve(
             {response_curve.top(study.watched[0].dof).index, 0, len(response_curve) - 1}
         )
         mode_error = max(
-            error_by_modes(study, response_curve.solution(point_index))
+            find_largest_modal_error(study, response_curve.solution(point_index))
             for point_index in point_indices
         )
         status_text = f"{response_curve.status}; {_describe_mode_choice(study, mode_error)}"
@@ -208,7 +208,7 @@ def _find_study_with_enough_modes(
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
         with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
-            mode_error = error_by_modes(
+            mode_error = find_largest_modal_error(
                 study, solve_from_neighbour(problem, None, balance_table.tolerance)
             )
         if mode_error <= balance_table.given("tolerance") or mode_error == math.inf:

@@ -12,7 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors.verification import verification_of
+from fenics_crack.errors.verification import read_verification_or_none
 from fenics_crack.files.results import Result, result_class, unpack_result
 from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import friction_of
@@ -88,7 +88,7 @@ def make_run_from_file(
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:
         study = replace(study, contact=law)  # along the lines of the file
-    return Run(**vars(study), result=result, stated=verification_of(result_file))
+    return Run(**vars(study), result=result, stated=read_verification_or_none(result_file))
 
 
 def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:

@@ -15,7 +15,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
-from fenics_crack.errors.stated import errors_of
+from fenics_crack.errors.stated import estimate_result_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.files.results import Result, save
 from fenics_crack.model.modes import Modes
@@ -60,7 +60,7 @@ class Run(StudyWithResult, Generic[ResultType]):
         A curve has those of its largest response. They are computed when first requested
         (collective).
         """
-        return self.stated or errors_of(self, self.result)
+        return self.stated or estimate_result_errors(self, self.result)
 
     def __str__(self) -> str:
         return f"{self.result!r}: {make_conclusion(self).sentence()}"
@@ -89,7 +89,7 @@ class Run(StudyWithResult, Generic[ResultType]):
             peak,
             error=amplitude_error,
             omega_error=math.nan if peak.at_end else omega_error,
-            without=errors.without,
+            without=errors.omitted_causes_text,
         )
 
     def motion(self) -> dict[str, np.ndarray]:
@@ -127,7 +127,7 @@ class Run(StudyWithResult, Generic[ResultType]):
         InputError
             The file cannot be written.
         """
-        errors_text = None if self.stated is None else self.stated.text()
+        errors_text = None if self.stated is None else self.stated.to_json()
         write_file = partial(
             save, self.result, path, self.scene, watched=self.motion(), errors=errors_text
         )

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.tables import Tabular
-from fenics_crack.errors.stated import errors_of
+from fenics_crack.errors.stated import estimate_result_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.runs.run import Run, check_run_has_motion
 from fenics_crack.scene.scene import reason_without_stress_intensity, refuse_for_reason
@@ -135,7 +135,9 @@ class StressIntensity(Tabular):
         They are computed when first requested (collective).
         """
         scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
-        return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)
+        return estimate_result_errors(
+            replace(self._run, scene=scene, stated=None), self._run.result
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return time and the stress intensities of each tip, a row for every instant."""

@@ -19,7 +19,7 @@ from surroundings import ROOT, main
 
 import fenics_crack as fc
 from fenics_crack.balance import block_system
-from fenics_crack.cli.command_line import PETSC_PREFIXES
+from fenics_crack.cli.command_line import PETSC_OPTION_PREFIXES
 
 PAPER = DEMOS / "paper_plate.toml"
 AGREEING: dict[str, Any] = {"contact.stiffness": 1e9, "damping.ratio": 0.01}
@@ -163,7 +163,7 @@ def test_options_are_those_of_solvers() -> None:
     """The program accepts the prefixes that the package sets, and no others."""
     texts = [path.read_text() for path in (ROOT / "fenics_crack").rglob("*.py")]
     prefixes = {f"-{prefix}" for text in texts for prefix in re.findall(r'"(crack_\w+_)"', text)}
-    assert prefixes == set(PETSC_PREFIXES)
+    assert prefixes == set(PETSC_OPTION_PREFIXES)
 
 
 def test_no_convergence_is_one_line(tmp_path: Path) -> None:

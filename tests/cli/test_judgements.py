@@ -23,12 +23,16 @@ from fenics_crack import ErrorReport, SweepResult
 from fenics_crack.basics.progress import StageLineHandler
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import TOLERANCE_OPTION, describe_instability, describe_large_error
+from fenics_crack.cli.account import (
+    TOLERANCE_OPTION_TEXT,
+    yield_instability_warning,
+    yield_large_error_warning,
+)
 from fenics_crack.cli.results import _find_undecided_ranges, shorten_special_points
 from fenics_crack.cli.studies import (
-    describe_skipped_peak,
-    describe_sweep_warnings,
+    list_skipped_peak_remarks,
     shorten_sweep_table,
+    yield_sweep_warnings,
 )
 from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
@@ -71,13 +75,13 @@ def test_advice_is_by_the_largest_part(
 ) -> None:
     """And is not what the scene does already."""
     report = ErrorReport(**(ZERO | {part: 0.2}))
-    [text] = describe_large_error(scene.replace(changes), report, harmonics, " at 800 Hz")
+    [text] = yield_large_error_warning(scene.replace(changes), report, harmonics, " at 800 Hz")
     assert "gap is 20 % at 800 Hz, mostly due to" in text and advice in text
     unknown = ErrorReport(**(ZERO | {part: 1.5}))
-    [text] = describe_large_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
+    [text] = yield_large_error_warning(scene.replace(changes), unknown, harmonics, " at 800 Hz")
     assert "unknown at 800 Hz, its estimate for" in text and advice in text
     small_report = ErrorReport(**(ZERO | {part: 0.02}))
-    assert not [*describe_large_error(scene, small_report, harmonics)]
+    assert not [*yield_large_error_warning(scene, small_report, harmonics)]
 
 
 def test_undecided_stretches_of_a_curve() -> None:
@@ -102,7 +106,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
         (1.0 + 1j, "does not repeat each period"),
     ):  # fmt: skip
         unstable = fc.Stability(np.array([multiplier + 0j]), "unstable", 0.0)
-        [told] = describe_instability(scene, run, unstable)
+        [told] = yield_instability_warning(scene, run, unstable)
         assert way in told
     told = replace(undecided_verdict, reason="no exact orbit was found next to it")
     words = "the stability of the orbit is undecided"
@@ -112,7 +116,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
         (scene, undecided_verdict, words), (scene, told, because),
         (scene.replace(FIXED), told, advice),
     ):  # fmt: skip
-        assert [*describe_instability(given, run, one)] == [said]
+        assert [*yield_instability_warning(given, run, one)] == [said]
 
 
 def test_five_bifurcations_at_most() -> None:
@@ -199,7 +203,7 @@ def test_sweep_of_few_modes(
     sweep = SweepResult.load(tmp_path / "sweep.h5")
     assert sweep.inexact.tolist() == [[False, True, True], [False, False, True]]
     tolerance_scene = swept_scene.replace({"harmonic_balance.tolerance": 0.01})
-    sentence, depends = describe_sweep_warnings(replace(sweep, scene=tolerance_scene))
+    sentence, depends = yield_sweep_warnings(replace(sweep, scene=tolerance_scene))
     assert "whose verdict depends on truncated modes" in depends
     assert sentence.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
     drawing_mock = Mock(wraps=plot.draw_response)
@@ -210,7 +214,7 @@ def test_sweep_of_few_modes(
     ]
     assert marked_cases and all(rings == [False, True, True] for rings in marked_cases)
     unjudged_sweep = fc.run_sweep(swept_scene, judged=False)
-    assert not unjudged_sweep.inexact.any() and not [*describe_sweep_warnings(unjudged_sweep)]
+    assert not unjudged_sweep.inexact.any() and not [*yield_sweep_warnings(unjudged_sweep)]
 
 
 def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
@@ -219,7 +223,7 @@ def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path
     sweep.columns["verdict"][:] = "undecided"
     assert "verdict" not in shorten_sweep_table(sweep)[0].columns
     sweep.columns["status"][:] = "full Newton steps; undecided: no exact orbit was found"
-    warnings = [*describe_sweep_warnings(sweep)]
+    warnings = [*yield_sweep_warnings(sweep)]
     assert "the stability is undecided in all cases" in warnings
     assert [text for text in warnings if text.startswith("182 cases")] == [
         "182 cases undecided, the first at frequency = 480.0, length = 0.01: no exact orbit was "
@@ -236,7 +240,7 @@ def test_a_peak_between_two_frequencies(scene: fc.Scene, tmp_path: Path) -> None
     for damping, power, told in ((0.001, -1, 1), (0.03, -1, 0), (0.001, 1, 0)):
         wave = (1.0 - (frequency / 729.0) ** 2 + 2j * damping * frequency / 729.0) ** power
         sweep.columns["sine_1"][:], sweep.columns["cosine_1"][:] = wave.real, wave.imag
-        texts = describe_skipped_peak(sweep)
+        texts = list_skipped_peak_remarks(sweep)
         assert len(texts) == told
         for text in texts:
             assert "between 720 and 736 Hz, length = 0.01, and at 5 other places, the" in text
@@ -259,7 +263,7 @@ def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
         """
     )
     speeds = {"sweep.over": {"rotation.rpm": [12000.0, 3000.0, 9000.0]}}
-    [text] = describe_skipped_peak(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
+    [text] = list_skipped_peak_remarks(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
     assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
 
 
@@ -353,7 +357,7 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         axes = Axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)), Axis("crack.length", lengths)
         values, doubtful = np.ones((4, count)), np.zeros((4, count), bool)
         words = "largest opening", "m"
-        pictures.draw_swept(axes, values, doubtful, words, tmp_path.joinpath, "a")
+        pictures.draw_swept_quantity(axes, values, doubtful, words, tmp_path.joinpath, "a")
         assert [call[0] for call in plot_mock.mock_calls] == expected_calls
     assert plot_mock.draw_map.call_args.kwargs["x_label"] == "load frequency [Hz]"
     assert plot_mock.draw_map.call_args.kwargs["y_label"] == "crack length [mm]"
@@ -481,7 +485,8 @@ def test_hint_to_damp_more_modes(
     sets = ["contact.stiffness=1e9", "mesh.error=false", *changes.split()]
     answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
     assert (
-        "the stability of the orbit is undecided" in answer and f"; {TOLERANCE_OPTION} " in answer
+        "the stability of the orbit is undecided" in answer
+        and f"; {TOLERANCE_OPTION_TEXT} " in answer
     )
     assert ("or damping of all modes" in answer) == expected
 
@@ -533,7 +538,9 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         save(*given)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.runs.run.errors_of", Mock(side_effect=KeyboardInterrupt))
+        patch.setattr(
+            "fenics_crack.runs.run.estimate_result_errors", Mock(side_effect=KeyboardInterrupt)
+        )
         wrap(patch, "fenics_crack.runs.run.on_root", again)
         words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3

@@ -15,7 +15,7 @@ from PIL import Image
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
-from fenics_crack.cli.kinds import RESULT_KINDS, load_function
+from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, load_function
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
@@ -245,7 +245,7 @@ def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
 
 def test_every_kind_is_known_by_one_table() -> None:
     """Functions that are named there exist, and the kinds are those of their results."""
-    for key, kind in RESULT_KINDS.items():
+    for key, kind in RESULT_KIND_BY_NAME.items():
         for name in (
             kind.report_function_path,
             kind.reader_function_path,
@@ -260,7 +260,7 @@ def test_every_kind_is_known_by_one_table() -> None:
     runs = (fc.Modes, fc.PeriodicSolution, fc.ResponseCurve, fc.TimeHistory)
     assert {run.KIND for run in runs} == {
         k
-        for k, v in RESULT_KINDS.items()
+        for k, v in RESULT_KIND_BY_NAME.items()
         if v.reader_function_path.endswith("make_run_on_this_rank")
     }
 

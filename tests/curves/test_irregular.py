@@ -13,7 +13,7 @@ from helpers import DEMOS, oscillator
 import fenics_crack as fc
 from fenics_crack.balance.assessment import stated_error
 from fenics_crack.cli.command_line import main
-from fenics_crack.cli.studies import describe_sweep_warnings
+from fenics_crack.cli.studies import yield_sweep_warnings
 from fenics_crack.motion.attractors import find_irregular_motion
 from fenics_crack.motion.flow import exact_flow_or_error
 
@@ -122,4 +122,4 @@ def test_sweep(tmp_path: Path) -> None:
     sweep = fc.run_sweep(fc.Scene.load(SCENE).replace(changes), tmp_path / "sweep.h5")
     assert sweep["verdict"].tolist() == 2 * ["irregular"] and sweep.not_stable.all()
     assert np.all(sweep["multiplier"] > 1.0) and "; irregular: no orbit" in sweep["status"][0]
-    assert not sweep.undecided and "2 irregular of 2 cases" in [*describe_sweep_warnings(sweep)]
+    assert not sweep.undecided and "2 irregular of 2 cases" in [*yield_sweep_warnings(sweep)]

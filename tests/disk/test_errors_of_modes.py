@@ -14,7 +14,7 @@ import fenics_crack as fc
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
-from fenics_crack.errors.stated import stated_errors
+from fenics_crack.errors.stated import estimate_solution_errors
 from fenics_crack.model.contact import UnilateralConstraint
 
 RIGID = UnilateralConstraint()
@@ -91,7 +91,7 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
             for w in omega * np.linspace(0.998, 1.002, 9)
         ]
         peak = max(solutions, key=lambda solution: float(solution.amplitude(tip)))
-        report = stated_errors(study, peak)
+        report = estimate_solution_errors(study, peak)
         with monkeypatch.context() as patch:
             patch.setattr(ModalCompliance, "_pair_compliance", damped)
             problem = Problem(study.structure, peak.omega, RIGID, 20)

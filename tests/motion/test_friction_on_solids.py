@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fenics_crack as fc
-from fenics_crack.errors.stated import errors_of
+from fenics_crack.errors.stated import estimate_result_errors
 
 BLADE = fc.Scene.from_mapping(
     {
@@ -72,7 +72,7 @@ def test_turning_is_stated() -> None:
     with_it, frictionless_amplitude = (
         solved_run.result.amplitude(dof) for solved_run in (run, frictionless_run)
     )
-    stated_error = errors_of(run, run.result).parts["friction"][name].gci
+    stated_error = estimate_result_errors(run, run.result).parts["friction"][name].gci
     assert stated_error == pytest.approx(
         2.0 * contact.turning * abs(frictionless_amplitude / with_it - 1.0), rel=0.02
     )

@@ -109,12 +109,14 @@ def test_with_stress_intensities() -> None:
     plain_changes, asked_changes = (changes(run.errors) for run in both_runs)
     assert asked_changes == pytest.approx(plain_changes, rel=1e-9)
     errors = both_runs[1].errors
-    assert errors is not None and set(errors.missing_causes("K_II_max")) == {"friction"}
+    assert errors is not None and set(errors.find_reasons_by_missing_cause("K_II_max")) == {
+        "friction"
+    }
     other_contributions = errors.contributions("K_II_max")
     assert set(other_contributions) == {"modes", "harmonics"}  # the mesh file has no coarser one
     known = errors.relative("K_II_max", np.hypot.reduce([*other_contributions.values()]))
     assert errors.stated("K_II_max")[0] == pytest.approx(known, rel=1e-9) and known > 0.0
-    assert not errors.missing_causes("K_max") and errors.table().rows
+    assert not errors.find_reasons_by_missing_cause("K_max") and errors.table().rows
     K_without_friction, K_with_friction = errors.parts["friction"]["K_max"].values
     assert (
         1e-3 < abs(K_with_friction / K_without_friction - 1.0) < 0.03
@@ -129,7 +131,7 @@ def test_where_it_is_silent() -> None:
         assert "friction" not in {*errors.parts, *errors.unknown, *errors.absent}
     off = fc.solve(FEW.replace({"contact.friction_error": False}), MPI.COMM_SELF).errors
     assert off is not None and off.unknown["friction"] == "contact.friction_error = false"
-    assert "the friction not included" in off.without
+    assert "the friction not included" in off.omitted_causes_text
     chain = fc.Scene.load(ROOT / "demos" / "chain.toml").replace({"curve": None})
     matrices = fc.solve(chain, MPI.COMM_SELF).errors
     assert matrices is not None and "not estimated" in matrices.unknown["friction"]

@@ -83,7 +83,7 @@ def test_behaviours(
     assert convergence.order == pytest.approx(order, rel=1e-9, abs=1e-9, nan_ok=True)
     assert convergence.exponent == pytest.approx(exponent, nan_ok=True)
     assert convergence.uncertainty() == pytest.approx(uncertainty)
-    assert convergence.is_asymptotic == math.isfinite(convergence.extrapolated)
+    assert convergence.has_error_from_limit == math.isfinite(convergence.extrapolated)
     assert behaviour in repr(convergence)
 
 

@@ -11,7 +11,7 @@ from helpers import DEMOS, ROOT
 
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModes
-from fenics_crack.errors.numbers import of_orbit
+from fenics_crack.errors.numbers import compute_orbit_values_by_name
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import PeriodicOrbit
 
@@ -39,7 +39,9 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
     result, orbit = run.result, run.result.assessment.nearest_orbit
 
     def numbers(orbit: PeriodicOrbit) -> dict[str, float]:
-        return of_orbit(replace(run, structure=orbit.structure), result, orbit, 1)
+        return compute_orbit_values_by_name(
+            replace(run, structure=orbit.structure), result, orbit, 1
+        )
 
     larger_orbit = orbit
     for factor in (2, 4):

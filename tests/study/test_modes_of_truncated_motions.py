@@ -13,7 +13,7 @@ from reference_flow import size_of_motion
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.balance.solution import Solver
-from fenics_crack.errors.stated import stated_errors
+from fenics_crack.errors.stated import estimate_solution_errors
 
 KEYS = {
     "curve": None, "sweep": None, "mesh.error": False, "contact.friction_error": False,
@@ -90,7 +90,7 @@ def test_modes_without_any_orbit(
         and expected_text in fc.floquet(solution.structure, solution).reason
     )
     assert true < 1.5 * solution.report.reduction and solution.report.reduction < 1.0
-    report = stated_errors(study, solution)
+    report = estimate_solution_errors(study, solution)
     assert not {"modes", "harmonics"} & report.unknown.keys()
     for name in ("amplitude", "opening", "ratio_2_1"):
         parts = report.contributions(name)
@@ -108,7 +108,9 @@ def test_modes_whose_reference_has_no_orbit(
     def part() -> float:
         run = fc.solve(scene)
         assert run.result.harmonics < 20 and run.result.assessment.nearest_orbit is not None
-        return stated_errors(run, run.result, causes=["modes"]).contributions("opening")["modes"]
+        return estimate_solution_errors(run, run.result, causes=["modes"]).contributions("opening")[
+            "modes"
+        ]
 
     true_part = part()
     monkeypatch.setattr(MoreModes, "orbit", None)
@@ -155,7 +157,7 @@ def test_modes_that_change_the_orbit_too_much() -> None:
     few_modes_solution = solved(study, 10)
     assert few_modes_solution.assessment.is_accepted and few_modes_solution.report.truncation < 0.1
     assert 0.15 < few_modes_solution.report.reduction < 4.0 * 0.15
-    report = stated_errors(study, few_modes_solution)
+    report = estimate_solution_errors(study, few_modes_solution)
     assert "modes" not in report.unknown and report.stated("opening")[1] == "modes"
     larger_orbit = orbit_of(study, 20)
     true_change = abs(

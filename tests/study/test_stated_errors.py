@@ -384,7 +384,10 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
     """Where it is not asked for, or there is one mesh, that is said."""
     bare_errors = fc.solve(scene.replace({"mesh.error": False}), MPI.COMM_SELF).errors
     assert bare_errors is not None and bare_errors.unknown == {"mesh": "mesh.error = false"}
-    assert bare_errors.without == NO_MESH and 0.0 < bare_errors.stated("amplitude")[0] < 2e-2
+    assert (
+        bare_errors.omitted_causes_text == NO_MESH
+        and 0.0 < bare_errors.stated("amplitude")[0] < 2e-2
+    )
     open_lips, cause = bare_errors.stated(
         "frequency_open_1"
     )  # modes and harmonics do not change it
@@ -460,7 +463,7 @@ def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> 
         }
     )  # fmt: skip
     errors = fc.solve(files, MPI.COMM_SELF).errors
-    assert errors is not None and not errors.without
+    assert errors is not None and not errors.omitted_causes_text
     for name, value in errors.values.items():
         assert value == pytest.approx(run.errors.values[name], rel=1e-6)
         assert errors.stated(name)[0] == pytest.approx(run.errors.stated(name)[0], rel=1e-3)
@@ -525,7 +528,7 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
 )
 def test_strange_files(run: fc.Run, tmp_path: Path, change: Callable[[Any], object]) -> None:
     """What does not fit is refused."""
-    error_table = json.loads(run.errors.text())
+    error_table = json.loads(run.errors.to_json())
     path = tmp_path / "solution.h5"
     replace(run, stated=run.errors).save(path)
     stored_errors = fc.load_run(path, MPI.COMM_SELF).stated

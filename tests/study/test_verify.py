@@ -132,8 +132,11 @@ def test_force_at_a_point_is_told() -> None:
     changes = {"mesh.size": 0.01, "mesh.order": 2, "crack": None, "contact": None}
     verification = fc.verify(plate(changes))
     assert abs(verification.parts["mesh"]["amplitude"].order) < 0.2
-    assert verification.dents and "log(1/h), by about 8.2 %" in verification.dents[0]
-    assert set(verification.dents) <= set(verification.warnings)
+    assert (
+        verification.point_force_warnings
+        and "log(1/h), by about 8.2 %" in verification.point_force_warnings[0]
+    )
+    assert set(verification.point_force_warnings) <= set(verification.warnings)
     edge = {"excitation.point": None, "excitation.force_sin": (0.0, 0.0), "loads.1.edge": "top"}
     verification = fc.verify(plate(changes | edge | {"loads.1.traction_sin": (1e3, 0.0)}))
     assert verification.parts["mesh"]["amplitude"].order > 1.0
@@ -157,7 +160,9 @@ def test_dent(place: tuple[float, float], share: float) -> None:
         finer_scene = scene.replace(grid | {"mesh.columns": count, "mesh.rows": count})
         structure = fc.build_structure(finer_scene)
         sizes.append(fc.solve_linear(structure, 1.0).amplitude(structure.watched_dof))
-    dent_text = fc.Verification(scene, {"amplitude": sizes[1]}, {"amplitude": "m"}).dents[0]
+    dent_text = fc.Verification(
+        scene, {"amplitude": sizes[1]}, {"amplitude": "m"}
+    ).point_force_warnings[0]
     stated_share = 0.01 * float(dent_text.partition("by about ")[2].partition(" %")[0])
     assert sizes[1] - sizes[0] == pytest.approx(stated_share * sizes[1], rel=share)
 
@@ -223,7 +228,7 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
     assert any("stiffness_per_area" in text for text in verification.warnings)
     bare = fc.verify(scene.replace({"crack": None}))
     assert not any("stiffness_per_area" in text for text in bare.warnings)
-    assert not any(part.is_asymptotic for part in [verification.parts["mesh"]["ratio_2_1"]])
+    assert not any(part.has_error_from_limit for part in [verification.parts["mesh"]["ratio_2_1"]])
 
 
 def test_command(run_command: RunCommand, tmp_path: Path, verified: fc.Verification) -> None:
