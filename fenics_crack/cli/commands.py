@@ -258,7 +258,7 @@ def _convert_arrivals(
             blade_scene = (
                 scene.replace(list_crack_removal_changes(scene) or {}) if is_uncracked else scene
             )
-            passed_modes = scene_timing.find_passed_modes(blade_scene, arrivals)
+            passed_modes = scene_timing.find_passages_and_modes(blade_scene, arrivals)
         console.print_notes(
             *(scene_timing.describe_passage(*passed_mode) for passed_mode in passed_modes)
         )
@@ -282,7 +282,7 @@ def _convert_arrivals(
         )
         raise InputError(option_name, measured_speed, requirement_text)
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
-    tip_displacement, reference_text = scene_timing.find_probed_displacement(scene)
+    tip_displacement, reference_text = scene_timing.find_probed_displacement_and_reversal(scene)
     return Measurements.from_arrivals(
         arrivals, engine_order, tip_displacement, against=reference_text
     )

@@ -126,7 +126,7 @@ def _fit_blade_vibrations(
     with console.report_stage("vibration"):
         for blade_number, arrivals in arrivals_by_blade.items():
             with prefix_stages(f"blade {blade_number}"):
-                fits_by_blade[blade_number] = scene_timing.fit_vibration(
+                fits_by_blade[blade_number] = scene_timing.fit_vibration_or_passages(
                     timing_table, arrivals, *scene_and_run
                 )
     return fits_by_blade
@@ -165,11 +165,11 @@ def _describe_timing_warnings(
             )
         return
     doubt_texts = (
-        scene_timing.describe_scene_difference(scene, run),
-        scene_timing.describe_run_up_end(scene, run),
+        scene_timing.describe_scene_difference_or_empty(scene, run),
+        scene_timing.describe_run_up_end_or_empty(scene, run),
     )
     yield from filter(None, doubt_texts)
-    if scene_timing.get_response_curve(run) is None:
+    if scene_timing.get_response_curve_or_none(run) is None:
         motion = run.result
         yield from describe_large_error(run.scene, motion.report, motion.harmonics)
         yield from describe_instability(run.scene, run, motion.stability)

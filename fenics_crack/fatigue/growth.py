@@ -587,8 +587,8 @@ def _collect_ellipse_remarks(
     if law.drive == "frequency" and np.any(has_passed_resonance):
         remark_texts.append(
             f"at a length of {ellipse_path.length[np.argmax(has_passed_resonance)]:.4g} m the "
-            "natural frequency passes that of the load, a resonance between few shapes: the life is "
-            "not known, with growth.drive = 'resonance' it is"
+            "natural frequency passes that of the load, a resonance between few shapes: the life "
+            "is not known, with growth.drive = 'resonance' it is"
         )
     return remark_texts
 

@@ -34,7 +34,7 @@ from fenics_crack.monitoring.identification.model import MeasurementPrediction, 
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate, compute_crack_deviations
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
 from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
-from fenics_crack.monitoring.scene_timing import describe_passage, match_mode
+from fenics_crack.monitoring.scene_timing import describe_passage, match_mode_or_give_reason
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -437,7 +437,7 @@ def test_modes_of_resonances(
     fit = replace(PASSED, **changes)
     frequencies = 1500.0 * np.array([opened, tied])
     diagram: Any = SimpleNamespace(between=lambda speed: frequencies)
-    mode, said = match_mode(fit, diagram)
+    mode, said = match_mode_or_give_reason(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
     words = describe_passage(fit, mode, said)
     message_text = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
