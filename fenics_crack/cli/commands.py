@@ -246,7 +246,7 @@ def _convert_arrivals(
     from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import (
         Measurements,
-        list_crack_removal_changes,
+        get_crack_removal_changes_or_none,
     )
 
     arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, arrival_source, console.comm)
@@ -256,7 +256,9 @@ def _convert_arrivals(
     if scene_timing.is_run_up(arrivals, run):
         with console.report_stage("resonances"):
             blade_scene = (
-                scene.replace(list_crack_removal_changes(scene) or {}) if is_uncracked else scene
+                scene.replace(get_crack_removal_changes_or_none(scene) or {})
+                if is_uncracked
+                else scene
             )
             passed_modes = scene_timing.find_passages_and_modes(blade_scene, arrivals)
         console.print_notes(

@@ -33,9 +33,12 @@ from fenics_crack.monitoring.identification.interpolation import (
 from fenics_crack.monitoring.identification.measurements import (
     Measurement,
     Measurements,
-    list_crack_removal_changes,
+    get_crack_removal_changes_or_none,
 )
-from fenics_crack.monitoring.identification.model import ForwardModel, has_load_independent_shape
+from fenics_crack.monitoring.identification.model import (
+    ForwardModel,
+    has_load_independent_motion_shape,
+)
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
@@ -302,7 +305,7 @@ def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[
         )
     if any(
         measurement.shape for measurement in measurement_rows
-    ) and not has_load_independent_shape(scene):
+    ) and not has_load_independent_motion_shape(scene):
         remark_texts.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
@@ -317,7 +320,7 @@ def _describe_unresolved_resonances(
 
     Steady loads let the crack breathe there as in no solved case.
     """
-    if has_load_independent_shape(forward_models.scene):
+    if has_load_independent_motion_shape(forward_models.scene):
         return
     loads_and_points = dict.fromkeys(
         (measurement.frequency, measurement.point)
@@ -361,7 +364,7 @@ def _find_largest_vibration_between(
         model.make_predictor([first_harmonic])(grid_points).values[:, 0]
     )
     max_solved_amplitude = np.fmax.reduce(
-        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     )
     largest_index = int(np.argmax(interpolated_amplitudes))
     return float(
@@ -398,7 +401,7 @@ def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
     """Solve the plate of a scene without its crack for every rank (collective)."""
     identify_table = scene.given("identify")
     plain_scene = scene.replace(
-        dict.fromkeys(IRRELEVANT_SCENE_TABLES) | (list_crack_removal_changes(scene) or {})
+        dict.fromkeys(IRRELEVANT_SCENE_TABLES) | (get_crack_removal_changes_or_none(scene) or {})
     )
     begin_stage("plate without its crack")
     return on_root(comm, lambda: UncrackedPlate(plain_scene, identify_table))
@@ -482,7 +485,7 @@ def solve_forward(
     cracked_sweeps = sweeper.run_check_sweeps(
         "forward", {}, [*sweeper.mesh_axes, *unknown_axes], sweep_result
     )
-    removal_changes = list_crack_removal_changes(scene)
+    removal_changes = get_crack_removal_changes_or_none(scene)
     if removal_changes is None:
         model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
         return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
@@ -656,7 +659,7 @@ def _refine_axis_at_resonance(
     models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
     vibration_cases = (
         []
-        if has_load_independent_shape(scene)
+        if has_load_independent_motion_shape(scene)
         else [
             (_find_largest_vibration_between(*model_load_point)[0], *model_load_point)
             for model_load_point in models_loads_points
@@ -672,7 +675,7 @@ def _refine_axis_at_resonance(
         vibration_cases, key=lambda vibration_case: vibration_case[0]
     )
     log_amplitudes = np.log(
-        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     ).reshape(model.unknown_grid.shape)
     max_step_by_key = {
         key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)

@@ -7,14 +7,14 @@ have a covariance T(x):
 
 Since det V is at least det diag(e^2), both terms are squares, and least squares find the maxima. If
 a crack may breathe or not, L is the sum over both, each with its probability
-(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_states`).
+(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_state_predictions`).
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
 crack. L is convolved on the grid with the distribution of the difference
-(:func:`fenics_crack.monitoring.identification.nuisance.compute_crack_deviations`). Regions hold a
-share of the posterior's mass, the densest parts first. The integral of L over the prior is the
-evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms,
-2003, chapter 28).
+(:func:`fenics_crack.monitoring.identification.nuisance.compute_deviations_from_equivalent_crack`).
+Regions hold a share of the posterior's mass, the densest parts first. The integral of L over the
+prior is the evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning
+Algorithms, 2003, chapter 28).
 """
 
 from __future__ import annotations
@@ -115,7 +115,11 @@ class Likelihood:
         MeasurementPrediction
             Predictions there.
         """
-        for point_indices, probabilities, prediction in self.predictor.iterate_face_states(x):
+        for (
+            point_indices,
+            probabilities,
+            prediction,
+        ) in self.predictor.iterate_face_state_predictions(x):
             cholesky_factor = np.linalg.cholesky(
                 compute_scaled_covariance(
                     prediction, self.measurement_values, self.measurement_deviations
@@ -180,7 +184,9 @@ class Likelihood:
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
-            len(self.measurement_values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
+            len(self.measurement_values)
+            - n_fitted
+            - self.predictor(x[:1]).load_induced_changes.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
@@ -207,7 +213,8 @@ def compute_scaled_covariance(
     """
     are_predictable = np.outer(prediction.is_predictable, prediction.is_predictable)
     prediction_covariance = (
-        prediction.covariance + prediction.load_changes @ prediction.load_changes.transpose(0, 2, 1)
+        prediction.covariance
+        + prediction.load_induced_changes @ prediction.load_induced_changes.transpose(0, 2, 1)
     )
     vague_deviations = np.where(
         prediction.is_predictable, 0.0, 10.0 * (np.abs(values) + deviations)
@@ -267,14 +274,17 @@ class Branch:
             likelihood, _list_grid_points(first_axes)
         ).reshape([len(axis) for axis in first_axes])
         self.optima = _find_optima(likelihood, first_axes, first_log_likelihood)
-        compute_crack_deviations = likelihood.predictor.model.compute_crack_deviations
+        compute_deviations_from_equivalent_crack = (
+            likelihood.predictor.model.compute_deviations_from_equivalent_crack
+        )
         best_optima = self.optima[:3]
         optimum_reaches = [
             OPTIONS.refined_half_width * np.sqrt(np.diag(optimum.covariance))
             for optimum in best_optima
         ]
         crack_reaches = [
-            OPTIONS.refined_half_width * compute_crack_deviations(optimum.x[None])[0]
+            OPTIONS.refined_half_width
+            * compute_deviations_from_equivalent_crack(optimum.x[None])[0]
             for optimum in best_optima
         ]
         refined_axes = []
@@ -314,7 +324,7 @@ class Branch:
         refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
             likelihood, grid_points[is_evaluated]
         )
-        crack_deviations = compute_crack_deviations(grid_points)
+        crack_deviations = compute_deviations_from_equivalent_crack(grid_points)
         self.grid_log_likelihood = _convolve_crack_deviations(
             refined_log_likelihood.reshape(self.prior_masses.shape),
             refined_axes,
@@ -364,7 +374,7 @@ class Branch:
         for point_batch in _split_into_batches(grid_points_and_optima):
             if len(x := point_batch[likelihood.explains_measurements(point_batch)]):
                 variances_by_unknown, total_variances = (
-                    likelihood.predictor.compute_interpolation_variances(x)
+                    likelihood.predictor.compute_interpolation_and_total_variances(x)
                 )
                 explaining_points.append(x)
                 share_arrays.append(

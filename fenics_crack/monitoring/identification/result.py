@@ -121,7 +121,10 @@ def rank_measurements(
     for measurement in candidate_rows:
         measurement.check(model.scene)
     if measurements is None:
-        candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
+        candidate_rows = (
+            *model.list_candidate_measurements(),
+            *_list_probe_candidates(measured_rows),
+        )
     n_measured = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
     predictions = predictor(x[None]).values[0]
@@ -220,7 +223,7 @@ def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str
                 mode=mode,
             )
             for mode, natural_frequency in enumerate(
-                model.uncracked_plate.natural_frequencies.tolist(), 1
+                model.uncracked_plate.natural_frequencies_hz.tolist(), 1
             )
             if mode in missing_modes
         ]
@@ -297,7 +300,7 @@ def _compute_log_determinant_and_deviations(
         model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
     )
     crack_and_fit_deviations = np.hypot(
-        equivalent_deviations, model.compute_crack_deviations(x[None])[0]
+        equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
     )
     information_log_determinant = float(np.linalg.slogdet(fisher_information)[1])
     return information_log_determinant, dict(
@@ -308,7 +311,7 @@ def _compute_log_determinant_and_deviations(
 def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
     """List displacements for a further probe, at 24 phases of the period."""
     phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
-    for probe_group in ProbeDisplacements.group_measurements(measured_rows, ()):
+    for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
         group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
         deviation = float(np.median([measurement.deviation for measurement in group_rows]))
         probe_row = replace(group_rows[0], value=0.0, deviation=deviation)

@@ -31,7 +31,10 @@ from fenics_crack.monitoring.identification.interpolation import (
     compute_leave_one_out_errors,
 )
 from fenics_crack.monitoring.identification.model import MeasurementPrediction, ProbeDisplacements
-from fenics_crack.monitoring.identification.nuisance import UncrackedPlate, compute_crack_deviations
+from fenics_crack.monitoring.identification.nuisance import (
+    UncrackedPlate,
+    compute_deviations_from_equivalent_crack,
+)
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
 from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
 from fenics_crack.monitoring.scene_timing import describe_passage, match_mode_or_give_reason
@@ -89,13 +92,13 @@ def test_stated_error_of_the_interpolation() -> None:
     ).random((200, 2))
     predicted, deviation = (
         found.interpolate(x),
-        np.sqrt(np.sum(found.compute_weighted_errors(x) ** 2, axis=1)),
+        np.sqrt(np.sum(found.list_weighted_node_errors(x) ** 2, axis=1)),
     )
     exact = np.column_stack([np.sin(2.0 * x[:, 0]) * x[:, 1], x.sum(axis=1)])
     assert np.mean(np.abs(predicted - exact)[:, 0] < 3.0 * deviation[:, 0]) > 0.9
     np.testing.assert_allclose(predicted[:, 1], exact[:, 1], atol=1e-9)
     too_few = Interpolation(SQUARE, np.where(np.arange(42)[:, None] < 3, 1.0, np.nan))
-    assert found.has_enough_nodes.all() and not too_few.has_enough_nodes.any()
+    assert found.has_enough_known_nodes.all() and not too_few.has_enough_known_nodes.any()
 
 
 def test_what_failed_between_others() -> None:
@@ -107,24 +110,25 @@ def test_what_failed_between_others() -> None:
         interpolation = Interpolation(
             cube, np.where(np.arange(8)[:, None] == lost_node, np.nan, values)
         )
-        assert interpolation.has_enough_nodes.all() and interpolation.is_between_known.all() == (
-            0 < lost_node < 7
+        assert (
+            interpolation.has_enough_known_nodes.all()
+            and interpolation.has_only_inner_gaps.all() == (0 < lost_node < 7)
         )
         node = cube.nodes[[lost_node]]
         true_error = abs(interpolation.interpolate(node) - values[lost_node]).item()
-        stated_error = np.sqrt(np.sum(interpolation.compute_weighted_errors(node) ** 2)).item()
-        assert true_error < 3.0 * stated_error or not interpolation.is_between_known.all()
+        stated_error = np.sqrt(np.sum(interpolation.list_weighted_node_errors(node) ** 2)).item()
+        assert true_error < 3.0 * stated_error or not interpolation.has_only_inner_gaps.all()
     for count in (20, 21):
         node_values = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(SQUARE, node_values).has_enough_nodes.all() == (count == 21)
+        assert Interpolation(SQUARE, node_values).has_enough_known_nodes.all() == (count == 21)
     four = UnknownGrid((np.linspace(0.0, 3.0, 4),))
     for count in (3, 4):
         case_values = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(four, case_values).has_enough_nodes.all() == (count == 4)
+        assert Interpolation(four, case_values).has_enough_known_nodes.all() == (count == 4)
     holes = np.ones((42, 3))
     holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
     np.testing.assert_array_equal(
-        Interpolation(SQUARE, holes).is_between_known, [False, True, True]
+        Interpolation(SQUARE, holes).has_only_inner_gaps, [False, True, True]
     )
 
 
@@ -147,7 +151,7 @@ class Linear:
     def scene(self) -> fc.Scene:
         return fc.Scene.from_text(identification.SCENE)
 
-    def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
+    def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
     def make_predictor(self, rows: Any, more_rows: Any = ()) -> Any:
@@ -157,7 +161,7 @@ class Linear:
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         return exact(x @ self.matrix.T + self.offset)
 
-    def iterate_face_states(
+    def iterate_face_state_predictions(
         self, x: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """One alone."""
@@ -289,7 +293,7 @@ class Advised(Linear):
 
     @property
     def uncracked_plate(self) -> Any:
-        return SimpleNamespace(natural_frequencies=np.array([100.0]))
+        return SimpleNamespace(natural_frequencies_hz=np.array([100.0]))
 
 
 @pytest.mark.parametrize("slope", [0.0, 1000.0])
@@ -353,7 +357,7 @@ def test_soft_clamps() -> None:
     table = scene.given("identify")
     frequency_deviations = UncrackedPlate(
         scene.replace(changes | {"identify": None}), table
-    ).compute_baseline_sensitivities(1.0)[0]
+    ).compute_clamp_and_temperature_sensitivities(1.0)[0]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
@@ -378,7 +382,7 @@ def test_units_at_other_speeds() -> None:
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
     whole_model, fast = UncrackedPlate(plain_scene, scene.given("identify")), hertz(rpm=9000.0)
-    assert fast > 1.3 * whole_model.natural_frequencies[0]
+    assert fast > 1.3 * whole_model.natural_frequencies_hz[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
     whole_model.check_units_and_modes(fc.Measurements((row,)), [], may_be_other_plate=False)
     with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
@@ -398,10 +402,10 @@ def test_units_at_other_speeds() -> None:
         {"material.young": 0.98 * plain_scene.material.young, "rotation.rpm": 9000.0}
     )
     changed = fc.solve_modes(fc.build_structure(softer), 1).omega[0] / (2.0 * np.pi * fast) - 1.0
-    assert whole_model.compute_stiffening_factors(3.0, 0.98)[0] - 1.0 == pytest.approx(
+    assert whole_model.compute_frequency_factors_by_modulus(3.0, 0.98)[0] - 1.0 == pytest.approx(
         changed, rel=0.01
     )
-    assert whole_model.compute_stiffening_factors(0.0, 0.98)[0] == pytest.approx(
+    assert whole_model.compute_frequency_factors_by_modulus(0.0, 0.98)[0] == pytest.approx(
         np.sqrt(0.98), rel=1e-9
     )
 
@@ -495,7 +499,7 @@ def test_displacements_whatever_the_load_is() -> None:
     made = displaced(phases, motion(wave, 1.7, 2.5) + 3e-6)
     passages = ProbeDisplacements(range(12), made, [])
     both = np.stack([wave, wave * [1, 2, 1, 1, 1, 1]])
-    values, turns, free, _ = passages.fit_harmonics(both)
+    values, turns, free, _ = passages.fit_load_to_displacements(both)
     errors = np.abs(values - [row.value for row in made])
     assert errors[0].max() < 1e-9 and errors[1].max() > 1e-6
     steps = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
@@ -722,7 +726,7 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
         log_changes.append((side * tilted, side * straight))
     tilted, straight = np.sum(log_changes, axis=0)
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    deviations = compute_crack_deviations(
+    deviations = compute_deviations_from_equivalent_crack(
         np.array([[length, height]]), ("crack.length", "crack.height"), scene
     )
     assert deviations[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
