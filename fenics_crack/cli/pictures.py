@@ -545,7 +545,7 @@ def copy_posterior_picture(
         ``identify`` has drawn no picture in this format.
     """
     picture_path = picture_files("posterior", "Probability of cracks, given the measurements.")
-    source_path = identification.picture.with_suffix(picture_path.suffix)
+    source_path = identification.picture_path.with_suffix(picture_path.suffix)
     try:
         write_file_whole(picture_path, read_regular_file(source_path, follows_links=False))
     except OSError:

@@ -24,7 +24,7 @@ from test_identify import PROBES, SPINNING, command_of_one_unknown
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.monitoring.identification.identify import list_measurement_remarks
+from fenics_crack.monitoring.identification.identify import list_measurement_limit_remarks
 from fenics_crack.monitoring.identification.interpolation import (
     Interpolation,
     UnknownGrid,
@@ -36,7 +36,11 @@ from fenics_crack.monitoring.identification.nuisance import (
     compute_deviations_from_equivalent_crack,
 )
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
-from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
+from fenics_crack.monitoring.identification.result import (
+    Worth,
+    list_advice_texts,
+    rank_measurements,
+)
 from fenics_crack.monitoring.scene_timing import describe_passage, match_mode_or_give_reason
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
@@ -190,7 +194,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
         x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
         is_inside = (x > 0.0) & (x < 10.0)
         heights = likelihood(np.column_stack([x, y])[is_inside])
-        held_share = np.mean(heights >= posterior.find_region_level(0.95))
+        held_share = np.mean(heights >= posterior.find_region_border_log_likelihood(0.95))
         assert (abs(held_share - 0.95) < 0.03) == is_resolved
 
 
@@ -215,7 +219,9 @@ def test_linear_model() -> None:
         assert high == pytest.approx(truth[place] + 1.96 * sigma, abs=0.05 * sigma)
         assert posterior.compute_deviation(place) == pytest.approx(sigma, rel=0.02)
     # Of two unknowns: chi^2 < 5.991 holds 95 %.
-    assert posterior.find_region_level(0.95) == pytest.approx(-0.5 * 5.991, rel=0.05)
+    assert posterior.find_region_border_log_likelihood(0.95) == pytest.approx(
+        -0.5 * 5.991, rel=0.05
+    )
     volume = 2.0 * math.pi * math.sqrt(np.linalg.det(covariance))
     assert posterior.log_evidence == pytest.approx(math.log(volume / 200.0), abs=0.02)
     assert [round(part[2], 2) for part in posterior.find_region_parts(0.95, 0.03)] == [0.95]
@@ -244,12 +250,12 @@ def test_misfit_of_what_is_fitted() -> None:
         values = matrix @ [3.0, 8.0] + 0.1 * rng.normal(size=4)
         likelihood = Likelihood(values, np.full(4, 0.1), linear)  # type: ignore[arg-type]
         x = np.linalg.lstsq(matrix, values, rcond=None)[0]
-        total, chance = likelihood.compute_misfit(x)
+        total, chance = likelihood.compute_chi_square_and_p_value(x)
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
     posterior = Posterior({"": Branch(likelihood)})
     remaining_misfits = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
-    assert [misfit[0] for misfit in posterior.misfits_without_measurement] == pytest.approx(
+    assert [misfit[0] for misfit in posterior.misfits_without_each_measurement] == pytest.approx(
         remaining_misfits, rel=1e-3
     )
 
@@ -306,7 +312,7 @@ def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     model = Advised(matrix, offset, cube, rows=rows)
     likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
     more_measurement, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
-    advice_text = list_advice(
+    advice_text = list_advice_texts(
         likelihood, x, rank_measurements(likelihood, x, [more_measurement], (1e-3, 0.05))
     )
     assert len(advice_text) == (2 if slope else 0)
@@ -314,7 +320,7 @@ def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
         assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
     now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
     left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
-    [*_, text] = list_advice(likelihood, x, Worth((more_measurement,), np.ones(1), left, now))
+    [*_, text] = list_advice_texts(likelihood, x, Worth((more_measurement,), np.ones(1), left, now))
     assert text == "frequency_tied of mode 1: height of the crack to 1 mm in place of 2 mm"
 
 
@@ -691,13 +697,13 @@ def test_remark_on_the_size_of_the_load() -> None:
     """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
     scene = fc.Scene.from_text(identification.SCENE)
     row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
-    assert list_measurement_remarks(scene, fc.Measurements((row,))) == ()
+    assert list_measurement_limit_remarks(scene, fc.Measurements((row,))) == ()
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
         changed_scene = scene.replace({key: value})
-        [remark] = list_measurement_remarks(changed_scene, fc.Measurements((row,)))
+        [remark] = list_measurement_limit_remarks(changed_scene, fc.Measurements((row,)))
         assert remark.startswith("a clearance or a steady load")
         assert (
-            list_measurement_remarks(
+            list_measurement_limit_remarks(
                 changed_scene, fc.Measurements((replace(row, quantity="harmonic_1"),))
             )
             == ()
