@@ -295,7 +295,7 @@ COLUMN_NAME_BY_GROWTH_FIELD = {
     "response": "response", "largest": "K_max", "smallest": "K_min",
     "effective": "delta_K_effective", "sliding": "K_II_max",
 }  # fmt: skip
-"""Name of the path column by :class:`Growth` field name."""
+"""Path column name by :class:`Growth` field name."""
 
 
 def grow(
@@ -415,7 +415,7 @@ def grow(
 def _get_values_by_growth_field(
     values_by_column: Mapping[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Return the values of path columns by :class:`Growth` field name."""
+    """Return path columns by :class:`Growth` field name."""
     return {
         field_name: values_by_column[column_name]
         for field_name, column_name in COLUMN_NAME_BY_GROWTH_FIELD.items()

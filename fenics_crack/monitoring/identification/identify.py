@@ -472,24 +472,16 @@ def solve_forward(
         if frequency not in vibration_frequencies
     ]
     scene_without_tables = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES))
-    coarse_and_fine_scenes = _list_coarse_and_fine_scenes(
-        scene_without_tables, identify_table.finer
-    )
+    scene_pair = _list_coarse_and_fine_scenes(scene_without_tables, identify_table.finer)
     sweeper = _ForwardSweeper(
-        *coarse_and_fine_scenes,
-        identify_table,
-        swept_loads,
-        frequency_only_indices,
-        folder,
-        comm,
-        progress,
+        *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
     )
     unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
     sweep_result = sweeper.run_or_read_sweep(
         "forward", sweeper.coarse_scene, [*sweeper.mesh_file_axes, *unknown_axes]
     )
     while True:
-        model_by_words = _build_model_by_words(
+        model_by_words = _build_models(
             scene, uncracked_plate, swept_loads, (sweep_result, None, None)
         )
         refined_axis = _refine_axis_at_resonance_or_none(
@@ -498,7 +490,7 @@ def solve_forward(
         if refined_axis is None and not remaining_axes:
             break
         refined_axis = refined_axis or remaining_axes.pop(0)
-        axis_index = [unknown_axis.key for unknown_axis in unknown_axes].index(refined_axis.key)
+        axis_index = [axis.key for axis in unknown_axes].index(refined_axis.key)
         sweep_result = sweeper.run_and_join_added_values(
             sweep_result, unknown_axes, axis_index, refined_axis
         )
@@ -508,12 +500,10 @@ def solve_forward(
     )
     removal_changes = get_crack_removal_changes_or_none(scene)
     if removal_changes is None:
-        model_by_words = _build_model_by_words(scene, uncracked_plate, swept_loads, cracked_sweeps)
+        model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
         return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
     uncracked_axes = [
-        unknown_axis
-        for unknown_axis in unknown_axes
-        if not unknown_axis.key.startswith(("crack.", "contact."))
+        axis for axis in unknown_axes if not axis.key.startswith(("crack.", "contact."))
     ]
     uncracked_sweep = sweeper.run_or_read_sweep(
         "uncracked", sweeper.coarse_scene.replace(removal_changes), uncracked_axes
@@ -522,10 +512,8 @@ def solve_forward(
         "uncracked", removal_changes, uncracked_axes, uncracked_sweep
     )
     cracked_and_uncracked_models = (
-        _build_model_by_words(
-            scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps
-        ),
-        _build_model_by_words(scene, uncracked_plate, swept_loads, uncracked_sweeps),
+        _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
+        _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
     )
     return SolvedForwardModels(scene, unknown_axes, *cracked_and_uncracked_models)
 
@@ -861,7 +849,7 @@ def _list_halfway_values(
     )
 
 
-def _build_model_by_words(
+def _build_models(
     scene: Scene,
     uncracked_plate: UncrackedPlate,
     swept_loads: SweptLoads,

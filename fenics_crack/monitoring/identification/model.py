@@ -235,7 +235,7 @@ class CrackFaceState(NamedTuple):
 
     Attributes
     ----------
-    resonance_state_name : str
+    resonance_state : str
         One of RESONANCE_STATE_NAMES.
     common_deviation, independent_deviation : float
         Standard deviation of resonances from the frequency of that state, relative to the
@@ -245,13 +245,13 @@ class CrackFaceState(NamedTuple):
         Prior probability, up to a common factor.
     """
 
-    resonance_state_name: str
+    resonance_state: str
     common_deviation: float = 0.0
     independent_deviation: float = 0.0
     prior_weight: float = 1.0
 
 
-BREATHING_FACE_STATE = CrackFaceState("bilinear")
+BREATHING_STATE = CrackFaceState("bilinear")
 """Crack faces that are open for half of the period."""
 
 
@@ -332,7 +332,7 @@ class ForwardModel:
         """
         return compute_deviations_from_equivalent_crack(x, self.unknown_keys, self.scene)
 
-    def list_candidate_measurements(self) -> tuple[Measurement, ...]:
+    def list_candidates(self) -> tuple[Measurement, ...]:
         """List possible measurements: natural frequencies, and ratios of harmonics.
 
         The ratios are at all points and load frequencies of the sweep.
@@ -463,7 +463,7 @@ class MeasurementPredictor:
         self._face_states = (
             _list_face_states(model)
             if any(measurement.resonance for measurement in self.rows)
-            else (BREATHING_FACE_STATE,)
+            else (BREATHING_STATE,)
         )
         self._scales_with_load_at_rest = scales_with_load(model.scene.at_rest())
         self._build_feature_interpolations()
@@ -805,7 +805,7 @@ class MeasurementPredictor:
             )
         )
         predictions *= self.baseline_changes.temperature_factors
-        load_induced_change_blocks = [np.zeros((*predictions.shape, 0))]
+        load_change_blocks = [np.zeros((*predictions.shape, 0))]
         omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
         for probe_group in self._probe_groups:
             row_indices = probe_group.row_indices
@@ -833,11 +833,9 @@ class MeasurementPredictor:
             complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
                 displacement_slopes / smoothing_factors[:, None, feature_indices]
             )
-            load_induced_changes_in_rows = np.zeros(
-                (*predictions.shape, load_induced_changes.shape[2])
-            )
-            load_induced_changes_in_rows[:, row_indices] = load_induced_changes
-            load_induced_change_blocks.append(load_induced_changes_in_rows)
+            all_row_load_changes = np.zeros((*predictions.shape, load_induced_changes.shape[2]))
+            all_row_load_changes[:, row_indices] = load_induced_changes
+            load_change_blocks.append(all_row_load_changes)
         complex_slopes[:, ~self.is_predictable] = 0.0
         if is_zero_feature is not None:
             complex_slopes[..., is_zero_feature] = 0.0
@@ -847,18 +845,14 @@ class MeasurementPredictor:
             + omitted_covariance
         )
         shared_errors = np.concatenate(
-            [predictions[..., None] * self.baseline_changes.all_relative_changes, common_errors],
-            axis=2,
+            [predictions[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
         )
         covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
             :, :, None
         ] * np.eye(len(self.rows))
         predictions = np.where(self.is_predictable, predictions, np.nan)
         return MeasurementPrediction(
-            predictions,
-            covariance,
-            np.concatenate(load_induced_change_blocks, axis=2),
-            self.is_predictable,
+            predictions, covariance, np.concatenate(load_change_blocks, axis=2), self.is_predictable
         )
 
     def _estimate_omitted_orders_and_squares(
@@ -979,14 +973,10 @@ class MeasurementPredictor:
             if row.quantity == "displacement" or not self.is_predictable[row_index]:
                 continue
             row_face_state = (
-                BREATHING_FACE_STATE
-                if row.rpm == 0.0 and self._scales_with_load_at_rest
-                else face_state
+                BREATHING_STATE if row.rpm == 0.0 and self._scales_with_load_at_rest else face_state
             )
             state_index = (
-                RESONANCE_STATE_NAMES.index(row_face_state.resonance_state_name)
-                if row.resonance
-                else 0
+                RESONANCE_STATE_NAMES.index(row_face_state.resonance_state) if row.resonance else 0
             )
             predictions[:, row_index], row_size_slopes = _combine_features_with_slopes(
                 row, feature_sizes[:, feature_indices], state_index
@@ -1126,7 +1116,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     closed.
     """
     if has_load_independent_motion_shape(model.scene):
-        return (BREATHING_FACE_STATE,)
+        return (BREATHING_STATE,)
     resonance_deviation = model.identify_table.resonance_deviation
     closed_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
         model.coarse_cases.word_selection_index
@@ -1143,7 +1133,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
         CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
         CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
     )
-    face_states = (*partly_open_states, BREATHING_FACE_STATE, *held_states)
+    face_states = (*partly_open_states, BREATHING_STATE, *held_states)
     total_weight = sum(face_state.prior_weight for face_state in face_states)
     return tuple(
         face_state._replace(prior_weight=face_state.prior_weight / total_weight)

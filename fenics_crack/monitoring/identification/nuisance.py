@@ -515,7 +515,7 @@ class BaselineChanges:
         self.known_temperature_changes = np.hstack(known_temperature_change_blocks)
 
     @property
-    def all_relative_changes(self) -> np.ndarray:
+    def all_changes(self) -> np.ndarray:
         """Return all relative changes: (q, s)."""
         return np.hstack(
             [

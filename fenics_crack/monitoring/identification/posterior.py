@@ -274,11 +274,9 @@ class Branch:
         first_axes = _build_first_axes(unknown_grid)
         first_log_likelihood = _evaluate_log_likelihood(
             likelihood, _build_grid_points(first_axes)
-        ).reshape([len(axis_values) for axis_values in first_axes])
+        ).reshape([len(axis) for axis in first_axes])
         self.optima = _find_optima(likelihood, first_axes, first_log_likelihood)
-        compute_deviations_from_equivalent_crack = (
-            likelihood.predictor.model.compute_deviations_from_equivalent_crack
-        )
+        model = likelihood.predictor.model
         best_optima = self.optima[:3]
         optimum_half_widths = [
             OPTIONS.refined_half_width * np.sqrt(np.diag(optimum.covariance))
@@ -286,14 +284,14 @@ class Branch:
         ]
         crack_half_widths = [
             OPTIONS.refined_half_width
-            * compute_deviations_from_equivalent_crack(optimum.x[None])[0]
+            * model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
             for optimum in best_optima
         ]
         refined_axes = []
-        for unknown_index, (axis_values, lower_bound, upper_bound) in enumerate(
+        for unknown_index, (axis, lower_bound, upper_bound) in enumerate(
             zip(first_axes, unknown_grid.lower_bounds, unknown_grid.upper_bounds, strict=True)
         ):
-            axis_pieces = [axis_values]
+            axis_pieces = [axis]
             for optimum, optimum_half_width, crack_half_width in zip(
                 best_optima, optimum_half_widths, crack_half_widths, strict=True
             ):
@@ -308,10 +306,7 @@ class Branch:
                         axis_piece[(axis_piece > lower_bound) & (axis_piece < upper_bound)]
                     )
             refined_axes.append(np.unique(np.concatenate(axis_pieces)))
-        axis_weights = [
-            trapezoid(np.eye(len(axis_values)), axis_values) / np.ptp(axis_values)
-            for axis_values in refined_axes
-        ]
+        axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in refined_axes]
         self.axes, self.prior_masses = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
         grid_points = _build_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
@@ -329,7 +324,7 @@ class Branch:
         refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
             likelihood, grid_points[is_evaluated]
         )
-        crack_deviations = compute_deviations_from_equivalent_crack(grid_points)
+        crack_deviations = model.compute_deviations_from_equivalent_crack(grid_points)
         self.grid_log_likelihood = _convolve_with_crack_deviations(
             refined_log_likelihood.reshape(self.prior_masses.shape),
             refined_axes,

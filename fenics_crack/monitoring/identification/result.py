@@ -121,10 +121,7 @@ def rank_measurements(
     for measurement in candidate_rows:
         measurement.check(model.scene)
     if measurements is None:
-        candidate_rows = (
-            *model.list_candidate_measurements(),
-            *_list_probe_candidates(measured_rows),
-        )
+        candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
     n_measured = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
     predictions = predictor(x[None]).values[0]
