@@ -112,7 +112,9 @@ def _write_arrivals(
         f".{console.picture_format}"
     )
     if run is not None:
-        console.print_notes(scene_timing.describe_tip(scene.given("tip_timing"), run))
+        console.print_notes(
+            scene_timing.describe_probed_tip_displacement(scene.given("tip_timing"), run)
+        )
 
 
 def _fit_blade_vibrations(

@@ -197,7 +197,7 @@ class Growth(SavedResult):
 
     def said(self) -> Conclusion:
         """Return the sentences on the growth."""
-        start_size, end_size = (self._size_in_words(row) for row in (0, -1))
+        start_size, end_size = (self._size_in_words(row_index) for row_index in (0, -1))
         if len(self.length) == 1:
             return Conclusion(f"the crack stays at {start_size}: {END_TEXT_BY_REASON[self.end]}")
         life_text = f"{self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
@@ -224,12 +224,12 @@ class Growth(SavedResult):
             further_clauses=[frequency_text],
         )
 
-    def _size_in_words(self, row: int) -> str:
+    def _size_in_words(self, row_index: int) -> str:
         """Return the crack's length, and depth if any, at a row in words."""
-        length_text = format_quantity(float(self.length[row]), "m")
+        length_text = format_quantity(float(self.length[row_index]), "m")
         if self.depth is None:
             return length_text
-        return f"{length_text} x {format_quantity(float(self.depth[row]), 'm')} deep"
+        return f"{length_text} x {format_quantity(float(self.depth[row_index]), 'm')} deep"
 
     def _title(self) -> str:
         sizes_text = f"{self._size_in_words(0)} to {self._size_in_words(-1)}"
@@ -241,13 +241,17 @@ class Growth(SavedResult):
 
 def report_of_growth(growth: Growth) -> Report:
     """Return the report: table, life and its uncertainty."""
-    table, n_rows = growth.table(), len(growth.length)
-    shown_rows = sorted({*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()})
+    growth_table, n_rows = growth.table(), len(growth.length)
+    shown_row_indices = sorted(
+        {*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()}
+    )
     return Report(
-        table,
+        growth_table,
         growth.said(),
         growth.scene,
-        printed_table=Table(table.columns, [table.rows[row] for row in shown_rows]),
+        printed_table=Table(
+            growth_table.columns, [growth_table.rows[row_index] for row_index in shown_row_indices]
+        ),
         warnings=growth.remarks,
         remarks=remarks_on_scene(growth.scene),
     )
@@ -384,14 +388,14 @@ def grow(
     for column_name in LOGARITHMIC_COLUMN_NAMES:
         values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
     growth_rates[-1] *= end_reason != "arrested"
-    elapsed_time = _accumulate_integral_over_cycles(
+    elapsed_times = _accumulate_integral_over_cycles(
         RAD_PER_TURN / values_by_column["omega"], cycles
     )
     return Growth(
         scene,
         lengths,
         cycles,
-        elapsed_time,
+        elapsed_times,
         rate=growth_rates,
         end=end_reason,
         solved=length_path.lengths,
@@ -518,11 +522,11 @@ def _grow_ellipse(
     sweep_result = _sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
     ellipse_table = _tabulate_ellipses(sweep_result)
     ellipse_path = integrate_ellipse_growth(ellipse_table, law, n_surface_ends)
-    half_life_row = int(np.searchsorted(ellipse_path.cycles, 0.5 * ellipse_path.cycles[-1]))
+    half_life_row_index = int(np.searchsorted(ellipse_path.cycles, 0.5 * ellipse_path.cycles[-1]))
     vibration_error, omission_remarks = on_root(
         comm,
         lambda: _estimate_ellipse_range_error_and_remarks(
-            scene, ellipse_table, ellipse_path, half_life_row
+            scene, ellipse_table, ellipse_path, half_life_row_index
         ),
     )
     interpolation_error = estimate_ellipse_life_error(
@@ -541,7 +545,7 @@ def _grow_ellipse(
         )
         for column_name in ellipse_table.column_by_name
     }
-    elapsed_time = _accumulate_integral_over_cycles(
+    elapsed_times = _accumulate_integral_over_cycles(
         RAD_PER_TURN / values_by_column["omega"], ellipse_path.cycles
     )
     remark_texts = _collect_ellipse_remarks(
@@ -555,7 +559,7 @@ def _grow_ellipse(
         scene,
         ellipse_path.length,
         ellipse_path.cycles,
-        elapsed_time,
+        elapsed_times,
         rate=ellipse_path.growth_per_cycle[:, 1],
         end=ellipse_path.end_reason,
         solved=depth_length_grid[sweep_result.converged],
@@ -574,10 +578,12 @@ def _collect_ellipse_remarks(
     law: Law,
 ) -> list[str]:
     """Return the remarks that cast doubt on the growth of a half-ellipse."""
-    n_not_stable = int((sweep_result.not_stable & sweep_result.converged).sum())
+    n_not_stable_shapes = int((sweep_result.not_stable & sweep_result.converged).sum())
     remark_texts = _list_failed_ellipse_remarks(sweep_result, ellipse_table, ellipse_path)
     remark_texts += (
-        [f"at {format_count(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
+        [f"at {format_count(n_not_stable_shapes, 'shape')} {NOT_STABLE_TEXT}"]
+        if n_not_stable_shapes
+        else []
     )
     remark_texts += _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
@@ -599,8 +605,10 @@ def _find_max_ellipse_length(scene: Scene) -> float:
     Around a point it is at most the length of a crack with three times the relative growth along
     the face.
     """
-    crack, law, reaches = scene.given("crack"), scene.given("growth"), find_section_reaches(scene)
-    available_length = max(reaches) if crack.edge else 2.0 * min(reaches)
+    crack = scene.given("crack")
+    law = scene.given("growth")
+    section_reaches = find_section_reaches(scene)
+    available_length = max(section_reaches) if crack.edge else 2.0 * min(section_reaches)
     max_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
     if crack.point is None:
         return max_length
@@ -639,9 +647,11 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         raise ConvergenceError(
             f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
         )
-    bilinear_omega = [sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in MODE_NUMBERS]
+    bilinear_omega_of_modes = [
+        sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in MODE_NUMBERS
+    ]
     nearest_mode_number = MODE_NUMBERS[
-        int(np.nanargmin(np.abs(bilinear_omega - sweep_result["omega"][0, 0])))
+        int(np.nanargmin(np.abs(bilinear_omega_of_modes - sweep_result["omega"][0, 0])))
     ]
     sweep_name_by_column = {
         f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode_number}"
@@ -685,14 +695,14 @@ def _list_failed_ellipse_remarks(
         (ellipse_table.lengths, ellipse_path.length),
     )
     for case_index, failure_text in sweep_result.failed:
-        is_near_case = np.full(len(ellipse_path.depth), fill_value=True)
+        is_near_failed_case = np.full(len(ellipse_path.depth), fill_value=True)
         for size_index, (table_sizes, path_sizes) in zip(
             case_index, table_and_path_sizes, strict=True
         ):
             smaller_size = table_sizes[max(size_index - 1, 0)]
             larger_size = table_sizes[min(size_index + 1, N_ELLIPSE_SIZES_PER_AXIS - 1)]
-            is_near_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
-        if np.any(is_near_case):
+            is_near_failed_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
+        if np.any(is_near_failed_case):
             raise ConvergenceError(
                 f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
             )
@@ -835,16 +845,16 @@ def _estimate_life_error_by_threshold(
     is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
     if not (is_threshold_relevant and 0.0 < range_error < 1.0):
         return 0.0
-    raised_law = replace(law, threshold=law.threshold / (1.0 - range_error))
-    raised_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
+    law_with_raised_threshold = replace(law, threshold=law.threshold / (1.0 - range_error))
+    path_with_raised_threshold = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
     for sweep_result in length_path.sweep_results:
-        raised_path = raised_path.with_sweep(
-            sweep_result, raised_law, _get_level_omega_and_cycles(law)[1]
+        path_with_raised_threshold = path_with_raised_threshold.with_sweep(
+            sweep_result, law_with_raised_threshold, _get_level_omega_and_cycles(law)[1]
         )
     middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
     driving_range_ratios = length_path.interpolate_column(
         "driving", middle_lengths
-    ) / raised_path.interpolate_column("driving", middle_lengths)
+    ) / path_with_raised_threshold.interpolate_column("driving", middle_lengths)
     return math.log(float(np.average(driving_range_ratios**law.exponent, weights=np.diff(cycles))))
 
 
@@ -930,7 +940,7 @@ class LengthPath:
         Sweeps that the columns come from.
     leading_omega : (k,) [rad/s]
         Load frequencies at which most of the growth happens.
-    mode : int or None
+    mode_number : int or None
         Mode of the natural frequencies, from 1: nearest to the leading load of the first length.
         None before the first length.
     """
@@ -939,7 +949,7 @@ class LengthPath:
     column_by_name: dict[str, np.ndarray]
     sweep_results: tuple[SweepResult, ...]
     leading_omega: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    mode: int | None = None
+    mode_number: int | None = None
 
     @property
     def failed_lengths_and_reasons(self) -> list[tuple[float, str]]:
@@ -991,45 +1001,45 @@ class LengthPath:
             return sweep_result[column_name].reshape(len(sweep_lengths), -1)[is_solved]
 
         path_lengths = np.append(self.lengths, sweep_lengths[is_solved])
-        length_order = np.argsort(path_lengths)
+        sorted_length_indices = np.argsort(path_lengths)
         level_values_by_column = {
             column_name: get_solved_level_values(column_name) for column_name in SWEEP_COLUMN_NAMES
         }
         level_values_by_column["response"] = np.nan_to_num(
             level_values_by_column["response"]
         )  # nan where nothing moves
-        new_column_by_name, new_leading_omega = _reduce_load_levels(
+        new_column_by_name, new_leading_omega = _reduce_load_levels_to_columns(
             level_values_by_column, law, level_cycles
         )
-        mode = self.mode  # that of the first length, whichever is nearest later on
-        if mode is None and is_solved.any():
+        mode_number = self.mode_number  # that of the first length, whichever is nearest later on
+        if mode_number is None and is_solved.any():
             bilinear_omega_of_modes = [
-                get_solved_level_values(f"omega_bilinear_{candidate_mode}")[0, 0]
-                for candidate_mode in MODE_NUMBERS
+                get_solved_level_values(f"omega_bilinear_{candidate_mode_number}")[0, 0]
+                for candidate_mode_number in MODE_NUMBERS
             ]
-            mode = MODE_NUMBERS[
+            mode_number = MODE_NUMBERS[
                 int(np.nanargmin(np.abs(bilinear_omega_of_modes - new_leading_omega[0])))
             ]
-        if mode is not None:
+        if mode_number is not None:
             for column_name in ("omega_open", "omega_bilinear"):
-                new_column_by_name[column_name] = get_solved_level_values(f"{column_name}_{mode}")[
-                    :, 0
-                ]
+                new_column_by_name[column_name] = get_solved_level_values(
+                    f"{column_name}_{mode_number}"
+                )[:, 0]
         column_by_name = {
-            column_name: np.append(column, new_column_by_name[column_name])[length_order]
+            column_name: np.append(column, new_column_by_name[column_name])[sorted_length_indices]
             for column_name, column in self.column_by_name.items()
         }
         return replace(
             self,
-            lengths=path_lengths[length_order],
+            lengths=path_lengths[sorted_length_indices],
             column_by_name=column_by_name,
-            leading_omega=np.append(self.leading_omega, new_leading_omega)[length_order],
+            leading_omega=np.append(self.leading_omega, new_leading_omega)[sorted_length_indices],
             sweep_results=(*self.sweep_results, sweep_result),
-            mode=mode,
+            mode_number=mode_number,
         )
 
 
-def _reduce_load_levels(
+def _reduce_load_levels_to_columns(
     level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Reduce the load levels (k, levels) of each length to columns (k,).
@@ -1130,7 +1140,9 @@ def _solve_lengths_to_tolerance(
             }
             previous_path = LengthPath(length_path.lengths[::2], coarse_column_by_name, ())
             interval_errors = np.zeros(len(length_path.lengths) // 2)
-        interval_errors = _estimate_interval_errors(previous_path, length_path, interval_errors)
+        interval_errors = _estimate_interval_log_range_errors(
+            previous_path, length_path, interval_errors
+        )
         integration_lengths, integration_cycles, _ = _integrate_cycles_to_end(length_path, law)
         interval_cycles = np.diff(
             np.interp(length_path.lengths, integration_lengths, integration_cycles)
@@ -1156,9 +1168,11 @@ def _solve_lengths_to_tolerance(
         ]
         if not len(next_lengths):
             break
-    steepness_order = np.argsort(-interval_errors / np.diff(length_path.lengths))
+    indices_steepest_first = np.argsort(-interval_errors / np.diff(length_path.lengths))
     jump_lengths = length_path.lengths[:-1][
-        steepness_order[interval_errors[steepness_order] > MAX_ALLOWED_LOG_RANGE_ERROR]
+        indices_steepest_first[
+            interval_errors[indices_steepest_first] > MAX_ALLOWED_LOG_RANGE_ERROR
+        ]
     ]
     return length_path, life_error, jump_lengths.tolist()
 
@@ -1184,7 +1198,7 @@ def _sweep_crack_sizes(
     """Run a sweep over crack sizes and the levels of a spectrum (collective)."""
     is_at_resonance = scene.given("growth").drive == "resonance"
     value_list_by_key = {
-        sweep_key: key_values.tolist() for sweep_key, key_values in values_by_key.items()
+        sweep_key: swept_values.tolist() for sweep_key, swept_values in values_by_key.items()
     }
     sweep_value_by_key = {"sweep.over": value_list_by_key, "sweep.at_resonance": is_at_resonance}
     observable_places = (
@@ -1203,7 +1217,7 @@ def _sweep_crack_sizes(
     return sweep_result
 
 
-def _estimate_interval_errors(
+def _estimate_interval_log_range_errors(
     previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
 ) -> np.ndarray:
     """Return the spline's error in ln delta K between neighbouring lengths: (k - 1,).

@@ -160,8 +160,8 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
     last_speed_text, unstable_speed_text = (
         format_speed(rotor_speed, scene.in_rpm) for rotor_speed in last_and_unstable_speeds
     )
-    end_text = f"the run-up ends before, at {last_speed_text}"
-    return f"the vibration is unstable at {unstable_speed_text}: {end_text}"
+    run_up_end_text = f"the run-up ends before, at {last_speed_text}"
+    return f"the vibration is unstable at {unstable_speed_text}: {run_up_end_text}"
 
 
 def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
@@ -399,7 +399,7 @@ def find_tip_factor_by_dof(
     }
 
 
-def describe_tip(timing_table: TipTiming, run: Run) -> str:
+def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
     """Describe which displacements the probes measure, and their factors (collective)."""
     structure = run.structure.whole
     dofs_and_factors = find_tip_factor_by_dof(timing_table, run).items()

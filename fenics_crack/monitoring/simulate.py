@@ -409,10 +409,8 @@ def _solve_passing_angles_or_nan(
     lower_angle_bounds = target_angles - displacement_angle_bound
     upper_angle_bounds = target_angles + displacement_angle_bound
     rotor_angles = target_angles.copy()
-    previous_step_sizes, angle_slopes = (
-        upper_angle_bounds - lower_angle_bounds,
-        np.ones_like(target_angles),
-    )
+    previous_step_sizes = upper_angle_bounds - lower_angle_bounds
+    angle_slopes = np.ones_like(target_angles)
     for _ in range(200):  # more than bisection needs
         displacements, displacement_slopes = tip_motion.evaluate_displacement_and_slope(
             rotor_angles

@@ -162,11 +162,11 @@ def report_of_timing(timing: Timing) -> Report:
     tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
     shown_table = timing.table()
     if passages_by_blade:
-        conclusion, note_texts, warning_texts = _describe_passages(passages_by_blade)
+        conclusion, note_texts, warning_texts = _conclude_from_passages(passages_by_blade)
     elif tracks:
-        conclusion, shown_table, note_texts, warning_texts = _describe_track(tracks[0])
+        conclusion, shown_table, note_texts, warning_texts = _conclude_from_track(tracks[0])
     else:
-        conclusion, note_texts, warning_texts = _describe_fits(timing)
+        conclusion, note_texts, warning_texts = _conclude_from_fits(timing)
     return Report(
         timing.table(),
         conclusion,
@@ -188,7 +188,7 @@ def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
     )
 
 
-def _describe_passages(
+def _conclude_from_passages(
     passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
     """Describe all blades' resonances: conclusion, notes and doubts."""
@@ -244,9 +244,9 @@ def _describe_passages(
     return conclusion, note_texts, warning_texts
 
 
-def _describe_orders(orders_text: str, orders: Iterable[float]) -> str:
-    """Return "orders that TEXT: 5, 7"."""
-    return f"orders that {orders_text}: {in_words([*orders])}"
+def _describe_orders(statement_text: str, orders: Iterable[float]) -> str:
+    """Return "orders that STATEMENT: 5, 7"."""
+    return f"orders that {statement_text}: {in_words([*orders])}"
 
 
 def _describe_constant_frequency_fit(line_fit: TipFit) -> str:
@@ -264,7 +264,7 @@ def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> st
     return f"{format_quantity(amplitude, 'm')} ± {format_quantity(amplitude_error, 'm')}"
 
 
-def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
+def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
     """Describe a run-up: conclusion, table of peaks, notes and doubts."""
     track_table = track.table()
     kept_column_indices = [
@@ -329,13 +329,13 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
     return conclusion, peak_table, note_texts, doubt_texts
 
 
-def _describe_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
+def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
     """Describe vibrations at one speed: conclusion, notes and doubts."""
     has_several_blades, note_texts, warning_texts = len(timing.fits) > 1, [], []
     for blade, fit in timing.fits.items():
         assert isinstance(fit, TipFit)
         blade_prefix = f"blade {blade}: " if has_several_blades else ""
-        fit_note_texts, doubt_texts = _describe_fit(fit)
+        fit_note_texts, doubt_texts = _list_fit_notes_and_doubts(fit)
         note_texts += [] if has_several_blades else fit_note_texts
         warning_texts += [f"{blade_prefix}{doubt_text}" for doubt_text in doubt_texts]
     largest_fit: Any = timing.fits[blade := find_blade_of_largest_amplitude_or_none(timing) or 1]
@@ -362,7 +362,7 @@ def _describe_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
     )
 
 
-def _describe_fit(fit: TipFit) -> tuple[list[str], list[str]]:
+def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
     """Describe a fit: notes and doubts.
 
     A note has the ratio of the second harmonic to the first, which indicates a crack.

@@ -44,7 +44,7 @@ from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import coriolis_shifts, static_state
 from fenics_crack.monitoring.scene_timing import (
-    describe_tip,
+    describe_probed_tip_displacement,
     find_probed_displacement_and_reversal,
     find_tip_factor_by_dof,
 )
@@ -1072,7 +1072,7 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     direction = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
     assert find_tip_factor_by_dof(table, run) == pytest.approx(direction, rel=1e-12)
     parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
-    assert all(part in describe_tip(table, run) for part in parts)
+    assert all(part in describe_probed_tip_displacement(table, run) for part in parts)
     by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
     assert find_tip_factor_by_dof(by_hand, run) == {run.watched_dof: -0.5}
     run_with_offset = replace(

@@ -42,9 +42,9 @@ from fenics_crack.monitoring.identification.model import (
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
-    Branch,
     Likelihood,
     Posterior,
+    PosteriorBranch,
     build_first_grid_points,
 )
 from fenics_crack.monitoring.identification.result import Identification
@@ -202,7 +202,7 @@ def infer_unknowns(
     ).T
     branch_by_words, uncracked_branch_by_words = (
         {
-            words_text: Branch(
+            words_text: PosteriorBranch(
                 Likelihood(
                     measurement_values,
                     measurement_deviations,
@@ -255,14 +255,14 @@ def _select_predictable_measurements(
     is_predictable = np.all(
         [model.make_predictor(measurement_rows).is_predictable for model in models], axis=0
     )
-    case_sets = (
+    solved_cases_of_models = (
         solved_cases
         for model in models
         for solved_cases in (model.coarse_cases, model.finer_cases)
         if solved_cases
     )
     solved_cases_by_path = {
-        solved_cases.sweep_result.path: solved_cases for solved_cases in case_sets
+        solved_cases.sweep_result.path: solved_cases for solved_cases in solved_cases_of_models
     }
     load_frequencies = {measurement.frequency for measurement in measurement_rows}
     doubt_texts = []
@@ -636,16 +636,17 @@ def _join_sweeps(
 ) -> SweepResult:
     """Join the cases of two sweeps with different values on one axis."""
     axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
-    value_order = np.argsort(axis_values)
+    sorted_value_indices = np.argsort(axis_values)
     column_by_name = {
         column_name: np.concatenate([column, second_sweep[column_name]], axis=axis_index).take(
-            value_order, axis=axis_index
+            sorted_value_indices, axis=axis_index
         )
         for column_name, column in first_sweep.columns.items()
     }
     joined_axes = list(first_sweep.axes)
     joined_axes[axis_index] = Axis(
-        joined_axes[axis_index].key, tuple(axis_values[value_index] for value_index in value_order)
+        joined_axes[axis_index].key,
+        tuple(axis_values[value_index] for value_index in sorted_value_indices),
     )
     return replace(
         first_sweep,
@@ -674,7 +675,7 @@ def _refine_axis_at_resonance_or_none(
     the cases would be too many.
     """
     models_loads_points = itertools.product(models, load_frequencies, scene.point_names or ("",))
-    vibration_cases = (
+    ratios_models_loads_points = (
         []
         if has_load_independent_motion_shape(scene)
         else [
@@ -683,13 +684,13 @@ def _refine_axis_at_resonance_or_none(
         ]
     )
     if (
-        not vibration_cases
-        or max(vibration_case[0] for vibration_case in vibration_cases)
+        not ratios_models_loads_points
+        or max(ratio_model_load_point[0] for ratio_model_load_point in ratios_models_loads_points)
         <= OPTIONS.allowed_vibration_ratio
     ):
         return None
     vibration_ratio, model, load_frequency, point_name = max(
-        vibration_cases, key=lambda vibration_case: vibration_case[0]
+        ratios_models_loads_points, key=lambda ratio_model_load_point: ratio_model_load_point[0]
     )
     log_amplitudes = np.log(
         np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
@@ -793,18 +794,18 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
     The second is None without a finer mesh.
     """
-    finer_changes: dict[str, Any] = {}
+    finer_scene_changes: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
         n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
-        finer_changes = {
+        finer_scene_changes = {
             "harmonic_balance.harmonics": n_harmonics,
             "harmonic_balance.samples": None,
         }
     scene_with_other_mesh = None if mesh_ratio == 1.0 else refine_scene(scene, mesh_ratio)
-    if scene_with_other_mesh is None and not finer_changes:
+    if scene_with_other_mesh is None and not finer_scene_changes:
         return scene, None
     return (
-        (scene, (scene_with_other_mesh or scene).replace(finer_changes))
+        (scene, (scene_with_other_mesh or scene).replace(finer_scene_changes))
         if mesh_ratio > 1.0
         else (scene_with_other_mesh or scene, scene)
     )
@@ -870,7 +871,7 @@ def _build_models(
     model_by_words = {}
     for chosen_words in itertools.product(*words_by_key.values()):
         word_by_key = dict(zip(words_by_key, chosen_words, strict=True))
-        case_sets: list[SolvedCases | None] = []
+        coarse_finer_halfway_cases: list[SolvedCases | None] = []
         for sweep_result, uncracked_sweep in zip(
             cracked_sweeps, uncracked_sweeps or (None,) * 3, strict=True
         ):
@@ -879,7 +880,7 @@ def _build_models(
                 if uncracked_sweep is None
                 else SolvedCases(uncracked_sweep, swept_loads, (), word_by_key)
             )
-            case_sets.append(
+            coarse_finer_halfway_cases.append(
                 None
                 if sweep_result is None
                 else SolvedCases(
@@ -887,6 +888,6 @@ def _build_models(
                 )
             )
         model_by_words[", ".join(chosen_words)] = ForwardModel(
-            scene, uncracked_plate, case_sets, word_by_key=word_by_key
+            scene, uncracked_plate, coarse_finer_halfway_cases, word_by_key=word_by_key
         )
     return model_by_words

@@ -379,10 +379,12 @@ class SolvedCases:
         self.swept_loads = swept_loads
         self.uncracked_cases = uncracked_cases
         number_axes: list[Axis] = []
-        word_index: list[Any] = []
+        word_selection: list[Any] = []
         for axis in sweep_result.axes[:-1]:
             is_word = axis.key in word_by_key
-            word_index.append(axis.values.index(word_by_key[axis.key]) if is_word else slice(None))
+            word_selection.append(
+                axis.values.index(word_by_key[axis.key]) if is_word else slice(None)
+            )
             number_axes += (
                 [] if is_word else mesh_number_axes if axis.key == MESH_AXIS_KEY else [axis]
             )
@@ -390,7 +392,7 @@ class SolvedCases:
             tuple(np.array(axis.values, dtype=float) for axis in number_axes)
         )
         self.unknown_keys = tuple(axis.key for axis in number_axes)
-        self.word_selection_index = tuple(word_index)
+        self.word_selection_index = tuple(word_selection)
 
     def get_column(self, column_name: str) -> np.ndarray:
         """Return a column at all nodes and loads: (n, n_loads)."""

@@ -274,7 +274,11 @@ class Measurements(Tabular):
         count_by_name = Counter(
             measurement.name for measurement in self.rows if measurement.quantity != "displacement"
         )
-        if repeated_names := [name for name, name_count in count_by_name.items() if name_count > 1]:
+        if repeated_names := [
+            measurement_name
+            for measurement_name, name_count in count_by_name.items()
+            if name_count > 1
+        ]:
             repeated_values = [
                 measurement.value
                 for measurement in self.rows
@@ -513,17 +517,17 @@ class Measurements(Tabular):
 
         with report_read_errors("measurements", path, "a universal file with frequency responses"):
             responses = read_responses(Path(path))
-        mode_array = fit_resonances(responses)[: N_LOWEST_MODES if not modes else None]
-        mode_numbers = list(modes) or list(range(1, len(mode_array) + 1))
-        if len(mode_numbers) != len(mode_array):
+        mode_rows = fit_resonances(responses)[: N_LOWEST_MODES if not modes else None]
+        mode_numbers = list(modes) or list(range(1, len(mode_rows) + 1))
+        if len(mode_numbers) != len(mode_rows):
             frequencies_text = ", ".join(
-                f"{mode_frequency:.6g}" for mode_frequency in mode_array[:, 0]
+                f"{mode_frequency:.6g}" for mode_frequency in mode_rows[:, 0]
             )
             allowed_text = (
-                f"{format_count(len(mode_array), 'number')}, of the modes at {frequencies_text} Hz"
+                f"{format_count(len(mode_rows), 'number')}, of the modes at {frequencies_text} Hz"
             )
             raise InputError("modes", list(modes), allowed_text)
-        frequencies, deviations = mode_array[:, 0].tolist(), mode_array[:, 1].tolist()
+        frequencies, deviations = (mode_rows[:, 0].tolist(), mode_rows[:, 1].tolist())
         return cls.from_arrays(quantity, frequencies, deviations, mode=mode_numbers)
 
     @classmethod
@@ -606,8 +610,10 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
             f"a CSV file with the columns {', '.join(allowed_column_names)}, "
             "the first three of them needed"
         )
-        found_text = f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
-        raise InputError("measurements", f"{path}: {found_text}", allowed_text)
+        found_columns_text = (
+            f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
+        )
+        raise InputError("measurements", f"{path}: {found_columns_text}", allowed_text)
     for cell, column_name, (si_heading, _) in zip(
         heading_cells, column_names, si_headings_and_factors, strict=True
     ):

@@ -264,7 +264,7 @@ class ForwardModel:
         Scene with the damping and the table ``[identify]``.
     uncracked_plate : UncrackedPlate
         The plate without its crack.
-    case_sets : (coarse, finer, halfway)
+    coarse_finer_halfway_cases : (coarse, finer, halfway)
         Solved cases of the sweep; of the finer mesh, or None; and halfway between the nodes, or
         None.
     word_by_key : mapping of str to object
@@ -275,14 +275,14 @@ class ForwardModel:
         self,
         scene: Scene,
         uncracked_plate: UncrackedPlate,
-        case_sets: Sequence[SolvedCases | None],
+        coarse_finer_halfway_cases: Sequence[SolvedCases | None],
         *,
         word_by_key: Mapping[str, Any],
     ) -> None:
         self.scene = scene
         self.identify_table = scene.given("identify")
         self.uncracked_plate = uncracked_plate
-        coarse_cases, self.finer_cases, self.halfway_cases = case_sets
+        coarse_cases, self.finer_cases, self.halfway_cases = coarse_finer_halfway_cases
         assert coarse_cases is not None
         self.coarse_cases = coarse_cases
         self.word_by_key = dict(word_by_key)
@@ -423,14 +423,14 @@ class MeasurementPredictor:
         candidate_rows: Sequence[Measurement] = (),
     ) -> None:
         self.model, self.rows = model, (*measured_rows, *candidate_rows)
-        self._list_and_index_features()
+        self._set_up_features_and_indices()
         self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
         self._error_group_matrix = _build_error_group_matrix(self._features)
         self._is_uncracked_feature = np.array(
             [feature.crack_state == "uncracked" for feature in self._features]
         )
         split_root_and_frequencies = model.coarse_cases.split_root_and_frequencies
-        self._frequency_data_interpolation = Interpolation(
+        self._split_root_and_frequency_interpolation = Interpolation(
             model.unknown_grid,
             split_root_and_frequencies.reshape(len(split_root_and_frequencies), -1),
         )
@@ -466,10 +466,10 @@ class MeasurementPredictor:
             else (BREATHING_STATE,)
         )
         self._scales_with_load_at_rest = scales_with_load(model.scene.at_rest())
-        self._build_feature_interpolations()
+        self._set_up_feature_interpolations()
 
-    def _list_and_index_features(self) -> None:
-        """List the features, their indices in each row, and pairs with and without a crack."""
+    def _set_up_features_and_indices(self) -> None:
+        """Set up the features, their indices in each row, and pairs with and without a crack."""
         features_by_row = [
             Feature.list_features_of_measurement(measurement, self.model.scene)
             for measurement in self.rows
@@ -499,13 +499,13 @@ class MeasurementPredictor:
             else ([], [])
         )
 
-    def _build_feature_interpolations(self) -> None:
-        """Build interpolations of the features, and of the correction by the finer mesh."""
+    def _set_up_feature_interpolations(self) -> None:
+        """Set up interpolations of features, and of the correction by the finer mesh."""
         model = self.model
         self._coarse_interpolation = Interpolation(
             model.unknown_grid, self._evaluate_smooth_features(model.coarse_cases)
         )
-        self._interpolation_error_scales = self._estimate_error_scales()
+        self._interpolation_error_scales = self._estimate_interpolation_error_scales()
         is_harmonic_column = np.repeat(
             [not feature.is_natural_frequency for feature in self._features], 2
         )
@@ -617,7 +617,7 @@ class MeasurementPredictor:
             )
         )
 
-    def _estimate_error_scales(self) -> np.ndarray:
+    def _estimate_interpolation_error_scales(self) -> np.ndarray:
         """Return factors (2f,), at least 1, by which interpolation errors are understated.
 
         They compare the errors halfway between nodes with the estimated errors. Features with more
@@ -666,8 +666,8 @@ class MeasurementPredictor:
         It is at the load of each feature.
         """
         split_root_and_frequencies = np.where(
-            self._frequency_data_interpolation.has_enough_known_nodes,
-            self._frequency_data_interpolation.interpolate(x),
+            self._split_root_and_frequency_interpolation.has_enough_known_nodes,
+            self._split_root_and_frequency_interpolation.interpolate(x),
             np.nan,
         )
         return split_root_and_frequencies.reshape(
@@ -804,7 +804,7 @@ class MeasurementPredictor:
                 feature_prediction.damping_ratios, feature_values, smoothing_factors, face_state
             )
         )
-        predictions *= self.baseline_changes.temperature_factors
+        predictions *= self.baseline_changes.temperature_frequency_factors
         load_change_blocks = [np.zeros((*predictions.shape, 0))]
         omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
         for probe_group in self._probe_groups:
@@ -845,7 +845,8 @@ class MeasurementPredictor:
             + omitted_covariance
         )
         shared_errors = np.concatenate(
-            [predictions[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
+            [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
+            axis=2,
         )
         covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
             :, :, None
@@ -1122,7 +1123,8 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
         model.coarse_cases.word_selection_index
     ]
     smallest_closed_share, largest_closed_share = (
-        ufunc.reduce(closed_share_of_cases, axis=None) for ufunc in (np.fmin, np.fmax)
+        reduce_function.reduce(closed_share_of_cases, axis=None)
+        for reduce_function in (np.fmin, np.fmax)
     )
     held_states = itertools.compress(
         (CrackFaceState("open"), CrackFaceState("tied")),

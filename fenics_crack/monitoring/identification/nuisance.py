@@ -69,8 +69,8 @@ from fenics_crack.study.prepare import prepare
 
 CRACK_SIZE_KEYS = ("crack.length", "crack.depth")
 """Keys of a crack's size."""
-FACTOR_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
-"""Numbers in a unit over those in Hz, by unit."""
+FACTOR_FROM_HZ_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+"""Factor from Hz to each unit, by unit."""
 
 
 class UncrackedPlate:
@@ -82,7 +82,7 @@ class UncrackedPlate:
     ----------
     rotor_speed : float [rad/s]
         Speed of the rotor.
-    stiffness_parts : (2, r, r) [1/s^2]
+    elastic_and_rotation_stiffness : (2, r, r) [1/s^2]
         Stiffness at rest, and the addition by rotation at that speed, in r mass-normalised motions.
     clamp_reactions : (r, d)
         Forces and moments at the clamp by these motions, relative to a clamp of uniform compliance;
@@ -125,7 +125,7 @@ class UncrackedPlate:
             - elastic_stiffness
         )
         rigid_motions_at_clamp, self.n_reaction_forces = _build_rigid_clamp_motions(plate_modes)
-        self.stiffness_parts = np.stack([elastic_stiffness, rotation_stiffness])
+        self.elastic_and_rotation_stiffness = np.stack([elastic_stiffness, rotation_stiffness])
         self.clamp_reactions = rest_stiffness_times_basis.T @ rigid_motions_at_clamp
 
     @cached_property
@@ -144,7 +144,8 @@ class UncrackedPlate:
         mode_vectors : (r, n)
         """
         squared_omega, mode_vectors = eigh(
-            modulus_ratio * self.stiffness_parts[0] + speed_ratio**2 * self.stiffness_parts[1]
+            modulus_ratio * self.elastic_and_rotation_stiffness[0]
+            + speed_ratio**2 * self.elastic_and_rotation_stiffness[1]
         )
         n_modes = min(N_LOWEST_MODES, len(squared_omega))
         return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
@@ -153,7 +154,7 @@ class UncrackedPlate:
         """Return the elastic fraction of squared frequencies at a relative speed: (n,)."""
         natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
         return np.asarray(
-            np.sum(mode_vectors * (self.stiffness_parts[0] @ mode_vectors), axis=0)
+            np.sum(mode_vectors * (self.elastic_and_rotation_stiffness[0] @ mode_vectors), axis=0)
             / natural_omega**2
         )
 
@@ -386,7 +387,7 @@ class UncrackedPlate:
             _guess_frequency_unit_or_empty(row.value / plate_frequencies[row.mode - 1])
             for row, plate_frequencies in rows_and_frequencies
         ]
-        for unit_name in FACTOR_BY_UNIT:
+        for unit_name in FACTOR_FROM_HZ_BY_UNIT:
             have_unit = [guessed_unit_name == unit_name for guessed_unit_name in guessed_unit_names]
             if rows and (
                 all(have_unit) if may_be_other_plate and unit_name == "rad/s" else any(have_unit)
@@ -422,7 +423,7 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
     # No crack changes a frequency by a factor of exp(0.3).
     matching_unit_names = (
         unit_name
-        for unit_name, unit_factor in FACTOR_BY_UNIT.items()
+        for unit_name, unit_factor in FACTOR_FROM_HZ_BY_UNIT.items()
         if abs(np.log(frequency_ratio / unit_factor)) < 0.3
     )
     return next(matching_unit_names, "")
@@ -435,13 +436,13 @@ class BaselineChanges:
 
     Attributes
     ----------
-    temperature_factors : (q,)
+    temperature_frequency_factors : (q,)
         Factors of predictions by known temperatures.
-    relative_clamp_changes : (q, s)
+    clamp_frequency_changes : (q, s)
         Relative changes by the clamp, a standard deviation each.
-    unknown_temperature_changes : (q, s)
+    unknown_temperature_frequency_changes : (q, s)
         Relative changes by an unknown temperature, in the first column, and its uncertainty.
-    known_temperature_changes : (q, s)
+    temperature_error_frequency_changes : (q, s)
         Relative changes by errors of known temperatures: by the coefficient, the thermometer and
         rotation.
     """
@@ -471,9 +472,9 @@ class BaselineChanges:
         has_known_offset = (
             is_baseline & np.isfinite(stated_temperatures) & (len(current_temperatures) > 0)
         )
-        self.temperature_factors = np.ones(len(rows))
+        self.temperature_frequency_factors = np.ones(len(rows))
         changes_per_kelvin = np.zeros((len(rows), 1 + n_modes))
-        self.relative_clamp_changes = np.zeros((len(rows), 3 + n_modes))
+        self.clamp_frequency_changes = np.zeros((len(rows), 3 + n_modes))
         sensitivities_by_speed_ratio = {
             speed_ratio: uncracked_plate.compute_clamp_and_temperature_sensitivities(speed_ratio)
             for speed_ratio in set(speed_ratios)
@@ -485,25 +486,25 @@ class BaselineChanges:
                 clamp_sensitivities, temperature_sensitivities = sensitivities_by_speed_ratio[
                     speed_ratio
                 ]
-                self.relative_clamp_changes[row_index] = (
+                self.clamp_frequency_changes[row_index] = (
                     is_baseline[row_index] * clamp_sensitivities[measurement.mode - 1]
                 )
                 changes_per_kelvin[row_index] = temperature_sensitivities[measurement.mode - 1]
                 modulus_ratio = (
                     1.0 + identify_table.temperature_coefficient * temperature_offsets[row_index]
                 )
-                self.temperature_factors[row_index] = (
+                self.temperature_frequency_factors[row_index] = (
                     uncracked_plate.compute_frequency_factors_by_modulus(
                         speed_ratio, modulus_ratio
                     )[measurement.mode - 1]
                 )
         has_unknown_offset = (is_baseline & ~has_known_offset)[:, None]
-        self.unknown_temperature_changes = (
+        self.unknown_temperature_frequency_changes = (
             -identify_table.priors["temperature_deviation"]
             * has_unknown_offset
             * changes_per_kelvin
         )
-        known_temperature_change_blocks = [
+        temperature_error_blocks = [
             identify_table.coefficient_deviation
             * temperature_offsets[:, None]
             * changes_per_kelvin[:, :1],
@@ -512,16 +513,16 @@ class BaselineChanges:
             * changes_per_kelvin[:, :1],
             temperature_offsets[:, None] * changes_per_kelvin[:, 1:],
         ]
-        self.known_temperature_changes = np.hstack(known_temperature_change_blocks)
+        self.temperature_error_frequency_changes = np.hstack(temperature_error_blocks)
 
     @property
-    def all_changes(self) -> np.ndarray:
+    def frequency_changes(self) -> np.ndarray:
         """Return all relative changes: (q, s)."""
         return np.hstack(
             [
-                self.unknown_temperature_changes,
-                self.relative_clamp_changes,
-                self.known_temperature_changes,
+                self.unknown_temperature_frequency_changes,
+                self.clamp_frequency_changes,
+                self.temperature_error_frequency_changes,
             ]
         )
 
@@ -530,9 +531,9 @@ class BaselineChanges:
     ) -> BaselineChanges:
         """Return a copy with the changes by clamp and unknown temperature multiplied."""
         scaled_changes = copy(self)
-        scaled_changes.relative_clamp_changes = clamp_factor * self.relative_clamp_changes
-        scaled_changes.unknown_temperature_changes = (
-            temperature_factor * self.unknown_temperature_changes
+        scaled_changes.clamp_frequency_changes = clamp_factor * self.clamp_frequency_changes
+        scaled_changes.unknown_temperature_frequency_changes = (
+            temperature_factor * self.unknown_temperature_frequency_changes
         )
         return scaled_changes
 

@@ -43,7 +43,7 @@ REFINED_GRID_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
 """Further values around each optimum, by the number of unknowns; 7 for more."""
 
 
-def add_uniform_prior(fisher_information: np.ndarray) -> np.ndarray:
+def add_uniform_prior_information(fisher_information: np.ndarray) -> np.ndarray:
     """Add the information of a uniform prior to the Fisher information (d, d).
 
     The unknowns are relative to their ranges.
@@ -151,7 +151,7 @@ class Likelihood:
         prediction = self.predict_most_probable(x)
         temperature_slopes = (
             prediction.values[0]
-            * self.predictor.baseline_changes.unknown_temperature_changes[:, 0]
+            * self.predictor.baseline_changes.unknown_temperature_frequency_changes[:, 0]
             / self.measurement_deviations
         )
         scaled_differences = (
@@ -246,7 +246,7 @@ class Optimum:
     covariance: np.ndarray
 
 
-class Branch:
+class PosteriorBranch:
     """The posterior for a choice of words, on a grid with more points around optima.
 
     Attributes
@@ -272,10 +272,10 @@ class Branch:
             self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
         first_axes = _build_first_axes(unknown_grid)
-        first_log_likelihood = _evaluate_log_likelihood(
+        first_grid_log_likelihood = _evaluate_log_likelihood(
             likelihood, _build_grid_points(first_axes)
         ).reshape([len(axis) for axis in first_axes])
-        self.optima = _find_optima(likelihood, first_axes, first_log_likelihood)
+        self.optima = _find_optima(likelihood, first_axes, first_grid_log_likelihood)
         model = likelihood.predictor.model
         best_optima = self.optima[:3]
         optimum_half_widths = [
@@ -310,15 +310,15 @@ class Branch:
         self.axes, self.prior_masses = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
         grid_points = _build_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
-        neighbourhood_maxima = maximum_filter(first_log_likelihood, size=3, mode="nearest")
-        min_log_likelihood = self.optima[0].log_likelihood - OPTIONS.allowed_grid_drop
+        neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
+        min_log_likelihood = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
         is_evaluated = (
             RegularGridInterpolator(first_axes, neighbourhood_maxima)(grid_points)
             > min_log_likelihood
         )
         for optimum, optimum_half_width in zip(best_optima, optimum_half_widths, strict=True):
             is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_half_width, axis=1)
-        refined_log_likelihood = RegularGridInterpolator(first_axes, first_log_likelihood)(
+        refined_log_likelihood = RegularGridInterpolator(first_axes, first_grid_log_likelihood)(
             grid_points
         )
         refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
@@ -375,12 +375,12 @@ class Branch:
         )
         for point_batch in _split_points_into_batches(grid_points_and_optima):
             if len(x := point_batch[likelihood.explains_measurements(point_batch)]):
-                variances_by_unknown, total_variances = (
+                variances_along_unknowns, total_variances = (
                     likelihood.predictor.compute_interpolation_and_total_variances(x)
                 )
                 explaining_point_arrays.append(x)
                 share_arrays.append(
-                    variances_by_unknown
+                    variances_along_unknowns
                     / (total_variances + likelihood.measurement_deviations**2)[:, None]
                 )
         return np.vstack(explaining_point_arrays), np.vstack(share_arrays)
@@ -503,7 +503,7 @@ def _find_optima(
             ftol=1e-5,
         )
         covariance = np.linalg.inv(
-            add_uniform_prior(least_squares_fit.jac.T @ least_squares_fit.jac)
+            add_uniform_prior_information(least_squares_fit.jac.T @ least_squares_fit.jac)
         ) * np.outer(unknown_ranges, unknown_ranges)
         optima.append(
             Optimum(
@@ -521,7 +521,7 @@ def _find_optima(
         )
         if optimum.log_likelihood > optima[
             0
-        ].log_likelihood - OPTIONS.allowed_optimum_drop and not any(near_optimum_flags):
+        ].log_likelihood - OPTIONS.allowed_optimum_log_drop and not any(near_optimum_flags):
             distinct_optima.append(optimum)
     return distinct_optima
 
@@ -535,7 +535,7 @@ class Posterior:
         Branches by their values of the unknowns that are words.
     """
 
-    def __init__(self, branch_by_words: Mapping[str, Branch]) -> None:
+    def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
         self.branch_by_words = dict(branch_by_words)
         log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
         self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
@@ -626,12 +626,12 @@ class Posterior:
 
     def find_region_border_log_likelihood(self, probability: float) -> float:
         """Return log L at the border of the region with a probability."""
-        descending_order = np.argsort(-self._log_likelihood_of_points)
-        cumulative_masses = np.cumsum(self._mass_of_points[descending_order])
+        indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
+        cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
         border_index = min(
-            int(np.searchsorted(cumulative_masses, probability)), len(descending_order) - 1
+            int(np.searchsorted(cumulative_masses, probability)), len(indices_most_likely_first) - 1
         )
-        return float(self._log_likelihood_of_points[descending_order[border_index]])
+        return float(self._log_likelihood_of_points[indices_most_likely_first[border_index]])
 
     def iterate_reached_bounds(self, probability: float) -> Iterator[tuple[int, str, float]]:
         """Iterate over bounds that the region with a probability reaches.
@@ -672,8 +672,10 @@ class Posterior:
             )
             value_arrays.append(branch.axes[unknown_index])
             mass_arrays.append(self.grid_masses_by_words[words_text].sum(axis=other_axes))
-        value_order = np.argsort(np.concatenate(value_arrays), kind="stable")
-        return np.concatenate(value_arrays)[value_order], np.concatenate(mass_arrays)[value_order]
+        sorted_value_indices = np.argsort(np.concatenate(value_arrays), kind="stable")
+        return np.concatenate(value_arrays)[sorted_value_indices], np.concatenate(mass_arrays)[
+            sorted_value_indices
+        ]
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
         """Return the equal-tailed interval of an unknown with a probability."""

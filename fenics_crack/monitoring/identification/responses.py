@@ -71,7 +71,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
         The file cannot be read, contradicts itself, or has none.
     """
     responses = []
-    for heading_lines, number_bytes, byte_order in _iterate_datasets(
+    for heading_lines, number_bytes, byte_order in _iterate_response_datasets(
         BytesIO(read_regular_file(path, MAX_FILE_BYTES))
     ):
         heading_texts = [heading_line.decode("latin-1") for heading_line in heading_lines]
@@ -82,7 +82,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     return responses
 
 
-def _iterate_datasets(universal_file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
+def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
     """Iterate over datasets 58 of a file.
 
     Yields
@@ -131,7 +131,7 @@ def _iterate_datasets(universal_file: BytesIO) -> Iterator[tuple[list[bytes], by
             yield heading_lines, number_bytes or b"".join(data_lines), byte_order
 
 
-def _parse_numbers(number_text: bytes) -> np.ndarray:
+def _parse_fixed_width_numbers(number_text: bytes) -> np.ndarray:
     """Read numbers of fixed width, perhaps without blanks between them."""
     if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_text).split():
         raise ValueError(f"{invalid_words[0][:20].decode('latin-1')!r} instead of a number")
@@ -165,7 +165,7 @@ def _parse_response(
             number_bytes, byte_order + NUMPY_TYPE_TEXT_BY_CODE[number_type_code]
         ).astype(float)
     else:
-        interleaved_values = _parse_numbers(number_bytes.upper().replace(b"D", b"E"))
+        interleaved_values = _parse_fixed_width_numbers(number_bytes.upper().replace(b"D", b"E"))
     if len(interleaved_values) != n_lines * (2 if is_equally_spaced else 3) or not np.all(
         np.isfinite(interleaved_values)
     ):
@@ -175,10 +175,8 @@ def _parse_response(
     if is_equally_spaced:
         frequencies = first_frequency + frequency_step * np.arange(n_lines)
     else:
-        frequencies, interleaved_values = (
-            interleaved_values[::3],
-            np.delete(interleaved_values, np.s_[::3]),
-        )
+        frequencies = interleaved_values[::3]
+        interleaved_values = np.delete(interleaved_values, np.s_[::3])
     if np.any(np.diff(frequencies) <= 0.0):
         raise ValueError("a frequency response whose frequencies do not increase")
     return FrequencyResponse(
@@ -284,28 +282,31 @@ def _fit_mode_or_none(
     residual_term_columns = np.kron(
         np.eye(n_responses), np.column_stack([np.ones(n_lines), r - 1.0])
     )
-    receptance_vector, tiled_r = receptances_in_slice.ravel(), np.tile(r, n_responses)
+    receptance_vector = receptances_in_slice.ravel()
+    tiled_frequency_ratios = np.tile(r, n_responses)
     equation_weights = np.ones(len(receptance_vector))
     for _ in range(10):
         weighted_design_matrix = (
             np.column_stack(
                 [
                     receptance_vector,
-                    1j * tiled_r * receptance_vector,
+                    1j * tiled_frequency_ratios * receptance_vector,
                     -residual_term_columns,
                     -1j * residual_term_columns,
                 ]
             )
             * equation_weights[:, None]
         )
-        weighted_targets = receptance_vector * tiled_r**2 * equation_weights
+        weighted_targets = receptance_vector * tiled_frequency_ratios**2 * equation_weights
         real_design_matrix, real_targets = (
             np.concatenate([complex_array.real, complex_array.imag])
             for complex_array in (weighted_design_matrix, weighted_targets)
         )
         fit_coefficients = np.linalg.lstsq(real_design_matrix, real_targets, rcond=None)[0]
         equation_weights = 1.0 / np.abs(
-            fit_coefficients[0] + 1j * fit_coefficients[1] * tiled_r - tiled_r**2
+            fit_coefficients[0]
+            + 1j * fit_coefficients[1] * tiled_frequency_ratios
+            - tiled_frequency_ratios**2
         )
     if fit_coefficients[0] <= 0.0 or fit_coefficients[1] <= 0.0:
         return None

@@ -37,10 +37,10 @@ from fenics_crack.monitoring.identification.model import (
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
-    Branch,
     Likelihood,
     Posterior,
-    add_uniform_prior,
+    PosteriorBranch,
+    add_uniform_prior_information,
     compute_scaled_covariance,
 )
 from fenics_crack.scene.scene import Scene, unit_of_key
@@ -98,7 +98,7 @@ class Worth(Tabular):
         return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
 
 
-def rank_measurements(
+def rank_measurements_by_information(
     likelihood: Likelihood,
     x: np.ndarray,
     measurements: Sequence[Measurement] | None,
@@ -242,7 +242,9 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
                 f"{missing_frequencies_text}, to {relative_deviation:.1%}: {gain_text}"
             )
     if worth.measurements:
-        deviation_by_key = {key: float(values[0]) for key, values in worth.deviations.items()}
+        deviation_by_key = {
+            key: float(deviations[0]) for key, deviations in worth.deviations.items()
+        }
         if gain_text := _describe_gain_or_empty(worth.now, deviation_by_key):
             advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
     return advice_texts
@@ -299,7 +301,7 @@ def _compute_log_determinant_and_deviations(
     """
     selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
-    fisher_information = add_uniform_prior(
+    fisher_information = add_uniform_prior_information(
         selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
     )
     equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
@@ -412,7 +414,7 @@ class Identification(Tabular):
         )
 
     @cached_property
-    def _branch_and_unknowns_of_estimate(self) -> tuple[Branch, np.ndarray]:
+    def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
         """Return the branch and the unknowns (d,) of the estimate."""
         words_text, x = (
             self._region_parts[0][:2]
@@ -614,7 +616,7 @@ class Identification(Tabular):
         """
         deviations = frequency_deviation, harmonic_deviation
         branch, x = self._branch_and_unknowns_of_estimate
-        return rank_measurements(branch.likelihood, x, measurements, deviations)
+        return rank_measurements_by_information(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
         """Write ``identify.json``, and ``identify.h5`` with it and the posterior (collective).
@@ -694,24 +696,26 @@ class Identification(Tabular):
         likelihood = branch.likelihood
         prediction = likelihood.predict_most_probable(x)
         predictions = prediction.values[0]
-        model_deviations = np.where(
+        prediction_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
         residuals = (likelihood.measurement_values - predictions) / np.hypot(
-            likelihood.measurement_deviations, model_deviations
+            likelihood.measurement_deviations, prediction_deviations
         )
         table_columns = (
             likelihood.measurement_values,
             likelihood.measurement_deviations,
             predictions,
-            model_deviations,
+            prediction_deviations,
             residuals,
         )
-        row_names = [measurement.name for measurement in likelihood.predictor.rows]
+        measurement_names = [measurement.name for measurement in likelihood.predictor.rows]
         table_rows = [
             list(table_row)
             for table_row in zip(
-                row_names, *(table_column.tolist() for table_column in table_columns), strict=True
+                measurement_names,
+                *(table_column.tolist() for table_column in table_columns),
+                strict=True,
             )
         ]
         return Table(FIT_COLUMN_NAMES, table_rows)
@@ -829,13 +833,15 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
         rows_and_misfits = zip(
             rows, identification.plain.misfits_without_each_measurement, strict=True
         )
-        if row_names := [
+        if measurement_names := [
             measurement.name
             for measurement, (_, p_value_without_row) in rows_and_misfits
             if p_value_without_row >= min_p_value
         ]:
-            rows_pronoun = "these" if len(row_names) > 1 else "that"
-            plate_text = f"a plate without a crack explains all but {' or '.join(row_names)}"
+            rows_pronoun = "these" if len(measurement_names) > 1 else "that"
+            plate_text = (
+                f"a plate without a crack explains all but {' or '.join(measurement_names)}"
+            )
             warning_texts.append(f"{plate_text}: measure {rows_pronoun} again")
     return warning_texts
 

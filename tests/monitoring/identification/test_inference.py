@@ -35,11 +35,11 @@ from fenics_crack.monitoring.identification.nuisance import (
     UncrackedPlate,
     compute_deviations_from_equivalent_crack,
 )
-from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
+from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
 from fenics_crack.monitoring.identification.result import (
     Worth,
     list_advice_texts,
-    rank_measurements,
+    rank_measurements_by_information,
 )
 from fenics_crack.monitoring.scene_timing import describe_passage, match_mode_or_give_reason
 
@@ -186,7 +186,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
     for deviation, is_resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
         model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
         likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
-        posterior = Posterior({"": Branch(likelihood)})
+        posterior = Posterior({"": PosteriorBranch(likelihood)})
         assert (posterior.unresolved_probability < 0.01) == is_resolved
         assert (posterior.unresolved_probability > 0.3) != is_resolved
         # Of that posterior: along the ridge both are uniform.
@@ -208,7 +208,7 @@ def test_linear_model() -> None:
         deviations,
         Linear(matrix, np.full(3, 5.0), cube, rows=(None,) * 3),  # type: ignore[arg-type]
     )
-    posterior = Posterior({"": Branch(likelihood)})
+    posterior = Posterior({"": PosteriorBranch(likelihood)})
     weights = matrix / deviations[:, None]
     covariance = np.linalg.inv(weights.T @ weights)
     np.testing.assert_allclose(posterior.best_words_and_unknowns[1], truth, atol=1e-6)
@@ -226,7 +226,9 @@ def test_linear_model() -> None:
     assert posterior.log_evidence == pytest.approx(math.log(volume / 200.0), abs=0.02)
     assert [round(part[2], 2) for part in posterior.find_region_parts(0.95, 0.03)] == [0.95]
     repeated_measurement = fc.Measurement("harmonic_1", 1.0, 0.1, frequency=10.0)
-    worth = rank_measurements(likelihood, truth, [repeated_measurement], (1e-3, 0.05))
+    worth = rank_measurements_by_information(
+        likelihood, truth, [repeated_measurement], (1e-3, 0.05)
+    )
     later_covariance = np.linalg.inv(
         weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
     )
@@ -253,7 +255,7 @@ def test_misfit_of_what_is_fitted() -> None:
         total, chance = likelihood.compute_chi_square_and_p_value(x)
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
-    posterior = Posterior({"": Branch(likelihood)})
+    posterior = Posterior({"": PosteriorBranch(likelihood)})
     remaining_misfits = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
     assert [misfit[0] for misfit in posterior.misfits_without_each_measurement] == pytest.approx(
         remaining_misfits, rel=1e-3
@@ -266,7 +268,7 @@ def test_picture_of_one_unknown() -> None:
     cube = UnknownGrid((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
     linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
     likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
-    posterior = Posterior({"": Branch(likelihood)})
+    posterior = Posterior({"": PosteriorBranch(likelihood)})
     keys = ("crack.length", "crack.height")
     found: Any = type("Identification", (SimpleNamespace,), {})(
         unknown=keys,
@@ -313,7 +315,9 @@ def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
     more_measurement, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
     advice_text = list_advice_texts(
-        likelihood, x, rank_measurements(likelihood, x, [more_measurement], (1e-3, 0.05))
+        likelihood,
+        x,
+        rank_measurements_by_information(likelihood, x, [more_measurement], (1e-3, 0.05)),
     )
     assert len(advice_text) == (2 if slope else 0)
     for text in advice_text:
@@ -344,7 +348,7 @@ def test_two_that_cannot_be_told_apart() -> None:
     cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     even_likelihood = Even(np.zeros((2, 2)), np.zeros(2), cube)
     likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even_likelihood)  # type: ignore[arg-type]
-    parts = Posterior({"": Branch(likelihood)}).find_region_parts(0.95, 0.03)
+    parts = Posterior({"": PosteriorBranch(likelihood)}).find_region_parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
 
