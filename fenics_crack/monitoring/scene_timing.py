@@ -101,14 +101,16 @@ def arrivals_of_blades(
     return arrivals_by_blade, run
 
 
-def _load_or_solve_run(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
+def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -> Run[Result]:
     """Load the run of a source, or solve the scene (collective)."""
-    run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
+    run: Run[Result] = solve(scene, comm) if source_path is None else load_run(source_path, comm)
     result = run.result
     if not isinstance(result, (PeriodicSolution, ResponseCurve)):
-        raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
+        raise InputError(
+            "source", str(source_path), "a solution, a curve, or a CSV file of arrivals"
+        )
     if isinstance(result, PeriodicSolution) and not result.converged:
-        raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
+        raise InputError("source", str(source_path or "the scene"), f"converged: {result.status}")
     return run
 
 
@@ -121,7 +123,7 @@ def get_response_curve_or_none(run: Run[Any] | None) -> ResponseCurve | None:
 def _compute_arrivals(
     timing_table: TipTiming,
     run: Run[Any],
-    source: Path | None,
+    source_path: Path | None,
     probe_angles: np.ndarray,
     blade_number: int,
 ) -> ArrivalTimes:
@@ -143,7 +145,7 @@ def _compute_arrivals(
         result,
         find_tip_factor_by_dof(timing_table, run, blade_number),
         **timing_arguments,
-        **_choose_speed_or_order_argument(timing_table, run, source),
+        **_choose_speed_or_order_argument(timing_table, run, source_path),
     )
 
 
@@ -473,7 +475,7 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
 
 
 def _choose_speed_or_order_argument(
-    timing_table: TipTiming, run: Run, source: Path | None
+    timing_table: TipTiming, run: Run, source_path: Path | None
 ) -> dict[str, Any]:
     """Choose an argument of :func:`tip_timing`, by name: rotor speed or engine order.
 
@@ -483,7 +485,7 @@ def _choose_speed_or_order_argument(
         As :func:`get_engine_order`; or the curve of a rotor has one speed, while stiffness and
         mean load change in a run-up.
     """
-    owner_text = "" if source is None else f" of {str(source)!r}"
+    owner_text = "" if source_path is None else f" of {str(source_path)!r}"
     curve_or_none = get_response_curve_or_none(run)
     if curve_or_none is not None and run.scene.speed > 0.0 and curve_or_none.parameter != "speed":
         speed_text = format_speed(run.scene.speed, run.scene.in_rpm)
@@ -495,12 +497,16 @@ def _choose_speed_or_order_argument(
     if is_steady and run.scene.speed > 0.0:
         timing_table.forbid_keys(("order",), f"a rotor's speed, in [rotation]{owner_text}")
         return {"speed": run.scene.speed}
-    if source is not None and run.scene.excitation.order is None and timing_table.order is None:
+    if (
+        source_path is not None
+        and run.scene.excitation.order is None
+        and timing_table.order is None
+    ):
         requirement_text = (
             "a result whose own scene has [rotation] and excitation.order, which this one lacks; "
             "or given with tip_timing.order, periods of the load in a revolution"
         )
-        raise InputError("source", str(source), requirement_text)
+        raise InputError("source", str(source_path), requirement_text)
     return {"order": get_engine_order(timing_table, run.scene, owner_text)}
 
 

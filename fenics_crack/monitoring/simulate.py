@@ -169,7 +169,7 @@ def _build_motion(
     factor_by_dof: Mapping[int, float],
     speed: float | None,
     order: int | None,
-    revolutions: int,
+    n_revolutions: int,
 ) -> _TipMotion:
     """Return the motion of the blade tip (collective).
 
@@ -184,7 +184,7 @@ def _build_motion(
             raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")
         if order is None:
             raise InputError("order", order, "given with a curve: periods of the load in a turn")
-        return _build_run_up_motion(result, factor_by_dof, order, revolutions)
+        return _build_run_up_motion(result, factor_by_dof, order, n_revolutions)
     if (speed is None) == (order is None):
         raise InputError("speed, order", (speed, order), "one of them")
     rotor_speed = float(speed or result.omega / (order or 1))
@@ -196,7 +196,7 @@ def _build_motion(
     periods_per_revolution = result.base_omega / rotor_speed
     return _TipMotion(
         (rotor_speed, rotor_speed),
-        revolutions,
+        n_revolutions,
         speeds_with_harmonics,
         tip_harmonics,
         periods_per_revolution,
@@ -204,7 +204,7 @@ def _build_motion(
 
 
 def _build_run_up_motion(
-    curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, revolutions: int
+    curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, n_revolutions: int
 ) -> _TipMotion:
     """Return the motion of the blade tip along a run-up or run-down."""
     first_omega, last_omega = float(curve.omega[0]), float(curve.omega[-1])
@@ -226,7 +226,7 @@ def _build_run_up_motion(
         speeds_with_harmonics, tip_harmonics = speeds_with_harmonics[::-1], tip_harmonics[::-1]
     end_speeds = first_omega / order, float(curve.omega[passed_indices][-1]) / order
     return _TipMotion(
-        end_speeds, revolutions, speeds_with_harmonics, tip_harmonics, order / curve.subharmonic
+        end_speeds, n_revolutions, speeds_with_harmonics, tip_harmonics, order / curve.subharmonic
     )
 
 

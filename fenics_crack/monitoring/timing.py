@@ -137,8 +137,8 @@ def _has_second_harmonic(fit: TipFit) -> bool:
     return bool(np.any(np.isclose(fit.multiples, 2.0)))
 
 
-def _make_fit_row_by_column(fit: TipFit, has_ratio: bool) -> dict[str, float]:
-    """Return a fit's table row by column, with the harmonic ratio if ``has_ratio``."""
+def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, float]:
+    """Return a fit's table row by column, perhaps with the ratio of harmonics."""
     amplitudes, amplitude_errors = fit.amplitudes, fit.amplitude_errors
     value_by_column = {
         "amplitude": float(amplitudes[0]),
@@ -147,7 +147,7 @@ def _make_fit_row_by_column(fit: TipFit, has_ratio: bool) -> dict[str, float]:
     }
     ratio_column_names = "ratio_2_1", "ratio_2_1_error"
     return value_by_column | (
-        dict(zip(ratio_column_names, fit.ratio(), strict=True)) if has_ratio else {}
+        dict(zip(ratio_column_names, fit.ratio(), strict=True)) if has_harmonic_ratio else {}
     )
 
 
@@ -191,7 +191,7 @@ def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
 def _conclude_from_passages(
     passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
-    """Describe all blades' resonances: conclusion, notes and doubts."""
+    """Conclude from all blades' resonances, with notes and doubts."""
     blades_and_resonances = [
         (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
@@ -265,7 +265,7 @@ def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> st
 
 
 def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
-    """Describe a run-up: conclusion, table of peaks, notes and doubts."""
+    """Conclude from a run-up, with a table of peaks, notes and doubts."""
     track_table = track.table()
     kept_column_indices = [
         column_index
@@ -330,7 +330,7 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
 
 
 def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
-    """Describe vibrations at one speed: conclusion, notes and doubts."""
+    """Conclude from vibrations at one speed, with notes and doubts."""
     has_several_blades, note_texts, warning_texts = len(timing.fits) > 1, [], []
     for blade, fit in timing.fits.items():
         assert isinstance(fit, TipFit)
@@ -363,7 +363,7 @@ def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str
 
 
 def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
-    """Describe a fit: notes and doubts.
+    """List notes and doubts of a fit.
 
     A note has the ratio of the second harmonic to the first, which indicates a crack.
     """

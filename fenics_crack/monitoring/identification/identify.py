@@ -387,7 +387,7 @@ def _find_largest_vibration_ratio_and_place(
 
 @dataclass(frozen=True)
 class SolvedForwardModels:
-    """A forward model, solved.
+    """Solved forward models, with the crack and without.
 
     Attributes
     ----------
@@ -811,7 +811,7 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
     )
 
 
-def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
+def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
     """Thin the values of each unknown to a few, with its ends.
 
     Words are all kept.
@@ -819,7 +819,7 @@ def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
     thinned_axes = []
     for unknown_axis in unknown_axes:
         value_indices = np.unique(
-            np.linspace(0, len(unknown_axis.values) - 1, n_values).round().astype(int)
+            np.linspace(0, len(unknown_axis.values) - 1, n_kept_values).round().astype(int)
         )
         kept_axis_values = tuple(unknown_axis.values[value_index] for value_index in value_indices)
         thinned_axes.append(

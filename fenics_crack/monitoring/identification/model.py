@@ -112,7 +112,7 @@ class ProbeDisplacements:
         return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
 
     def fit_load_to_displacements(
-        self, harmonics: np.ndarray
+        self, model_harmonics: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Fit the load to the measured displacements, with harmonics U_k (m, K) [m].
 
@@ -127,14 +127,14 @@ class ProbeDisplacements:
         load_sizes : (m,)
             A.
         """
-        harmonic_orders = np.arange(1, harmonics.shape[1] + 1)
+        harmonic_orders = np.arange(1, model_harmonics.shape[1] + 1)
         phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
-        load_sizes = np.ones(len(harmonics))
-        load_phases = np.zeros(len(harmonics))
-        constant_displacements = np.zeros(len(harmonics))
+        load_sizes = np.ones(len(model_harmonics))
+        load_phases = np.zeros(len(model_harmonics))
+        constant_displacements = np.zeros(len(model_harmonics))
         if self._n_measured:
             load_sizes, load_phases, constant_displacements = self._fit_load_and_constant(
-                harmonics, phase_factors[: self._n_measured], harmonic_orders
+                model_harmonics, phase_factors[: self._n_measured], harmonic_orders
             )
         displacement_slopes = (
             phase_factors
@@ -142,7 +142,7 @@ class ProbeDisplacements:
                 :, None, :
             ]
         )
-        harmonic_terms = displacement_slopes * harmonics[:, None, :]
+        harmonic_terms = displacement_slopes * model_harmonics[:, None, :]
         displacements = harmonic_terms.sum(axis=2).real
         # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
         # times the largest displacement.
@@ -162,14 +162,14 @@ class ProbeDisplacements:
         )
 
     def _fit_load_and_constant(
-        self, harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
+        self, model_harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit A > 0, psi and c by least squares: (m,) each, all m at once.
 
         The best of 64 phases is refined by four damped steps of Gauss and Newton.
         """
         tried_phases = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-        shifted_harmonics = harmonics[:, None, :] * np.exp(
+        shifted_harmonics = model_harmonics[:, None, :] * np.exp(
             -1j * np.multiply.outer(tried_phases, harmonic_orders)
         )
         displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
@@ -180,7 +180,7 @@ class ProbeDisplacements:
         squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
         explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
         best_phase_indices = explained_squares.argmax(axis=1)
-        point_indices = np.arange(len(harmonics))
+        point_indices = np.arange(len(model_harmonics))
         load_sizes = (
             projections[point_indices, best_phase_indices]
             / squared_norms[point_indices, best_phase_indices]
@@ -191,7 +191,7 @@ class ProbeDisplacements:
         )
         for _ in range(4):
             harmonic_terms = (
-                harmonics[:, None, :]
+                model_harmonics[:, None, :]
                 * phase_factors
                 * np.exp(-1j * np.outer(load_phases, harmonic_orders))[:, None, :]
             )
@@ -567,7 +567,7 @@ class MeasurementPredictor:
             Points among x at which the state is possible.
         probabilities : (n,)
             Its probability there.
-        prediction : MeasurementPrediction
+        MeasurementPrediction
             Predictions there.
         """
         motionless_fractions = np.zeros((len(x), 0))
@@ -858,7 +858,7 @@ class MeasurementPredictor:
 
     def _estimate_omitted_orders_and_squares(
         self,
-        first_harmonic: Feature,
+        first_harmonic_feature: Feature,
         mean_squares: np.ndarray,
         damping_ratios: np.ndarray,
         split_root_and_frequencies: np.ndarray,
@@ -872,7 +872,7 @@ class MeasurementPredictor:
 
         Parameters
         ----------
-        first_harmonic : Feature
+        first_harmonic_feature : Feature
             First harmonic of a point.
         mean_squares : (m, K) [m^2]
             Mean squares of its known harmonics.
@@ -887,18 +887,19 @@ class MeasurementPredictor:
             Mean squares of these harmonics.
         """
         n_known_harmonics = self.model.coarse_cases.find_smallest_harmonic_count(
-            first_harmonic.load_frequency
+            first_harmonic_feature.load_frequency
         )
         highest_frequency = self._highest_mode_frequency
         n_known_harmonics = min(n_known_harmonics, mean_squares.shape[1])
         n_harmonics = min(
             max(
-                2 * n_known_harmonics, math.ceil(highest_frequency / first_harmonic.load_frequency)
+                2 * n_known_harmonics,
+                math.ceil(highest_frequency / first_harmonic_feature.load_frequency),
             ),
             MAX_HARMONIC_ORDER,
         )
         harmonic_features = [
-            replace(first_harmonic, harmonic_order=harmonic_order)
+            replace(first_harmonic_feature, harmonic_order=harmonic_order)
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
@@ -938,7 +939,7 @@ class MeasurementPredictor:
 
         Returns
         -------
-        values : (m, q)
+        predictions : (m, q)
         complex_slopes : (m, q, f)
             Slopes t by the smooth forms S: the change of a value is Re sum t dS.
         common_errors : (m, q, 1 + modes)
@@ -1058,7 +1059,7 @@ class MeasurementPredictor:
 
 
 def _find_harmonic_masks_and_motionless_nodes(
-    solved_cases: SolvedCases, features: Sequence[Feature], load_indices: Sequence[int]
+    solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Find nodes at which the crack faces neither touch nor part under a load.
 
@@ -1073,8 +1074,8 @@ def _find_harmonic_masks_and_motionless_nodes(
     """
     harmonic_masks, motionless_grids = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
-    for load_index in np.unique(np.array(load_indices)[is_higher_harmonic]):
-        is_group_member = is_higher_harmonic & (np.array(load_indices) == load_index)
+    for load_index in np.unique(np.array(load_index_of_features)[is_higher_harmonic]):
+        is_group_member = is_higher_harmonic & (np.array(load_index_of_features) == load_index)
         group_harmonic_amplitudes = [
             features[feature_index].get_node_values(solved_cases)
             for feature_index in np.flatnonzero(is_group_member)

@@ -178,16 +178,16 @@ class Likelihood:
         return float(chi_squares[0]), float(p_values[0])
 
     def _compute_chi_squares_and_p_values(
-        self, x: np.ndarray, n_fitted: int
+        self, x: np.ndarray, n_fitted_unknowns: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return chi^2 at x (m, d) and its p-value: (m,) each.
 
-        ``n_fitted`` of the unknowns are fitted.
+        ``n_fitted_unknowns`` of the unknowns are fitted.
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
             len(self.measurement_values)
-            - n_fitted
+            - n_fitted_unknowns
             - self.predictor(x[:1]).load_induced_changes.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
@@ -207,7 +207,9 @@ class Likelihood:
 
 
 def compute_scaled_covariance(
-    prediction: MeasurementPrediction, values: np.ndarray, deviations: np.ndarray
+    prediction: MeasurementPrediction,
+    measurement_values: np.ndarray,
+    measurement_deviations: np.ndarray,
 ) -> np.ndarray:
     """Return V over the products of standard deviations (q,): (m, q, q).
 
@@ -219,13 +221,14 @@ def compute_scaled_covariance(
         + prediction.load_induced_changes @ prediction.load_induced_changes.transpose(0, 2, 1)
     )
     vague_deviations = np.where(
-        prediction.is_predictable, 0.0, 10.0 * (np.abs(values) + deviations)
+        prediction.is_predictable, 0.0, 10.0 * (np.abs(measurement_values) + measurement_deviations)
     )
     prediction_covariance = np.where(is_predictable_pair, prediction_covariance, 0.0) + np.diag(
         vague_deviations**2
     )
     return np.asarray(
-        np.eye(len(values)) + prediction_covariance / np.outer(deviations, deviations)
+        np.eye(len(measurement_values))
+        + prediction_covariance / np.outer(measurement_deviations, measurement_deviations)
     )
 
 
@@ -694,8 +697,7 @@ class Posterior:
 
         Each part is a tuple of words, middle (d,) and mass. Parts with less mass than
         ``min_probability`` are left out. The middle is the mean or, if a bent part does not hold
-        its mean, the part's
-        nearest point.
+        its mean, the part's nearest point.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
         region_parts = []
@@ -733,7 +735,7 @@ class Posterior:
         return float(np.sqrt(np.cov(unknown_values, aweights=value_masses, ddof=0)))
 
     def compute_pair_mass_and_density(
-        self, words_text: str, first_index: int, second_index: int
+        self, words_text: str, first_unknown_index: int, second_unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a branch's mass over two unknowns, and its density: (n_first, n_second) each."""
         mass_and_prior = (
@@ -743,9 +745,9 @@ class Posterior:
         other_axes = tuple(
             axis_index
             for axis_index in range(mass_and_prior[0].ndim)
-            if axis_index not in (first_index, second_index)
+            if axis_index not in (first_unknown_index, second_unknown_index)
         )
         pair_mass, pair_prior = (point_array.sum(axis=other_axes) for point_array in mass_and_prior)
-        if first_index > second_index:
+        if first_unknown_index > second_unknown_index:
             pair_mass, pair_prior = pair_mass.T, pair_prior.T
         return pair_mass, pair_mass / pair_prior

@@ -131,13 +131,13 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
             yield heading_lines, number_bytes or b"".join(data_lines), byte_order
 
 
-def _parse_fixed_width_numbers(number_text: bytes) -> np.ndarray:
+def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
     """Read numbers of fixed width, perhaps without blanks between them."""
-    if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_text).split():
+    if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_bytes).split():
         raise ValueError(f"{invalid_words[0][:20].decode('latin-1')!r} instead of a number")
     number_words = [
         re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", number_word)
-        for number_word in FORTRAN_NUMBER_PATTERN.findall(number_text)
+        for number_word in FORTRAN_NUMBER_PATTERN.findall(number_bytes)
     ]
     return np.array(number_words, dtype=float)
 

@@ -102,7 +102,7 @@ def rank_measurements_by_information(
     likelihood: Likelihood,
     x: np.ndarray,
     measurements: Sequence[Measurement] | None,
-    deviations: tuple[float, float],
+    default_relative_deviations: tuple[float, float],
 ) -> Worth:
     """Rank further measurements by their information at an estimate x (d,).
 
@@ -114,7 +114,7 @@ def rank_measurements_by_information(
         A standard deviation is not > 0, or a measurement is not one of the forward model.
     """
     argument_names = ("frequency_deviation", "harmonic_deviation")
-    for argument_name, deviation in zip(argument_names, deviations, strict=True):
+    for argument_name, deviation in zip(argument_names, default_relative_deviations, strict=True):
         check_number(argument_name, deviation, 0.0, excludes_bound=True)
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
     candidate_rows = tuple(measurements or ())
@@ -128,7 +128,7 @@ def rank_measurements_by_information(
     candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     if measurements is None:
         candidate_deviations = _assume_candidate_deviations(
-            candidate_rows, predictions[n_measured:], deviations
+            candidate_rows, predictions[n_measured:], default_relative_deviations
         )
     is_usable = np.isfinite(predictions[n_measured:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
@@ -273,13 +273,16 @@ def _describe_gain_or_empty(
 
 
 def _compute_deviation_by_key_with(
-    likelihood: Likelihood, x: np.ndarray, further_rows: Sequence[Measurement]
+    likelihood: Likelihood, x: np.ndarray, further_measurements: Sequence[Measurement]
 ) -> dict[str, float]:
     """Return the standard deviation of each unknown with all further measurements."""
     model = likelihood.predictor.model
-    predictor = model.make_predictor(likelihood.predictor.rows, further_rows)
+    predictor = model.make_predictor(likelihood.predictor.rows, further_measurements)
     all_deviations = np.concatenate(
-        [likelihood.measurement_deviations, [measurement.deviation for measurement in further_rows]]
+        [
+            likelihood.measurement_deviations,
+            [measurement.deviation for measurement in further_measurements],
+        ]
     )
     return _compute_log_determinant_and_deviations(
         model,
