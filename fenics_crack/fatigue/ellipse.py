@@ -62,12 +62,14 @@ class EllipseTable:
         """Fit a spline over ln a and ln c to each column, by name."""
         from scipy.interpolate import RectBivariateSpline  # takes a while, and is needed here alone
 
-        log_axes = np.log(self.depths), np.log(self.lengths)
-        depth_degree, length_degree = (min(3, len(log_axis) - 1) for log_axis in log_axes)
+        log_depths_and_lengths = np.log(self.depths), np.log(self.lengths)
+        depth_degree, length_degree = (
+            min(3, len(log_sizes) - 1) for log_sizes in log_depths_and_lengths
+        )
         stress_and_other_divisors = np.sqrt(self.depths)[:, None], 1.0
         return {
             column_name: RectBivariateSpline(
-                *log_axes,
+                *log_depths_and_lengths,
                 column / stress_and_other_divisors[not _is_stress_intensity_column(column_name)],
                 kx=depth_degree,
                 ky=length_degree,

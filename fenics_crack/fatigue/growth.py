@@ -492,10 +492,10 @@ def _validate_growth_scene(scene: Scene) -> Scene:
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
     allowed_text = "given with [growth], and crack.length: these are what changes"
     start_size = crack.given(size_key, allowed_text)
-    max_size = getattr(scene.geometry, limit_key) or math.inf
-    if not start_size < law.until < max_size:
+    size_limit = getattr(scene.geometry, limit_key) or math.inf
+    if not start_size < law.until < size_limit:
         allowed_text = (
-            f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {max_size:g}"
+            f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {size_limit:g}"
         )
         raise InputError("growth.until", law.until, allowed_text)
     return scene
@@ -509,14 +509,16 @@ def _grow_ellipse(
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
-    max_length = on_root(comm, lambda: _find_max_ellipse_length(scene))
-    if crack.given("length") >= max_length:
+    allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
+    if crack.given("length") >= allowed_length:
         raise InputError(
-            "crack.length", crack.length, f"below {max_length:g} with [growth]: the sides"
+            "crack.length", crack.length, f"below {allowed_length:g} with [growth]: the sides"
         )
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
-        "crack.length": np.geomspace(crack.given("length"), max_length, N_ELLIPSE_SIZES_PER_AXIS),
+        "crack.length": np.geomspace(
+            crack.given("length"), allowed_length, N_ELLIPSE_SIZES_PER_AXIS
+        ),
     }
     sweep_path = None if folder is None else folder / "growth_1.h5"
     sweep_result = _sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
@@ -599,7 +601,7 @@ def _collect_ellipse_remarks(
     return remark_texts
 
 
-def _find_max_ellipse_length(scene: Scene) -> float:
+def _find_allowed_ellipse_length(scene: Scene) -> float:
     """Find the maximum length [m] for half-ellipses in the table.
 
     Around a point it is at most the length of a crack with three times the relative growth along
@@ -609,10 +611,10 @@ def _find_max_ellipse_length(scene: Scene) -> float:
     law = scene.given("growth")
     section_reaches = find_section_reaches(scene)
     available_length = max(section_reaches) if crack.edge else 2.0 * min(section_reaches)
-    max_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
+    allowed_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
     if crack.point is None:
-        return max_length
-    return min(max_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
+        return allowed_length
+    return min(allowed_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
 
 
 def estimate_ellipse_life_error(
@@ -872,10 +874,14 @@ def _collect_growth_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
     law = scene.given("growth")
-    doubtful_lengths = (length_path.not_stable_lengths, jump_lengths)
+    doubtful_length_lists = (length_path.not_stable_lengths, jump_lengths)
     not_stable_lengths, jump_lengths = (
-        [doubtful_length for doubtful_length in checked_lengths if doubtful_length <= lengths[-1]]
-        for checked_lengths in doubtful_lengths
+        [
+            doubtful_length
+            for doubtful_length in doubtful_length_list
+            if doubtful_length <= lengths[-1]
+        ]
+        for doubtful_length_list in doubtful_length_lists
     )
     if not_stable_lengths:
         count_text = format_count(len(not_stable_lengths), "length")

@@ -137,14 +137,17 @@ def _compute_arrivals(
             if unstable_index is None or len(passed_indices) < 2
             else curve.part(passed_indices)
         )
-    timing_arguments = {
+    timing_argument_by_name = {
         key: getattr(timing_table, key) for key in ("tip_radius", "revolutions", "noise", "clock")
     }
-    timing_arguments |= {"probes": probe_angles, "seed": timing_table.seed + blade_number - 1}
+    timing_argument_by_name |= {
+        "probes": probe_angles,
+        "seed": timing_table.seed + blade_number - 1,
+    }
     return tip_timing(
         result,
         find_tip_factor_by_dof(timing_table, run, blade_number),
-        **timing_arguments,
+        **timing_argument_by_name,
         **_choose_speed_or_order_argument(timing_table, run, source_path),
     )
 
@@ -222,8 +225,8 @@ def fit_vibration_or_passages(
         harmonics, or revolutions together, where its resonances are sought.
     """
     load_order = timing_table.order or (None if scene is None else scene.excitation.order)
-    fit_arguments: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
-    fit_arguments["angle_deviation"] = np.radians(timing_table.angle_deviation)
+    fit_argument_by_name: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
+    fit_argument_by_name["angle_deviation"] = np.radians(timing_table.angle_deviation)
     passage_keys_and_owner_text = (
         ("stiffening",),
         "all but a measured run-up in which resonances are sought",
@@ -242,19 +245,21 @@ def fit_vibration_or_passages(
             return _fit_passages(timing_table, arrivals, diagram_or_none)
         timing_table.forbid_keys(*passage_keys_and_owner_text)
         timing_table.forbid_keys(("orders",), f"a computed run-up: order {load_order} is tracked")
-        fit_arguments |= {
+        fit_argument_by_name |= {
             "subharmonic": timing_table.subharmonic,
             "revolutions": timing_table.fitted_revolutions,
         }
-        return track_order(arrivals, load_order, **fit_arguments)
+        return track_order(arrivals, load_order, **fit_argument_by_name)
     timing_table.forbid_keys(*passage_keys_and_owner_text)
     if timing_table.frequencies is not None:
         lower_omega, upper_omega = (
             2.0 * np.pi * frequency for frequency in timing_table.frequencies
         )
-        return fit_frequency(arrivals, lower_omega, upper_omega, **fit_arguments)
+        return fit_frequency(arrivals, lower_omega, upper_omega, **fit_argument_by_name)
     fitted_orders = timing_table.orders or ([load_order] if load_order else ORDERS)
-    return fit_order(arrivals, fitted_orders, **fit_arguments, subharmonic=timing_table.subharmonic)
+    return fit_order(
+        arrivals, fitted_orders, **fit_argument_by_name, subharmonic=timing_table.subharmonic
+    )
 
 
 def find_passages_and_modes(

@@ -153,13 +153,13 @@ def identify(
     )
     refined_axes: list[Axis] = []
     while True:
-        solve_arguments: dict[str, Any] = {
+        solve_argument_by_name: dict[str, Any] = {
             "frequency_only_loads": frequency_only_loads,
             "uncracked_plate": uncracked_plate,
             "refined_axes": refined_axes,
         }
         forward_models = solve_forward(
-            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_arguments
+            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_argument_by_name
         )
         begin_stage("inference")
         identification = infer_unknowns(forward_models, measurements)
@@ -175,11 +175,11 @@ def identify(
         ) is None:
             break
         refined_axes.append(refined_axis)
-    remark = (
+    remark_text = (
         f"interpolation between the solved cases has {shares_along_unknowns.sum():.0%} of the "
         f"variance of {measurement_name}: more values in identify.unknown make regions narrower"
     )
-    return replace(identification, remarks=(*identification.remarks, remark))
+    return replace(identification, remarks=(*identification.remarks, remark_text))
 
 
 def infer_unknowns(
@@ -498,18 +498,18 @@ def solve_forward(
     cracked_sweeps = sweeper.run_check_sweeps(
         "forward", {}, [*sweeper.mesh_file_axes, *unknown_axes], sweep_result
     )
-    removal_changes = get_crack_removal_changes_or_none(scene)
-    if removal_changes is None:
+    removal_value_by_key = get_crack_removal_changes_or_none(scene)
+    if removal_value_by_key is None:
         model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
         return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
     uncracked_axes = [
         axis for axis in unknown_axes if not axis.key.startswith(("crack.", "contact."))
     ]
     uncracked_sweep = sweeper.run_or_read_sweep(
-        "uncracked", sweeper.coarse_scene.replace(removal_changes), uncracked_axes
+        "uncracked", sweeper.coarse_scene.replace(removal_value_by_key), uncracked_axes
     )
     uncracked_sweeps = sweeper.run_check_sweeps(
-        "uncracked", removal_changes, uncracked_axes, uncracked_sweep
+        "uncracked", removal_value_by_key, uncracked_axes, uncracked_sweep
     )
     cracked_and_uncracked_models = (
         _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
@@ -708,13 +708,19 @@ def _refine_axis_at_resonance_or_none(
     for unknown_axis in sorted(
         number_axes, key=lambda unknown_axis: -largest_step_by_key[unknown_axis.key]
     ):
-        n_values = len(unknown_axis.values)
-        allowed_parts = (_count_allowed_cases(scene) * n_values // n_cases - 1) // (n_values - 1)
-        n_parts = min(math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), allowed_parts)
-        if n_parts > 1:
-            value_coordinates = np.arange((n_values - 1) * n_parts + 1) / n_parts
+        n_axis_values = len(unknown_axis.values)
+        allowed_parts = (_count_allowed_cases(scene) * n_axis_values // n_cases - 1) // (
+            n_axis_values - 1
+        )
+        n_parts_per_interval = min(
+            math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), allowed_parts
+        )
+        if n_parts_per_interval > 1:
+            value_coordinates = (
+                np.arange((n_axis_values - 1) * n_parts_per_interval + 1) / n_parts_per_interval
+            )
             refined_axis_values = np.interp(
-                value_coordinates, np.arange(n_values), unknown_axis.values
+                value_coordinates, np.arange(n_axis_values), unknown_axis.values
             ).tolist()
             return Axis(unknown_axis.key, tuple(refined_axis_values))
     return None
@@ -794,18 +800,18 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
     The second is None without a finer mesh.
     """
-    finer_scene_changes: dict[str, Any] = {}
+    finer_value_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
         n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
-        finer_scene_changes = {
+        finer_value_by_key = {
             "harmonic_balance.harmonics": n_harmonics,
             "harmonic_balance.samples": None,
         }
     scene_with_other_mesh = None if mesh_ratio == 1.0 else refine_scene(scene, mesh_ratio)
-    if scene_with_other_mesh is None and not finer_scene_changes:
+    if scene_with_other_mesh is None and not finer_value_by_key:
         return scene, None
     return (
-        (scene, (scene_with_other_mesh or scene).replace(finer_scene_changes))
+        (scene, (scene_with_other_mesh or scene).replace(finer_value_by_key))
         if mesh_ratio > 1.0
         else (scene_with_other_mesh or scene, scene)
     )

@@ -159,7 +159,7 @@ class Interpolation:
         ]
         if unknown_grid.axes:
             value_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
-            leave_one_out_errors = (
+            leave_one_out_errors_along_axes = (
                 np.moveaxis(
                     compute_leave_one_out_errors(
                         axis_values, np.moveaxis(value_grid, axis_index, 0)
@@ -171,7 +171,7 @@ class Interpolation:
             )
             self._node_errors_along_axes = [
                 OPTIONS.leave_one_out_fraction * errors_along_axis.reshape(node_values.shape)
-                for errors_along_axis in leave_one_out_errors
+                for errors_along_axis in leave_one_out_errors_along_axes
             ]
             if fill_errors.any():
                 self._node_errors_along_axes.append(fill_errors)

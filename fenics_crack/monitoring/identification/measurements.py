@@ -391,20 +391,21 @@ class Measurements(Tabular):
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
         arrivals.check_places(angle_deviation)
-        n_arrivals = np.isfinite(arrivals.time).sum(axis=0)
-        n_arrivals, rotor_speed = n_arrivals[n_arrivals > 0], arrivals.mean_speed
-        if len(n_arrivals) < 4:  # one more than the load's size and phase, and a constant
+        n_arrivals_of_probes = np.isfinite(arrivals.time).sum(axis=0)
+        n_arrivals_of_probes = n_arrivals_of_probes[n_arrivals_of_probes > 0]
+        rotor_speed = arrivals.mean_speed
+        if len(n_arrivals_of_probes) < 4:  # one more than the load's size and phase, and a constant
             raise InputError("arrivals", repr(arrivals), "those of 4 probes or more")
         probe_statistics = Means(arrivals, 1, float(order), angle_deviation)
         probe_place_deviation = arrivals.tip_radius * angle_deviation
         if noise is not None:
-            mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals)
+            mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
             deviations = arrivals.tip_radius * np.hypot(mean_angle_deviations, angle_deviation)
         elif probe_statistics.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
         elif np.isnan(variance_factor := student(probe_statistics.within)):
-            arrivals_text = format_count(int(n_arrivals.sum()), "arrival")
-            probes_text = format_count(len(n_arrivals), "probe")
+            arrivals_text = format_count(int(n_arrivals_of_probes.sum()), "arrival")
+            probes_text = format_count(len(n_arrivals_of_probes), "probe")
             allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
             raise InputError("noise", None, allowed_text)
         else:
@@ -419,8 +420,8 @@ class Measurements(Tabular):
             "phase": (order * probe_statistics.angle % RAD_PER_TURN).tolist()
         }
         column_by_name |= {
-            "frequency": [load_frequency] * len(n_arrivals),
-            "point": [point] * len(n_arrivals),
+            "frequency": [load_frequency] * len(n_arrivals_of_probes),
+            "point": [point] * len(n_arrivals_of_probes),
         }
         return cls.from_arrays(
             "displacement", displacements.tolist(), deviations.tolist(), **column_by_name
@@ -569,8 +570,8 @@ class Measurements(Tabular):
         return values_by_column
 
     def _title(self) -> str:
-        n_frequencies = sum(measurement.natural for measurement in self.rows)
-        return f"{n_frequencies} natural frequencies, {len(self) - n_frequencies} at loads"
+        n_natural = sum(measurement.natural for measurement in self.rows)
+        return f"{n_natural} natural frequencies, {len(self) - n_natural} at loads"
 
 
 def get_crack_removal_changes_or_none(scene: Scene) -> dict[str, Any] | None:

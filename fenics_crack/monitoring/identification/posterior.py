@@ -314,10 +314,10 @@ class PosteriorBranch:
         grid_points = _build_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
-        min_log_likelihood = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
+        log_likelihood_limit = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
         is_evaluated = (
             RegularGridInterpolator(first_axes, neighbourhood_maxima)(grid_points)
-            > min_log_likelihood
+            > log_likelihood_limit
         )
         for optimum, optimum_half_width in zip(best_optima, optimum_half_widths, strict=True):
             is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_half_width, axis=1)
@@ -399,8 +399,8 @@ def _convolve_with_crack_deviations(
 
     The standard deviations (n, d) describe the crack's difference from the equivalent crack.
     """
-    max_log_likelihood = log_likelihood.max()
-    relative_likelihood = np.exp(log_likelihood - max_log_likelihood)
+    largest_log_likelihood = log_likelihood.max()
+    relative_likelihood = np.exp(log_likelihood - largest_log_likelihood)
     for unknown_index, (axis_values, weights_along_axis) in enumerate(
         zip(axes, axis_weights, strict=True)
     ):
@@ -423,7 +423,7 @@ def _convolve_with_crack_deviations(
             unknown_index,
         )
     return np.asarray(
-        np.log(np.maximum(relative_likelihood, np.finfo(float).tiny)) + max_log_likelihood
+        np.log(np.maximum(relative_likelihood, np.finfo(float).tiny)) + largest_log_likelihood
     )
 
 

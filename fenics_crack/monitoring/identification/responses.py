@@ -146,7 +146,7 @@ def _parse_response(
     heading_texts: list[str], number_bytes: bytes, byte_order: str
 ) -> FrequencyResponse:
     """Read a frequency response from its heading, the dataset's number first, and its numbers."""
-    number_type_code, n_lines, is_equally_spaced = (
+    number_type_code, n_spectral_lines, is_equally_spaced = (
         int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
     )
     first_frequency, frequency_step = (
@@ -166,14 +166,14 @@ def _parse_response(
         ).astype(float)
     else:
         interleaved_values = _parse_fixed_width_numbers(number_bytes.upper().replace(b"D", b"E"))
-    if len(interleaved_values) != n_lines * (2 if is_equally_spaced else 3) or not np.all(
+    if len(interleaved_values) != n_spectral_lines * (2 if is_equally_spaced else 3) or not np.all(
         np.isfinite(interleaved_values)
     ):
         raise ValueError(
-            f"{len(interleaved_values)} finite numbers instead of those of {n_lines} lines"
+            f"{len(interleaved_values)} finite numbers instead of those of {n_spectral_lines} lines"
         )
     if is_equally_spaced:
-        frequencies = first_frequency + frequency_step * np.arange(n_lines)
+        frequencies = first_frequency + frequency_step * np.arange(n_spectral_lines)
     else:
         frequencies = interleaved_values[::3]
         interleaved_values = np.delete(interleaved_values, np.s_[::3])
@@ -276,11 +276,11 @@ def _fit_mode_or_none(
         without a stable mode.
     """
     r, receptances_in_slice = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
-    n_responses, n_lines = receptances_in_slice.shape
+    n_responses, n_spectral_lines = receptances_in_slice.shape
     if 2 * receptances_in_slice.size <= 2 + 4 * n_responses:
         return None
     residual_term_columns = np.kron(
-        np.eye(n_responses), np.column_stack([np.ones(n_lines), r - 1.0])
+        np.eye(n_responses), np.column_stack([np.ones(n_spectral_lines), r - 1.0])
     )
     receptance_vector = receptances_in_slice.ravel()
     tiled_frequency_ratios = np.tile(r, n_responses)

@@ -122,20 +122,20 @@ def rank_measurements_by_information(
         measurement.check(model.scene)
     if measurements is None:
         candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
-    n_measured = len(measured_rows)
+    n_measured_rows = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
     predictions = predictor(x[None]).values[0]
     candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     if measurements is None:
         candidate_deviations = _assume_candidate_deviations(
-            candidate_rows, predictions[n_measured:], default_relative_deviations
+            candidate_rows, predictions[n_measured_rows:], default_relative_deviations
         )
-    is_usable = np.isfinite(predictions[n_measured:]) & (candidate_deviations > 0.0)
+    is_usable = np.isfinite(predictions[n_measured_rows:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
         [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
     )
     covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
-    measured_indices = np.arange(n_measured)
+    measured_indices = np.arange(n_measured_rows)
     measured_log_determinant, measured_deviation_by_key = _compute_log_determinant_and_deviations(
         model, x, covariance_and_slopes, measured_indices
     )
@@ -144,7 +144,7 @@ def rank_measurements_by_information(
             model,
             x,
             covariance_and_slopes,
-            np.append(measured_indices, n_measured + candidate_index),
+            np.append(measured_indices, n_measured_rows + candidate_index),
         )
         for candidate_index in range(len(candidate_rows))
     ]
@@ -162,7 +162,7 @@ def rank_measurements_by_information(
         tuple(
             replace(
                 candidate_rows[candidate_index],
-                value=float(predictions[n_measured + candidate_index]),
+                value=float(predictions[n_measured_rows + candidate_index]),
                 deviation=float(candidate_deviations[candidate_index]),
             )
             for candidate_index in ranked_indices
@@ -495,13 +495,13 @@ class Identification(Tabular):
         undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
             return undecided_verdict, "there is no plate without a crack to compare with"
-        min_p_value = 1.0 - prior_by_key["confidence"]
-        min_log_bayes_factor = prior_by_key["log_bayes_factor"]
+        required_p_value = 1.0 - prior_by_key["confidence"]
+        required_log_bayes_factor = prior_by_key["log_bayes_factor"]
         crack_p_value = self.misfit[1]
         uncracked_p_value = self.plain.misfit[1]
         log_bayes_factor = self.log_bayes_factor
         bayes_factor_text = f"log Bayes factor {log_bayes_factor:.3g}, crack over no crack"
-        if max(crack_p_value, uncracked_p_value) < min_p_value:
+        if max(crack_p_value, uncracked_p_value) < required_p_value:
             reason_text = (
                 "neither a crack of this kind nor a plate without one explains the measurements"
             )
@@ -509,14 +509,14 @@ class Identification(Tabular):
                 "two cracks, one of another kind or elsewhere, or a wrong measurement might"
             )
             return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
-        if log_bayes_factor > min_log_bayes_factor and uncracked_p_value >= min_p_value:
+        if log_bayes_factor > required_log_bayes_factor and uncracked_p_value >= required_p_value:
             reason_text = "a plate without a crack explains the measurements within its priors"
             return (
                 undecided_verdict,
                 f"{reason_text} ({bayes_factor_text})"
                 f"{_describe_unchanged_plate_condition_or_empty(self)}",
             )
-        if log_bayes_factor < -min_log_bayes_factor:
+        if log_bayes_factor < -required_log_bayes_factor:
             unseen_crack_text = (
                 f"{bayes_factor_text}; an undetected one would be at {_describe_intervals(self)}"
             )
@@ -527,7 +527,7 @@ class Identification(Tabular):
         conditions_text = _describe_single_crack_condition_or_empty(
             self
         ) + _describe_unchanged_plate_condition_or_empty(self)
-        if log_bayes_factor > min_log_bayes_factor:
+        if log_bayes_factor > required_log_bayes_factor:
             return "crack", bayes_factor_text + _describe_warming_condition_or_empty(
                 self
             ) + conditions_text
@@ -806,7 +806,7 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     (chi_square, p_value) = identification.misfit
     rows = identification.measurements.rows
     warning_texts = []
-    min_p_value = 1.0 - identification.priors["confidence"]
+    required_p_value = 1.0 - identification.priors["confidence"]
     if identification.posterior.unresolved_probability > OPTIONS.min_part_probability:
         warning_texts.append(
             "the grid does not resolve "
@@ -815,7 +815,7 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
             "more"
         )
     n_current_rows = sum(measurement.quantity != "frequency_uncracked" for measurement in rows)
-    if p_value < min_p_value:
+    if p_value < required_p_value:
         misfit_text = f"chi^2 = {chi_square:.3g} of {len(rows)}"
         if n_current_rows > 1:
             chi_squares_without_row = [
@@ -831,7 +831,7 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     if (
         n_current_rows > 1
         and identification.plain is not None
-        and identification.plain.misfit[1] < min_p_value
+        and identification.plain.misfit[1] < required_p_value
     ):
         rows_and_misfits = zip(
             rows, identification.plain.misfits_without_each_measurement, strict=True
@@ -839,7 +839,7 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
         if measurement_names := [
             measurement.name
             for measurement, (_, p_value_without_row) in rows_and_misfits
-            if p_value_without_row >= min_p_value
+            if p_value_without_row >= required_p_value
         ]:
             rows_pronoun = "these" if len(measurement_names) > 1 else "that"
             plate_text = (
@@ -896,16 +896,16 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
         * identify_table.temperature_coefficient
         * identification.priors["temperature_deviation"]
     )
-    min_p_value = 1.0 - identify_table.confidence
+    required_p_value = 1.0 - identify_table.confidence
     largest_stated_change = max(identify_table.before_deviation, thermal_frequency_change)
     clamp_deviation = identify_table.clamp_deviation
     if uncracked_posterior is None or not has_baseline or largest_stated_change == 0.0:
         return ""
-    is_uncracked_explained = uncracked_posterior.misfit[1] >= min_p_value
+    is_uncracked_explained = uncracked_posterior.misfit[1] >= required_p_value
     if (
         is_uncracked_explained
         and uncracked_posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]
-        < min_p_value
+        < required_p_value
     ):
         return (
             f"; {_describe_modulus_change(identification, uncracked_posterior)}, "
@@ -925,7 +925,7 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
         clamp_factor=clamp_and_temperature_factors[0],
         temperature_factor=clamp_and_temperature_factors[1],
     )
-    if (misfit_with_changes[1] >= min_p_value) == is_uncracked_explained:
+    if (misfit_with_changes[1] >= required_p_value) == is_uncracked_explained:
         return ""
     modulus_text = (
         f", or {_describe_modulus_change(identification, uncracked_posterior)},"
