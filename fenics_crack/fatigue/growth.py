@@ -669,10 +669,10 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     )  # nan where nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
     for column in column_by_name.values() if sweep_result.failed else ():
-        interpolated_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
+        failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
             log_size_grid[~is_solved]
         )
-        column[~is_solved] = np.maximum(interpolated_values, 0.0)
+        column[~is_solved] = np.maximum(failed_case_values, 0.0)
     return EllipseTable(depths, lengths, column_by_name)
 
 
@@ -839,10 +839,10 @@ def _estimate_quantity_error_and_remarks(
 def _estimate_life_error_by_threshold(
     length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
 ) -> float:
-    """Return the error of ln N by loads that fall below the threshold.
+    """Return the error in ln N by loads that fall below the threshold.
 
     All ranges fall by a relative error, which leaves more of a spectrum below the threshold. The
-    rise of ln N comes on top of the exponent's.
+    rise in ln N comes on top of the exponent's.
     """
     is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
     if not (is_threshold_relevant and 0.0 < range_error < 1.0):
@@ -1204,7 +1204,7 @@ def _sweep_crack_sizes(
     """Run a sweep over crack sizes and the levels of a spectrum (collective)."""
     is_at_resonance = scene.given("growth").drive == "resonance"
     value_list_by_key = {
-        sweep_key: swept_values.tolist() for sweep_key, swept_values in values_by_key.items()
+        sweep_key: swept_sizes.tolist() for sweep_key, swept_sizes in values_by_key.items()
     }
     sweep_value_by_key = {"sweep.over": value_list_by_key, "sweep.at_resonance": is_at_resonance}
     observable_places = (
