@@ -360,7 +360,7 @@ def grow(
     folder_path = None if folder is None else Path(folder)
     if scene_without_sweep.given("crack").is_elliptical:
         return _grow_ellipse(scene_without_sweep, folder_path, comm, progress=progress)
-    _resize_crack(
+    _make_scene_with_crack_size(
         scene_without_sweep, scene_without_sweep.excitation.omega, law.until
     )  # is refused before anything is solved
     length_path, interpolation_error, jump_lengths = _solve_lengths_to_tolerance(
@@ -733,7 +733,7 @@ def _estimate_ellipse_range_error_and_remarks(
         ellipse_path.length[path_row_index : path_row_index + 1],
     )
     omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
-    resized_scene = _resize_crack(
+    resized_scene = _make_scene_with_crack_size(
         scene, omega, float(depth_and_length[1][0]), float(depth_and_length[0][0])
     )
     return _estimate_quantity_error_and_remarks(
@@ -785,7 +785,9 @@ def _integrate_cycles_to_end(
     return lengths, np.append(0.0, np.cumsum(cycles_per_step)), end_reason
 
 
-def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None = None) -> Scene:
+def _make_scene_with_crack_size(
+    scene: Scene, omega: float, length: float, depth: float | None = None
+) -> Scene:
     """Return the scene with another crack size at a load frequency.
 
     The scene must have no curve and no sweep. The load frequency omega [rad/s] replaces an engine
@@ -816,7 +818,7 @@ def _estimate_range_error_and_remarks(
     if scene.given("growth").drive == "spectrum":
         omega = float(length_path.leading_omega[np.abs(length_path.lengths - length).argmin()])
     return _estimate_quantity_error_and_remarks(
-        _resize_crack(scene, omega, length), "delta_K_equivalent"
+        _make_scene_with_crack_size(scene, omega, length), "delta_K_equivalent"
     )
 
 
@@ -1184,7 +1186,7 @@ def _solve_lengths_to_tolerance(
 
 
 def _get_level_omega_and_cycles(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """List a spectrum's load frequencies [rad/s], and the cycles at each.
+    """Return a spectrum's load frequencies [rad/s], and the cycles at each.
 
     Without a spectrum: no frequencies, and one cycle.
     """

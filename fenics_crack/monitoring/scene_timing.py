@@ -417,10 +417,10 @@ def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
 
 
 def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
-    """Find the displacement that measured arrivals show, without a mesh.
+    """Find the displacement that measured arrivals show, and whether it is reversed.
 
-    Returns the name ("tip.ux"; "" for the watched displacement), and True if it is against the
-    rotation.
+    No mesh is needed. Returns the name ("tip.ux"; "" for the watched displacement), and True if it
+    is against the rotation.
 
     Raises
     ------

@@ -684,7 +684,7 @@ class MeasurementPredictor:
     def compute_interpolation_and_total_variances(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variances of predictions at x (m, d) by interpolation.
+        """Return variances of predictions at x (m, d): by interpolation, and total.
 
         Returns
         -------

@@ -517,7 +517,7 @@ class BaselineChanges:
 
     @property
     def frequency_changes(self) -> np.ndarray:
-        """Return all relative changes: (q, s)."""
+        """Return all relative changes of frequencies: (q, s)."""
         return np.hstack(
             [
                 self.unknown_temperature_frequency_changes,
