@@ -250,7 +250,7 @@ def _convert_arrivals_to_measurements(
     from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import (
         Measurements,
-        list_crack_removal_changes,
+        get_crack_removal_changes_or_none,
     )
 
     arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, arrival_source, console.comm)
@@ -260,9 +260,11 @@ def _convert_arrivals_to_measurements(
     if scene_timing.is_run_up(arrivals, run):
         with console.report_stage("resonances"):
             blade_scene = (
-                scene.replace(list_crack_removal_changes(scene) or {}) if is_uncracked else scene
+                scene.replace(get_crack_removal_changes_or_none(scene) or {})
+                if is_uncracked
+                else scene
             )
-            passages = scene_timing.find_passed_modes(blade_scene, arrivals)
+            passages = scene_timing.find_passages_and_modes(blade_scene, arrivals)
         console.print_notes(*(scene_timing.describe_passage(*passage) for passage in passages))
         passage_fits, mode_numbers, _ = zip(*passages, strict=True) if passages else ((), (), ())
         if not any(mode_numbers):
@@ -289,7 +291,9 @@ def _convert_arrivals_to_measurements(
         )
         raise InputError(option_name, measured_speed_text, requirement_text)
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
-    displacement_name, is_against_rotation = scene_timing.find_probed_displacement(scene)
+    displacement_name, is_against_rotation = scene_timing.find_probed_displacement_and_reversal(
+        scene
+    )
     return Measurements.from_arrivals(
         arrivals, engine_order, displacement_name, against=is_against_rotation
     )

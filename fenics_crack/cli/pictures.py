@@ -32,7 +32,7 @@ from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import IdentificationOutput
-from fenics_crack.monitoring.timing import Timing, find_largest_blade
+from fenics_crack.monitoring.timing import Timing, find_blade_of_largest_amplitude_or_none
 from fenics_crack.runs.conclusion import describe_stated_error, frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
@@ -525,7 +525,7 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
             plot_study.draw_tip_track(
                 blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
             )
-    if largest_blade_number := find_largest_blade(tip_timing):
+    if largest_blade_number := find_blade_of_largest_amplitude_or_none(tip_timing):
         caption = (
             f"Blade {largest_blade_number}: arrivals over the period, the fit, the orders that "
             "were tried."
@@ -550,7 +550,7 @@ def copy_posterior_picture(
         ``identify`` has drawn no picture in this format.
     """
     picture_path = picture_files("posterior", "Probability of cracks, given the measurements.")
-    source_path = identification.picture.with_suffix(picture_path.suffix)
+    source_path = identification.picture_path.with_suffix(picture_path.suffix)
     try:
         write_file_whole(picture_path, read_regular_file(source_path, follows_links=False))
     except OSError:

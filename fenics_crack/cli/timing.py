@@ -114,7 +114,9 @@ def _write_and_draw_arrivals(
         f".{console.picture_format}"
     )
     if run is not None:
-        console.print_notes(scene_timing.describe_tip(scene.given("tip_timing"), run))
+        console.print_notes(
+            scene_timing.describe_probed_tip_displacement(scene.given("tip_timing"), run)
+        )
 
 
 def _fit_vibration_by_blade(
@@ -128,7 +130,7 @@ def _fit_vibration_by_blade(
     with console.report_stage("vibration"):
         for blade_number, arrivals in arrivals_by_blade.items():
             with prefix_stages(f"blade {blade_number}"):
-                fits_by_blade[blade_number] = scene_timing.fit_vibration(
+                fits_by_blade[blade_number] = scene_timing.fit_vibration_or_passages(
                     timing_table, arrivals, *scene_and_run
                 )
     return fits_by_blade
@@ -168,11 +170,11 @@ def _yield_timing_warnings(
             )
         return
     doubt_texts = (
-        scene_timing.describe_scene_difference(scene, run),
-        scene_timing.describe_run_up_end(scene, run),
+        scene_timing.describe_scene_difference_or_empty(scene, run),
+        scene_timing.describe_run_up_end_or_empty(scene, run),
     )
     yield from filter(None, doubt_texts)
-    if scene_timing.get_response_curve(run) is None:
+    if scene_timing.get_response_curve_or_none(run) is None:
         motion = run.result
         yield from yield_large_error_warning(run.scene, motion.report, motion.harmonics)
         yield from yield_instability_warning(run.scene, run, motion.stability)

@@ -110,7 +110,7 @@ def draw_posterior(
         branch_name: (
             branch.axes[x_index],
             branch.axes[y_index],
-            *posterior.compute_pair_marginal(branch_name, x_index, y_index),
+            *posterior.compute_pair_mass_and_density(branch_name, x_index, y_index),
         )
         for branch_name, branch in posterior.branch_by_words.items()
     }
@@ -149,7 +149,7 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
     lines_by_branch = {}
     for branch_name, branch in posterior.branch_by_words.items():
         other_axes = tuple(k for k in range(len(branch.axes)) if k != key_index)
-        density = posterior.mass_by_words[branch_name].sum(
+        density = posterior.grid_masses_by_words[branch_name].sum(
             axis=other_axes
         ) / branch.prior_masses.sum(axis=other_axes)
         unknown_values = np.unique([*branch.axes[key_index], interval_start, interval_end])

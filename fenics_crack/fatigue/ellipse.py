@@ -30,12 +30,12 @@ THRESHOLD_RAMP_FRACTION = 0.01
 The rate rises linearly from zero. The fraction is below the errors of K. With a jump instead, a
 shape that grows along the threshold, as deep cracks in bending do, needs endless steps.
 """
-DEEPEST_COLUMN_FORMAT, SURFACE_COLUMN_FORMAT = "delta_K_{}_deepest", "delta_K_{}_surface"
-EQUIVALENT_RANGE_COLUMNS = tuple(
-    name.format("equivalent") for name in (DEEPEST_COLUMN_FORMAT, SURFACE_COLUMN_FORMAT)
+DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT = "delta_K_{}_deepest", "delta_K_{}_surface"
+EQUIVALENT_RANGE_COLUMN_NAMES = tuple(
+    name.format("equivalent") for name in (DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT)
 )
-EFFECTIVE_RANGE_COLUMNS = tuple(
-    name.format("effective") for name in (DEEPEST_COLUMN_FORMAT, SURFACE_COLUMN_FORMAT)
+EFFECTIVE_RANGE_COLUMN_NAMES = tuple(
+    name.format("effective") for name in (DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT)
 )
 
 
@@ -62,13 +62,15 @@ class EllipseTable:
         """Fit a spline over ln a and ln c to each column, by name."""
         from scipy.interpolate import RectBivariateSpline  # takes a while, and is needed here alone
 
-        log_axes = np.log(self.depths), np.log(self.lengths)
-        depth_degree, length_degree = (min(3, len(log_axis) - 1) for log_axis in log_axes)
-        column_divisors = np.sqrt(self.depths)[:, None], 1.0
+        log_depths_and_lengths = np.log(self.depths), np.log(self.lengths)
+        depth_degree, length_degree = (
+            min(3, len(log_sizes) - 1) for log_sizes in log_depths_and_lengths
+        )
+        stress_and_other_divisors = np.sqrt(self.depths)[:, None], 1.0
         return {
             column_name: RectBivariateSpline(
-                *log_axes,
-                column / column_divisors[not _is_stress_intensity(column_name)],
+                *log_depths_and_lengths,
+                column / stress_and_other_divisors[not _is_stress_intensity_column(column_name)],
                 kx=depth_degree,
                 ky=length_degree,
             )
@@ -76,18 +78,20 @@ class EllipseTable:
         }
 
     def interpolate_column(
-        self, column_name: str, depth: np.ndarray, length: np.ndarray
+        self, column_name: str, depths: np.ndarray, lengths: np.ndarray
     ) -> np.ndarray:
         """Interpolate a column at depths and lengths (n,) within the grid.
 
         Ranges are at least zero.
         """
-        column_values = self._spline_by_column[column_name].ev(np.log(depth), np.log(length))
+        column_values = self._spline_by_column[column_name].ev(np.log(depths), np.log(lengths))
         column_values = (
             column_values.clip(0.0) if column_name.startswith("delta_K") else column_values
         )
         return np.asarray(
-            column_values * np.sqrt(depth) if _is_stress_intensity(column_name) else column_values
+            column_values * np.sqrt(depths)
+            if _is_stress_intensity_column(column_name)
+            else column_values
         )
 
     def with_every_second_size(self) -> EllipseTable:
@@ -98,7 +102,7 @@ class EllipseTable:
         return EllipseTable(self.depths[::2], self.lengths[::2], coarse_column_by_name)
 
 
-def _is_stress_intensity(column_name: str) -> bool:
+def _is_stress_intensity_column(column_name: str) -> bool:
     """Return True for a stress intensity, which scales with the root of the depth."""
     return column_name.startswith(("K", "delta_K"))
 
@@ -126,32 +130,41 @@ class EllipsePath(NamedTuple):
 
 
 def compute_growth_per_cycle(
-    table: EllipseTable, law: Law, n_surface_ends: int, depth: np.ndarray, length: np.ndarray
+    ellipse_table: EllipseTable,
+    law: Law,
+    n_surface_ends: int,
+    depths: np.ndarray,
+    lengths: np.ndarray,
 ) -> np.ndarray:
     """Return the growth of depths and lengths (n,) in a cycle: (n, 2) [m].
 
     The crack has one or two ends on the face, ``n_surface_ends``.
     """
     growth_rates = []
-    for equivalent_column, effective_column in zip(
-        EQUIVALENT_RANGE_COLUMNS, EFFECTIVE_RANGE_COLUMNS, strict=True
+    for equivalent_column_name, effective_column_name in zip(
+        EQUIVALENT_RANGE_COLUMN_NAMES, EFFECTIVE_RANGE_COLUMN_NAMES, strict=True
     ):
         growth_rate = (
             law.rate
-            * (table.interpolate_column(equivalent_column, depth, length) / 1e6) ** law.exponent
+            * (ellipse_table.interpolate_column(equivalent_column_name, depths, lengths) / 1e6)
+            ** law.exponent
         )
         if law.threshold > 0.0:
-            threshold_excess = (
-                table.interpolate_column(effective_column, depth, length) / law.threshold - 1.0
+            relative_threshold_excess = (
+                ellipse_table.interpolate_column(effective_column_name, depths, lengths)
+                / law.threshold
+                - 1.0
             )
             growth_rate = growth_rate * np.clip(
-                threshold_excess / THRESHOLD_RAMP_FRACTION, 0.0, 1.0
+                relative_threshold_excess / THRESHOLD_RAMP_FRACTION, 0.0, 1.0
             )
         growth_rates.append(growth_rate)
     return np.stack([growth_rates[0], n_surface_ends * growth_rates[1]], axis=-1)
 
 
-def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int) -> EllipsePath:
+def integrate_ellipse_growth(
+    ellipse_table: EllipseTable, law: Law, n_surface_ends: int
+) -> EllipsePath:
     """Integrate the growth from the first size of a table to its end.
 
     The variable s is the sum of the growth in depth a and length l. Then da/ds and dl/ds are
@@ -161,31 +174,41 @@ def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int)
 
     toughness = law.toughness or np.inf
 
-    def growth_rates(state: np.ndarray) -> np.ndarray:
-        return compute_growth_per_cycle(table, law, n_surface_ends, *state[:2, None])[0]
+    def compute_growth_rates(depth_length_cycles: np.ndarray) -> np.ndarray:
+        return compute_growth_per_cycle(
+            ellipse_table, law, n_surface_ends, *depth_length_cycles[:2, None]
+        )[0]
 
-    def state_slope(_s: float, state: np.ndarray) -> np.ndarray:
-        growth_per_cycle = growth_rates(state)
-        total_growth = growth_per_cycle.sum()
+    def compute_state_slope(_s: float, depth_length_cycles: np.ndarray) -> np.ndarray:
+        growth_per_cycle = compute_growth_rates(depth_length_cycles)
+        total_growth_per_cycle = growth_per_cycle.sum()
         return (
-            np.append(growth_per_cycle, 1.0) / total_growth if total_growth > 0.0 else np.zeros(3)
+            np.append(growth_per_cycle, 1.0) / total_growth_per_cycle
+            if total_growth_per_cycle > 0.0
+            else np.zeros(3)
         )
 
     event_function_by_reason = {
-        "reached": lambda _s, state: state[0] - table.depths[-1],
-        "side": lambda _s, state: state[1] - table.lengths[-1],
-        "broken": lambda _s, state: (
-            float(table.interpolate_column("K_max", *state[:2, None])[0]) / toughness - 1.0
+        "reached": lambda _s, depth_length_cycles: (
+            depth_length_cycles[0] - ellipse_table.depths[-1]
         ),
-        "arrested": lambda _s, state: -1.0 if growth_rates(state).any() else 0.0,
+        "side": lambda _s, depth_length_cycles: depth_length_cycles[1] - ellipse_table.lengths[-1],
+        "broken": lambda _s, depth_length_cycles: (
+            float(ellipse_table.interpolate_column("K_max", *depth_length_cycles[:2, None])[0])
+            / toughness
+            - 1.0
+        ),
+        "arrested": lambda _s, depth_length_cycles: (
+            -1.0 if compute_growth_rates(depth_length_cycles).any() else 0.0
+        ),
     }
     for event_function in event_function_by_reason.values():
         event_function.terminal = True  # type: ignore[attr-defined]
-    start_state = np.array([table.depths[0], table.lengths[0], 0.0])
-    max_growth_sum = np.ptp(table.depths) + np.ptp(table.lengths)
+    start_depth_length_cycles = np.array([ellipse_table.depths[0], ellipse_table.lengths[0], 0.0])
+    growth_sum_bound = np.ptp(ellipse_table.depths) + np.ptp(ellipse_table.lengths)
     ode_solution = solve_ivp(
-        state_slope, (0.0, max_growth_sum), start_state, "LSODA", rtol=1e-8, atol=1e-12,
-        max_step=max_growth_sum / N_PATH_ROWS,
+        compute_state_slope, (0.0, growth_sum_bound), start_depth_length_cycles, "LSODA",
+        rtol=1e-8, atol=1e-12, max_step=growth_sum_bound / N_PATH_ROWS,
         events=list(event_function_by_reason.values()), dense_output=True,
     )  # fmt: skip
     met_reasons = [
@@ -196,12 +219,17 @@ def integrate_ellipse_growth(table: EllipseTable, law: Law, n_surface_ends: int)
         if len(event_growth_sums)
     ]
     end_reason: GrowthEnd = met_reasons[0] if met_reasons else "arrested"  # type: ignore[assignment]
-    if float(table.interpolate_column("K_max", *start_state[:2, None])[0]) >= toughness:
+    if (
+        float(ellipse_table.interpolate_column("K_max", *start_depth_length_cycles[:2, None])[0])
+        >= toughness
+    ):
         end_reason, last_growth_sum = "broken", 0.0
     else:
-        last_growth_sum = ode_solution.t[-1] if growth_rates(start_state).any() else 0.0
-    depth, length, cycles = ode_solution.sol(
+        last_growth_sum = (
+            ode_solution.t[-1] if compute_growth_rates(start_depth_length_cycles).any() else 0.0
+        )
+    depths, lengths, cycles = ode_solution.sol(
         np.linspace(0.0, last_growth_sum, N_PATH_ROWS if last_growth_sum else 1)
     )
-    growth_per_cycle = compute_growth_per_cycle(table, law, n_surface_ends, depth, length)
-    return EllipsePath(depth, length, cycles, growth_per_cycle, end_reason)
+    growth_per_cycle = compute_growth_per_cycle(ellipse_table, law, n_surface_ends, depths, lengths)
+    return EllipsePath(depths, lengths, cycles, growth_per_cycle, end_reason)

@@ -39,23 +39,23 @@ from fenics_crack.basics.tables import (
     format_quantity,
     hertz_property,
 )
-from fenics_crack.errors.stated import STATED_CAUSES, estimate_solution_errors
+from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
 from fenics_crack.fatigue.ellipse import (
-    EQUIVALENT_RANGE_COLUMNS,
+    EQUIVALENT_RANGE_COLUMN_NAMES,
     EllipsePath,
     EllipseTable,
     GrowthEnd,
     integrate_ellipse_growth,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.solid import find_reaches_from_crack_middle
+from fenics_crack.fem.solid import find_section_reaches
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+from fenics_crack.sweep.file import MODE_NUMBERS
 from fenics_crack.sweep.result import (
     SCENES_WITHOUT_PEAK_TEXT,
     SweepResult,
@@ -152,8 +152,12 @@ class Growth(SavedResult):
 
         None without a spectrum.
         """
-        spectrum_repeat = self.scene.given("growth").repeat_cycles_and_duration
-        return None if spectrum_repeat is None else self.cycles / spectrum_repeat[0]
+        repeat_cycles_and_duration = self.scene.given("growth").repeat_cycles_and_duration
+        return (
+            None
+            if repeat_cycles_and_duration is None
+            else self.cycles / repeat_cycles_and_duration[0]
+        )
 
     @property
     def frequency_drop(self) -> np.ndarray:
@@ -191,9 +195,9 @@ class Growth(SavedResult):
             {column_name: column.tolist() for column_name, column in values_by_column.items()}
         )
 
-    def build_conclusion(self) -> Conclusion:
+    def said(self) -> Conclusion:
         """Return the sentences on the growth."""
-        start_size, end_size = (self._size_in_words(row) for row in (0, -1))
+        start_size, end_size = (self._size_in_words(row_index) for row_index in (0, -1))
         if len(self.length) == 1:
             return Conclusion(f"the crack stays at {start_size}: {END_TEXT_BY_REASON[self.end]}")
         life_text = f"{self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
@@ -220,12 +224,12 @@ class Growth(SavedResult):
             further_clauses=[frequency_text],
         )
 
-    def _size_in_words(self, row: int) -> str:
+    def _size_in_words(self, row_index: int) -> str:
         """Return the crack's length, and depth if any, at a row in words."""
-        length_text = format_quantity(float(self.length[row]), "m")
+        length_text = format_quantity(float(self.length[row_index]), "m")
         if self.depth is None:
             return length_text
-        return f"{length_text} x {format_quantity(float(self.depth[row]), 'm')} deep"
+        return f"{length_text} x {format_quantity(float(self.depth[row_index]), 'm')} deep"
 
     def _title(self) -> str:
         sizes_text = f"{self._size_in_words(0)} to {self._size_in_words(-1)}"
@@ -237,13 +241,17 @@ class Growth(SavedResult):
 
 def report_of_growth(growth: Growth) -> Report:
     """Return the report: table, life and its uncertainty."""
-    table, n_rows = growth.table(), len(growth.length)
-    shown_rows = sorted({*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()})
+    growth_table, n_rows = growth.table(), len(growth.length)
+    shown_row_indices = sorted(
+        {*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()}
+    )
     return Report(
-        table,
-        growth.build_conclusion(),
+        growth_table,
+        growth.said(),
         growth.scene,
-        printed_table=Table(table.columns, [table.rows[row] for row in shown_rows]),
+        printed_table=Table(
+            growth_table.columns, [growth_table.rows[row_index] for row_index in shown_row_indices]
+        ),
         warnings=growth.remarks,
         remarks=remarks_on_scene(growth.scene),
     )
@@ -265,9 +273,9 @@ N_ELLIPSE_MODES = 20
 """Number of modes with half-ellipses: neglected modes change every K by 1e-4."""
 MAX_ELLIPSE_LENGTH_FRACTION = 0.9
 """Maximum length of a half-ellipse, relative to the length between the sides."""
-GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
+GAUSS_LEGENDRE_NODES, GAUSS_LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Gauss-Legendre quadrature of the integral over each step of the table."""
-MAX_LOG_RANGE_ERROR = 0.05
+MAX_ALLOWED_LOG_RANGE_ERROR = 0.05
 """Allowed error of ln delta K in an interval, even if few cycles pass there.
 
 An interval with a larger error is halved, so that the peak of a resonance inside is met.
@@ -286,12 +294,12 @@ SWEEP_COLUMN_NAMES = (
     *LINEAR_COLUMN_NAMES,
 )
 """Columns of the sweep that a path is made from."""
-COLUMN_BY_GROWTH_FIELD = {
+COLUMN_NAME_BY_GROWTH_FIELD = {
     "omega": "omega", "omega_open": "omega_open", "omega_bilinear": "omega_bilinear",
     "response": "response", "largest": "K_max", "smallest": "K_min",
     "effective": "delta_K_effective", "sliding": "K_II_max",
 }  # fmt: skip
-"""Path column by :class:`Growth` field name."""
+"""Path column name by :class:`Growth` field name."""
 
 
 def grow(
@@ -352,22 +360,25 @@ def grow(
     folder_path = None if folder is None else Path(folder)
     if scene_without_sweep.given("crack").is_elliptical:
         return _grow_ellipse(scene_without_sweep, folder_path, comm, progress=progress)
-    _resize_crack(
+    _make_scene_with_crack_size(
         scene_without_sweep, scene_without_sweep.excitation.omega, law.until
     )  # is refused before anything is solved
-    length_path, interpolation_error, jump_lengths = _solve_lengths(
+    length_path, interpolation_error, jump_lengths = _solve_lengths_to_tolerance(
         scene_without_sweep, folder_path, comm, progress=progress
     )
-    lengths, cycles, end_reason = _integrate_cycles(length_path, law)
+    lengths, cycles, end_reason = _integrate_cycles_to_end(length_path, law)
     half_life_length = float(np.interp(0.5 * cycles[-1], cycles, lengths))
     vibration_error, omission_remarks = on_root(
-        comm, lambda: _estimate_range_error(scene_without_sweep, length_path, half_life_length)
+        comm,
+        lambda: _estimate_range_error_and_remarks(
+            scene_without_sweep, length_path, half_life_length
+        ),
     )
     growth_rates = _compute_growth_rates(length_path, law, lengths)
-    error_by_cause = _collect_life_errors(
+    error_by_cause = _collect_life_error_by_cause(
         law, growth_rates, cycles, vibration_error, interpolation_error
     )
-    error_by_cause["vibration"] += _estimate_threshold_sensitivity(
+    error_by_cause["vibration"] += _estimate_life_error_by_threshold(
         length_path, law, lengths, cycles, vibration_error
     )
     values_by_column = {
@@ -377,12 +388,14 @@ def grow(
     for column_name in LOGARITHMIC_COLUMN_NAMES:
         values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
     growth_rates[-1] *= end_reason != "arrested"
-    elapsed_time = _integrate_over_cycles(RAD_PER_TURN / values_by_column["omega"], cycles)
+    elapsed_times = _accumulate_integral_over_cycles(
+        RAD_PER_TURN / values_by_column["omega"], cycles
+    )
     return Growth(
         scene,
         lengths,
         cycles,
-        elapsed_time,
+        elapsed_times,
         rate=growth_rates,
         end=end_reason,
         solved=length_path.lengths,
@@ -399,21 +412,26 @@ def grow(
             ),
             *omission_remarks,
         ),
-        **_select_growth_fields(values_by_column),
+        **_get_values_by_growth_field(values_by_column),
     )
 
 
-def _select_growth_fields(values_by_column: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return path columns by :class:`Growth` field names."""
-    return {field: values_by_column[column] for field, column in COLUMN_BY_GROWTH_FIELD.items()}
+def _get_values_by_growth_field(
+    values_by_column: Mapping[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Return path columns by :class:`Growth` field name."""
+    return {
+        field_name: values_by_column[column_name]
+        for field_name, column_name in COLUMN_NAME_BY_GROWTH_FIELD.items()
+    }
 
 
-def _integrate_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+def _accumulate_integral_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
     """Integrate values (n,) over the cycles until each of them (n,)."""
     return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(cycles)))
 
 
-def _collect_life_errors(
+def _collect_life_error_by_cause(
     law: Law,
     growth_rates: np.ndarray,
     cycles: np.ndarray,
@@ -431,8 +449,8 @@ def _collect_life_errors(
     interpolation_error : float
         Relative error of the cycles.
     """
-    log_driving_range = np.log(np.maximum(growth_rates, SMALLEST_NORMAL) / law.rate) / law.exponent
-    mean_log_range = float(_integrate_over_cycles(log_driving_range, cycles)[-1]) / max(
+    log_driving_ranges = np.log(np.maximum(growth_rates, SMALLEST_NORMAL) / law.rate) / law.exponent
+    mean_log_range = float(_accumulate_integral_over_cycles(log_driving_ranges, cycles)[-1]) / max(
         float(cycles[-1]), SMALLEST_NORMAL
     )
     return {
@@ -474,10 +492,10 @@ def _validate_growth_scene(scene: Scene) -> Scene:
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
     allowed_text = "given with [growth], and crack.length: these are what changes"
     start_size = crack.given(size_key, allowed_text)
-    max_size = getattr(scene.geometry, limit_key) or math.inf
-    if not start_size < law.until < max_size:
+    size_limit = getattr(scene.geometry, limit_key) or math.inf
+    if not start_size < law.until < size_limit:
         allowed_text = (
-            f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {max_size:g}"
+            f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {size_limit:g}"
         )
         raise InputError("growth.until", law.until, allowed_text)
     return scene
@@ -491,30 +509,32 @@ def _grow_ellipse(
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
-    max_length = on_root(comm, lambda: _find_max_ellipse_length(scene))
-    if max_length <= 0.0:
-        allowed_text = "inside a face with [growth]: at an edge, one end of the ellipse is outside"
-        raise InputError("crack.point", crack.point, allowed_text)
-    if crack.given("length") >= max_length:
-        allowed_text = f"below {max_length:g}: its ends must stay away from the sides to grow"
-        raise InputError("crack.length", crack.length, allowed_text)
+    allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
+    if crack.given("length") >= allowed_length:
+        raise InputError(
+            "crack.length", crack.length, f"below {allowed_length:g} with [growth]: the sides"
+        )
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
-        "crack.length": np.geomspace(crack.given("length"), max_length, N_ELLIPSE_SIZES_PER_AXIS),
+        "crack.length": np.geomspace(
+            crack.given("length"), allowed_length, N_ELLIPSE_SIZES_PER_AXIS
+        ),
     }
     sweep_path = None if folder is None else folder / "growth_1.h5"
     sweep_result = _sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
     ellipse_table = _tabulate_ellipses(sweep_result)
     ellipse_path = integrate_ellipse_growth(ellipse_table, law, n_surface_ends)
-    half_life_row = int(np.searchsorted(ellipse_path.cycles, 0.5 * ellipse_path.cycles[-1]))
+    half_life_row_index = int(np.searchsorted(ellipse_path.cycles, 0.5 * ellipse_path.cycles[-1]))
     vibration_error, omission_remarks = on_root(
         comm,
-        lambda: _estimate_ellipse_range_error(scene, ellipse_table, ellipse_path, half_life_row),
+        lambda: _estimate_ellipse_range_error_and_remarks(
+            scene, ellipse_table, ellipse_path, half_life_row_index
+        ),
     )
     interpolation_error = estimate_ellipse_life_error(
         ellipse_table, ellipse_path, law, n_surface_ends
     )
-    error_by_cause = _collect_life_errors(
+    error_by_cause = _collect_life_error_by_cause(
         law,
         ellipse_path.growth_per_cycle.sum(axis=1),
         ellipse_path.cycles,
@@ -522,31 +542,33 @@ def _grow_ellipse(
         interpolation_error,
     )
     values_by_column = {
-        name: ellipse_table.interpolate_column(name, ellipse_path.depth, ellipse_path.length)
-        for name in ellipse_table.column_by_name
+        column_name: ellipse_table.interpolate_column(
+            column_name, ellipse_path.depth, ellipse_path.length
+        )
+        for column_name in ellipse_table.column_by_name
     }
-    elapsed_time = _integrate_over_cycles(
+    elapsed_times = _accumulate_integral_over_cycles(
         RAD_PER_TURN / values_by_column["omega"], ellipse_path.cycles
     )
     remark_texts = _collect_ellipse_remarks(
         sweep_result, ellipse_table, ellipse_path, values_by_column, law
     )
     remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_VIBRATION_TEXT]
-    size_grid = np.stack(
+    depth_length_grid = np.stack(
         np.meshgrid(ellipse_table.depths, ellipse_table.lengths, indexing="ij"), axis=-1
     )
     return Growth(
         scene,
         ellipse_path.length,
         ellipse_path.cycles,
-        elapsed_time,
+        elapsed_times,
         rate=ellipse_path.growth_per_cycle[:, 1],
         end=ellipse_path.end_reason,
-        solved=size_grid[sweep_result.converged],
+        solved=depth_length_grid[sweep_result.converged],
         errors=error_by_cause,
         remarks=(*remark_texts, *omission_remarks),
         depth=ellipse_path.depth,
-        **_select_growth_fields(values_by_column),
+        **_get_values_by_growth_field(values_by_column),
     )
 
 
@@ -558,38 +580,41 @@ def _collect_ellipse_remarks(
     law: Law,
 ) -> list[str]:
     """Return the remarks that cast doubt on the growth of a half-ellipse."""
-    n_not_stable = int((sweep_result.not_stable & sweep_result.converged).sum())
-    remark_texts = _describe_failed_ellipses(sweep_result, ellipse_table, ellipse_path)
+    n_not_stable_shapes = int((sweep_result.not_stable & sweep_result.converged).sum())
+    remark_texts = _list_failed_ellipse_remarks(sweep_result, ellipse_table, ellipse_path)
     remark_texts += (
-        [f"at {format_count(n_not_stable, 'shape')} {NOT_STABLE_TEXT}"] if n_not_stable else []
+        [f"at {format_count(n_not_stable_shapes, 'shape')} {NOT_STABLE_TEXT}"]
+        if n_not_stable_shapes
+        else []
     )
-    remark_texts += _describe_crack_turning(
+    remark_texts += _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
     )
     is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
-    has_passed = is_above_resonance != is_above_resonance[0]
-    if law.drive == "frequency" and np.any(has_passed):
+    has_passed_resonance = is_above_resonance != is_above_resonance[0]
+    if law.drive == "frequency" and np.any(has_passed_resonance):
         remark_texts.append(
-            f"at a length of {ellipse_path.length[np.argmax(has_passed)]:.4g} m the natural "
-            "frequency passes that of the load, a resonance between few shapes: the life is not "
-            "known, with growth.drive = 'resonance' it is"
+            f"at a length of {ellipse_path.length[np.argmax(has_passed_resonance)]:.4g} m the "
+            "natural frequency passes that of the load, a resonance between few shapes: the life "
+            "is not known, with growth.drive = 'resonance' it is"
         )
     return remark_texts
 
 
-def _find_max_ellipse_length(scene: Scene) -> float:
+def _find_allowed_ellipse_length(scene: Scene) -> float:
     """Find the maximum length [m] for half-ellipses in the table.
 
     Around a point it is at most the length of a crack with three times the relative growth along
     the face.
     """
-    crack, law = scene.given("crack"), scene.given("growth")
-    reaches = find_reaches_from_crack_middle(scene)
-    available_length = max(reaches) if crack.edge else 2.0 * min(reaches)
-    max_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
+    crack = scene.given("crack")
+    law = scene.given("growth")
+    section_reaches = find_section_reaches(scene)
+    available_length = max(section_reaches) if crack.edge else 2.0 * min(section_reaches)
+    allowed_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
     if crack.point is None:
-        return max_length
-    return min(max_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
+        return allowed_length
+    return min(allowed_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
 
 
 def estimate_ellipse_life_error(
@@ -624,12 +649,14 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         raise ConvergenceError(
             f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
         )
-    bilinear_omega = [sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in KEPT_MODE_NUMBERS]
-    nearest_mode = KEPT_MODE_NUMBERS[
-        int(np.nanargmin(np.abs(bilinear_omega - sweep_result["omega"][0, 0])))
+    bilinear_omega_of_modes = [
+        sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in MODE_NUMBERS
+    ]
+    nearest_mode_number = MODE_NUMBERS[
+        int(np.nanargmin(np.abs(bilinear_omega_of_modes - sweep_result["omega"][0, 0])))
     ]
     sweep_name_by_column = {
-        f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode}"
+        f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode_number}"
         for crack_state in ("open", "bilinear")
     }
     column_names = (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
@@ -640,12 +667,12 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     column_by_name["response"] = np.nan_to_num(
         column_by_name["response"]
     )  # nan where nothing moves
-    log_sizes = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
+    log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
     for column in column_by_name.values() if sweep_result.failed else ():
-        interpolated_column = RBFInterpolator(log_sizes[is_solved], column[is_solved])(
-            log_sizes[~is_solved]
+        failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
+            log_size_grid[~is_solved]
         )
-        column[~is_solved] = np.maximum(interpolated_column, 0.0)
+        column[~is_solved] = np.maximum(failed_case_values, 0.0)
     return EllipseTable(depths, lengths, column_by_name)
 
 
@@ -658,7 +685,7 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
     return f"a crack {depth:.4g} m deep and {length:.4g} m long"
 
 
-def _describe_failed_ellipses(
+def _list_failed_ellipse_remarks(
     sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipsePath
 ) -> list[str]:
     """Return a remark on failed shapes away from the path.
@@ -670,14 +697,14 @@ def _describe_failed_ellipses(
         (ellipse_table.lengths, ellipse_path.length),
     )
     for case_index, failure_text in sweep_result.failed:
-        is_near_case = np.full(len(ellipse_path.depth), fill_value=True)
+        is_near_failed_case = np.full(len(ellipse_path.depth), fill_value=True)
         for size_index, (table_sizes, path_sizes) in zip(
             case_index, table_and_path_sizes, strict=True
         ):
             smaller_size = table_sizes[max(size_index - 1, 0)]
             larger_size = table_sizes[min(size_index + 1, N_ELLIPSE_SIZES_PER_AXIS - 1)]
-            is_near_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
-        if np.any(is_near_case):
+            is_near_failed_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
+        if np.any(is_near_failed_case):
             raise ConvergenceError(
                 f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
             )
@@ -689,8 +716,8 @@ def _describe_failed_ellipses(
     return [f"{count_text} away from the growth not solved, as {ellipse_text}: {failure_text}"]
 
 
-def _estimate_ellipse_range_error(
-    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row: int
+def _estimate_ellipse_range_error_and_remarks(
+    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row_index: int
 ) -> tuple[float, list[str]]:
     """Return the relative error of the range that grows the crack most.
 
@@ -702,27 +729,28 @@ def _estimate_ellipse_range_error(
         At most one remark on causes that the error omits.
     """
     depth_and_length = (
-        ellipse_path.depth[path_row : path_row + 1],
-        ellipse_path.length[path_row : path_row + 1],
+        ellipse_path.depth[path_row_index : path_row_index + 1],
+        ellipse_path.length[path_row_index : path_row_index + 1],
     )
     omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
-    shape_scene = _resize_crack(
+    resized_scene = _make_scene_with_crack_size(
         scene, omega, float(depth_and_length[1][0]), float(depth_and_length[0][0])
     )
-    return _estimate_quantity_error(
-        shape_scene, EQUIVALENT_RANGE_COLUMNS[int(ellipse_path.growth_per_cycle[path_row].argmax())]
+    return _estimate_quantity_error_and_remarks(
+        resized_scene,
+        EQUIVALENT_RANGE_COLUMN_NAMES[int(ellipse_path.growth_per_cycle[path_row_index].argmax())],
     )
 
 
 def _compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
     """Return da/dN [m] at some lengths."""
-    driving_range_mpa = (
+    driving_ranges_mpa = (
         length_path.interpolate_column("driving", lengths) / 1e6
     )  # MPa m^0.5, of which the rate is
-    return np.asarray(law.rate * driving_range_mpa**law.exponent)
+    return np.asarray(law.rate * driving_ranges_mpa**law.exponent)
 
 
-def _integrate_cycles(
+def _integrate_cycles_to_end(
     length_path: LengthPath, law: Law
 ) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
     """Integrate the cycles over the length.
@@ -745,10 +773,10 @@ def _integrate_cycles(
         end_reason = "arrested" if is_arrested[end_indices[0]] else "broken"
         lengths = lengths[: int(end_indices[0]) + 1]
     half_steps = 0.5 * np.diff(lengths)[:, None]
-    quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_NODES)
+    quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_LEGENDRE_NODES)
     cycles_per_step = np.sum(
         half_steps
-        * GAUSS_WEIGHTS
+        * GAUSS_LEGENDRE_WEIGHTS
         / _compute_growth_rates(length_path, law, quadrature_lengths.ravel()).reshape(
             quadrature_lengths.shape
         ),
@@ -757,7 +785,9 @@ def _integrate_cycles(
     return lengths, np.append(0.0, np.cumsum(cycles_per_step)), end_reason
 
 
-def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None = None) -> Scene:
+def _make_scene_with_crack_size(
+    scene: Scene, omega: float, length: float, depth: float | None = None
+) -> Scene:
     """Return the scene with another crack size at a load frequency.
 
     The scene must have no curve and no sweep. The load frequency omega [rad/s] replaces an engine
@@ -772,7 +802,7 @@ def _resize_crack(scene: Scene, omega: float, length: float, depth: float | None
     return scene.replace(value_by_key | depth_by_key | {"output.quantities": quantity_names})
 
 
-def _estimate_range_error(
+def _estimate_range_error_and_remarks(
     scene: Scene, length_path: LengthPath, length: float
 ) -> tuple[float, list[str]]:
     """Return the relative error of the equivalent range at a length.
@@ -787,44 +817,49 @@ def _estimate_range_error(
     omega = float(length_path.interpolate_column("omega", np.array([length]))[0])
     if scene.given("growth").drive == "spectrum":
         omega = float(length_path.leading_omega[np.abs(length_path.lengths - length).argmin()])
-    return _estimate_quantity_error(_resize_crack(scene, omega, length), "delta_K_equivalent")
+    return _estimate_quantity_error_and_remarks(
+        _make_scene_with_crack_size(scene, omega, length), "delta_K_equivalent"
+    )
 
 
-def _estimate_quantity_error(scene: Scene, quantity_name: str) -> tuple[float, list[str]]:
+def _estimate_quantity_error_and_remarks(
+    scene: Scene, quantity_name: str
+) -> tuple[float, list[str]]:
     """Return the relative error of a quantity, and a remark on omitted causes."""
     solved_run = solve(scene, MPI.COMM_SELF)
     cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
     is_at_peak = scene.given("growth").drive == "resonance"
-    error_statement = estimate_solution_errors(
-        solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
+    error_statement = stated_errors(
+        solved_run, solved_run.result, of_peak=is_at_peak, causes=cause_names
     )
     omission_remarks = (
-        [f"vibration: {error_statement.omitted_causes_and_reasons_text}"]
-        if error_statement.omitted_causes_and_reasons_text
-        else []
+        [f"vibration: {error_statement.left_out}"] if error_statement.left_out else []
     )
     return error_statement.stated(quantity_name)[0], omission_remarks
 
 
-def _estimate_threshold_sensitivity(
+def _estimate_life_error_by_threshold(
     length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
 ) -> float:
-    """Return the rise of ln N by the threshold if all ranges fall.
+    """Return the error in ln N by loads that fall below the threshold.
 
-    It is over the exponent. The ranges fall by a relative error, which leaves more of a spectrum
-    below the threshold."""
+    All ranges fall by a relative error, which leaves more of a spectrum below the threshold. The
+    rise in ln N comes on top of the exponent's.
+    """
     is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
     if not (is_threshold_relevant and 0.0 < range_error < 1.0):
         return 0.0
-    raised_law = replace(law, threshold=law.threshold / (1.0 - range_error))
-    raised_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
+    law_with_raised_threshold = replace(law, threshold=law.threshold / (1.0 - range_error))
+    path_with_raised_threshold = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
     for sweep_result in length_path.sweep_results:
-        raised_path = raised_path.with_sweep(sweep_result, raised_law, _list_load_levels(law)[1])
+        path_with_raised_threshold = path_with_raised_threshold.with_sweep(
+            sweep_result, law_with_raised_threshold, _get_level_omega_and_cycles(law)[1]
+        )
     middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
-    driving_range_ratio = length_path.interpolate_column(
+    driving_range_ratios = length_path.interpolate_column(
         "driving", middle_lengths
-    ) / raised_path.interpolate_column("driving", middle_lengths)
-    return math.log(float(np.average(driving_range_ratio**law.exponent, weights=np.diff(cycles))))
+    ) / path_with_raised_threshold.interpolate_column("driving", middle_lengths)
+    return math.log(float(np.average(driving_range_ratios**law.exponent, weights=np.diff(cycles))))
 
 
 def _collect_growth_remarks(
@@ -837,14 +872,18 @@ def _collect_growth_remarks(
     end_reason: str,
 ) -> list[str]:
     """Return the remarks that cast doubt on a crack's growth."""
-    remark_texts = _describe_crack_turning(
+    remark_texts = _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
     law = scene.given("growth")
-    doubtful_lengths = (length_path.not_stable_lengths, jump_lengths)
+    doubtful_length_lists = (length_path.not_stable_lengths, jump_lengths)
     not_stable_lengths, jump_lengths = (
-        [doubtful_length for doubtful_length in length_list if doubtful_length <= lengths[-1]]
-        for length_list in doubtful_lengths
+        [
+            doubtful_length
+            for doubtful_length in doubtful_length_list
+            if doubtful_length <= lengths[-1]
+        ]
+        for doubtful_length_list in doubtful_length_lists
     )
     if not_stable_lengths:
         count_text = format_count(len(not_stable_lengths), "length")
@@ -856,7 +895,7 @@ def _collect_growth_remarks(
         )
     remark_texts += [
         f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
-        for doubtful_length, failure_text in length_path.failures
+        for doubtful_length, failure_text in length_path.failed_lengths_and_reasons
     ]
     # A crack that is arrested on its way has been at its threshold, however well that is known.
     is_near_threshold = (
@@ -874,7 +913,9 @@ def _collect_growth_remarks(
     return remark_texts
 
 
-def _describe_crack_turning(K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray) -> list[str]:
+def _list_crack_turning_remarks(
+    K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray
+) -> list[str]:
     """Return a remark if a crack would turn.
 
     The largest K_I and K_II, ``K_max`` and ``K_II`` (n,), belong to its ``lengths`` (n,) [m].
@@ -907,7 +948,7 @@ class LengthPath:
         Sweeps that the columns come from.
     leading_omega : (k,) [rad/s]
         Load frequencies at which most of the growth happens.
-    mode : int or None
+    mode_number : int or None
         Mode of the natural frequencies, from 1: nearest to the leading load of the first length.
         None before the first length.
     """
@@ -916,22 +957,22 @@ class LengthPath:
     column_by_name: dict[str, np.ndarray]
     sweep_results: tuple[SweepResult, ...]
     leading_omega: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    mode: int | None = None
+    mode_number: int | None = None
 
     @property
-    def failures(self) -> list[tuple[float, str]]:
-        """Return failed lengths [m], each with the reason."""
-        failure_by_length = {
+    def failed_lengths_and_reasons(self) -> list[tuple[float, str]]:
+        """Return failed lengths [m], each with its reason."""
+        failure_text_by_length = {
             sweep_result.axes[0].values[case_index[0]]: failure_text
             for sweep_result in self.sweep_results
             for case_index, failure_text in sweep_result.failed
         }
-        return list(failure_by_length.items())
+        return list(failure_text_by_length.items())
 
     @property
     def not_stable_lengths(self) -> list[float]:
         """Return lengths [m] with unstable, irregular or undecided vibration."""
-        not_stable_cases = (
+        not_stable_sweep_cases = (
             (sweep_result, case_index)
             for sweep_result in self.sweep_results
             for case_index in np.argwhere(sweep_result.not_stable & sweep_result.converged)
@@ -939,7 +980,7 @@ class LengthPath:
         return list(
             dict.fromkeys(
                 sweep_result.axes[0].values[case_index[0]]
-                for sweep_result, case_index in not_stable_cases
+                for sweep_result, case_index in not_stable_sweep_cases
             )
         )
 
@@ -950,8 +991,8 @@ class LengthPath:
         column = self.column_by_name[column_name]
         if column_name not in LOGARITHMIC_COLUMN_NAMES:
             return np.asarray(CubicSpline(self.lengths, column)(lengths))
-        min_column_value = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
-        column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, min_column_value)))
+        column_floor = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
+        column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, column_floor)))
         return np.asarray(np.exp(column_spline(lengths)))
 
     def with_sweep(
@@ -964,48 +1005,50 @@ class LengthPath:
         sweep_lengths = np.array(sweep_result.axes[0].values)
         is_solved = sweep_result.converged.reshape(len(sweep_lengths), -1).all(axis=1)
 
-        def solved_levels(column_name: str) -> np.ndarray:
+        def get_solved_level_values(column_name: str) -> np.ndarray:
             return sweep_result[column_name].reshape(len(sweep_lengths), -1)[is_solved]
 
         path_lengths = np.append(self.lengths, sweep_lengths[is_solved])
-        length_order = np.argsort(path_lengths)
-        levels_by_column = {
-            column_name: solved_levels(column_name) for column_name in SWEEP_COLUMN_NAMES
+        sorted_length_indices = np.argsort(path_lengths)
+        level_values_by_column = {
+            column_name: get_solved_level_values(column_name) for column_name in SWEEP_COLUMN_NAMES
         }
-        levels_by_column["response"] = np.nan_to_num(
-            levels_by_column["response"]
+        level_values_by_column["response"] = np.nan_to_num(
+            level_values_by_column["response"]
         )  # nan where nothing moves
-        new_column_by_name, new_leading_omega = _reduce_load_levels(
-            levels_by_column, law, level_cycles
+        new_column_by_name, new_leading_omega = _reduce_load_levels_to_columns(
+            level_values_by_column, law, level_cycles
         )
-        mode = self.mode  # that of the first length, whichever is nearest later on
-        if mode is None and is_solved.any():
-            bilinear_omega = [
-                solved_levels(f"omega_bilinear_{candidate_mode}")[0, 0]
-                for candidate_mode in KEPT_MODE_NUMBERS
+        mode_number = self.mode_number  # that of the first length, whichever is nearest later on
+        if mode_number is None and is_solved.any():
+            bilinear_omega_of_modes = [
+                get_solved_level_values(f"omega_bilinear_{candidate_mode_number}")[0, 0]
+                for candidate_mode_number in MODE_NUMBERS
             ]
-            mode = KEPT_MODE_NUMBERS[
-                int(np.nanargmin(np.abs(bilinear_omega - new_leading_omega[0])))
+            mode_number = MODE_NUMBERS[
+                int(np.nanargmin(np.abs(bilinear_omega_of_modes - new_leading_omega[0])))
             ]
-        if mode is not None:
+        if mode_number is not None:
             for column_name in ("omega_open", "omega_bilinear"):
-                new_column_by_name[column_name] = solved_levels(f"{column_name}_{mode}")[:, 0]
+                new_column_by_name[column_name] = get_solved_level_values(
+                    f"{column_name}_{mode_number}"
+                )[:, 0]
         column_by_name = {
-            column_name: np.append(column, new_column_by_name[column_name])[length_order]
+            column_name: np.append(column, new_column_by_name[column_name])[sorted_length_indices]
             for column_name, column in self.column_by_name.items()
         }
         return replace(
             self,
-            lengths=path_lengths[length_order],
+            lengths=path_lengths[sorted_length_indices],
             column_by_name=column_by_name,
-            leading_omega=np.append(self.leading_omega, new_leading_omega)[length_order],
+            leading_omega=np.append(self.leading_omega, new_leading_omega)[sorted_length_indices],
             sweep_results=(*self.sweep_results, sweep_result),
-            mode=mode,
+            mode_number=mode_number,
         )
 
 
-def _reduce_load_levels(
-    levels_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
+def _reduce_load_levels_to_columns(
+    level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Reduce the load levels (k, levels) of each length to columns (k,).
 
@@ -1023,34 +1066,38 @@ def _reduce_load_levels(
     (k,) [rad/s]
         Load frequency of the level with most growth.
     """
-    effective_ranges = levels_by_column["delta_K_effective"]
-    equivalent_ranges = levels_by_column["delta_K_equivalent"]
+    effective_ranges = level_values_by_column["delta_K_effective"]
+    equivalent_ranges = level_values_by_column["delta_K_equivalent"]
     column_by_name = {
-        column_name: levels_by_column[column_name].max(axis=1)
+        column_name: level_values_by_column[column_name].max(axis=1)
         for column_name in ("K_max", "delta_K_effective")
     }
-    range_limit = np.minimum(law.threshold, column_by_name["delta_K_effective"])[:, None]
-    max_equivalent_range = np.maximum(equivalent_ranges.max(axis=1, keepdims=True), SMALLEST_NORMAL)
-    relative_growth = (effective_ranges >= range_limit) * (
-        equivalent_ranges / max_equivalent_range
+    min_growing_range = np.minimum(law.threshold, column_by_name["delta_K_effective"])[:, None]
+    largest_equivalent_range = np.maximum(
+        equivalent_ranges.max(axis=1, keepdims=True), SMALLEST_NORMAL
+    )
+    relative_growth = (effective_ranges >= min_growing_range) * (
+        equivalent_ranges / largest_equivalent_range
     ) ** law.exponent
     growth_shares = level_cycles / level_cycles.sum() * relative_growth
-    leading_level = growth_shares.argmax(axis=1)[:, None]
+    leading_level_index = growth_shares.argmax(axis=1)[:, None]
     leading_value_by_column = {
-        column_name: np.take_along_axis(levels_by_column[column_name], leading_level, axis=1)[:, 0]
-        for column_name in levels_by_column
+        column_name: np.take_along_axis(
+            level_values_by_column[column_name], leading_level_index, axis=1
+        )[:, 0]
+        for column_name in level_values_by_column
     }
     leading_omega = leading_value_by_column["omega"]
-    column_by_name["driving"] = max_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
+    column_by_name["driving"] = largest_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
         1.0 / law.exponent
     )
-    column_by_name["omega"] = level_cycles.sum() / (level_cycles / levels_by_column["omega"]).sum(
-        axis=1
-    )
+    column_by_name["omega"] = level_cycles.sum() / (
+        level_cycles / level_values_by_column["omega"]
+    ).sum(axis=1)
     return leading_value_by_column | column_by_name, leading_omega
 
 
-def _solve_lengths(
+def _solve_lengths_to_tolerance(
     scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
 ) -> tuple[LengthPath, float, list[float]]:
     """Solve a scene at crack lengths until the cycles are known (collective).
@@ -1066,7 +1113,7 @@ def _solve_lengths(
         Interpolation error of the cycles, relative to them.
     list of float
         Lengths [m] at which the spline of ln delta K misses by more than
-        :data:`MAX_LOG_RANGE_ERROR` in spite of all rounds, the steepest first.
+        :data:`MAX_ALLOWED_LOG_RANGE_ERROR` in spite of all rounds, the steepest first.
 
     Raises
     ------
@@ -1077,7 +1124,7 @@ def _solve_lengths(
     """
     law = scene.given("growth")
     first_length, last_length = scene.given("crack").length, law.until
-    level_omega, level_cycles = _list_load_levels(law)
+    level_omega, level_cycles = _get_level_omega_and_cycles(law)
     # Five are the fewest of which a spline through every other one can be made.
     next_lengths = np.linspace(first_length, last_length, 5)
     life_error = np.inf
@@ -1092,8 +1139,8 @@ def _solve_lengths(
         previous_path = length_path
         length_path = length_path.with_sweep(sweep_result, law, level_cycles)
         if round_number == 1:
-            if length_path.failures:
-                failed_length, failure_text = length_path.failures[0]
+            if length_path.failed_lengths_and_reasons:
+                failed_length, failure_text = length_path.failed_lengths_and_reasons[0]
                 raise ConvergenceError(f"growth, a crack of {failed_length:.4g} m: {failure_text}")
             coarse_column_by_name = {
                 column_name: column[::2]
@@ -1101,8 +1148,10 @@ def _solve_lengths(
             }
             previous_path = LengthPath(length_path.lengths[::2], coarse_column_by_name, ())
             interval_errors = np.zeros(len(length_path.lengths) // 2)
-        interval_errors = _estimate_interval_errors(previous_path, length_path, interval_errors)
-        integration_lengths, integration_cycles, _ = _integrate_cycles(length_path, law)
+        interval_errors = _estimate_interval_log_range_errors(
+            previous_path, length_path, interval_errors
+        )
+        integration_lengths, integration_cycles, _ = _integrate_cycles_to_end(length_path, law)
         interval_cycles = np.diff(
             np.interp(length_path.lengths, integration_lengths, integration_cycles)
         )
@@ -1113,26 +1162,31 @@ def _solve_lengths(
             / max(float(interval_cycles.sum()), SMALLEST_NORMAL)
         )
         life_error = float(interval_life_errors.sum())
-        has_large_error = (
+        has_large_life_error = (
             interval_life_errors > law.life_tolerance / len(interval_life_errors)
         ) & (life_error > law.life_tolerance)
         next_lengths = (0.5 * (length_path.lengths[1:] + length_path.lengths[:-1]))[
-            has_large_error | (interval_errors > MAX_LOG_RANGE_ERROR)
+            has_large_life_error | (interval_errors > MAX_ALLOWED_LOG_RANGE_ERROR)
         ]
         next_lengths = next_lengths[
-            ~np.isin(next_lengths, [failed_length for failed_length, _ in length_path.failures])
+            ~np.isin(
+                next_lengths,
+                [failed_length for failed_length, _ in length_path.failed_lengths_and_reasons],
+            )
         ]
         if not len(next_lengths):
             break
-    steepness_order = np.argsort(-interval_errors / np.diff(length_path.lengths))
+    indices_steepest_first = np.argsort(-interval_errors / np.diff(length_path.lengths))
     jump_lengths = length_path.lengths[:-1][
-        steepness_order[interval_errors[steepness_order] > MAX_LOG_RANGE_ERROR]
+        indices_steepest_first[
+            interval_errors[indices_steepest_first] > MAX_ALLOWED_LOG_RANGE_ERROR
+        ]
     ]
     return length_path, life_error, jump_lengths.tolist()
 
 
-def _list_load_levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """List a spectrum's load frequencies [rad/s], and the cycles at each.
+def _get_level_omega_and_cycles(law: Law) -> tuple[np.ndarray, np.ndarray]:
+    """Return a spectrum's load frequencies [rad/s], and the cycles at each.
 
     Without a spectrum: no frequencies, and one cycle.
     """
@@ -1152,7 +1206,7 @@ def _sweep_crack_sizes(
     """Run a sweep over crack sizes and the levels of a spectrum (collective)."""
     is_at_resonance = scene.given("growth").drive == "resonance"
     value_list_by_key = {
-        sweep_key: key_values.tolist() for sweep_key, key_values in values_by_key.items()
+        sweep_key: swept_sizes.tolist() for sweep_key, swept_sizes in values_by_key.items()
     }
     sweep_value_by_key = {"sweep.over": value_list_by_key, "sweep.at_resonance": is_at_resonance}
     observable_places = (
@@ -1171,7 +1225,7 @@ def _sweep_crack_sizes(
     return sweep_result
 
 
-def _estimate_interval_errors(
+def _estimate_interval_log_range_errors(
     previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
 ) -> np.ndarray:
     """Return the spline's error in ln delta K between neighbouring lengths: (k - 1,).
@@ -1182,7 +1236,7 @@ def _estimate_interval_errors(
     too.
     """
 
-    def log_range_difference(lengths: np.ndarray) -> np.ndarray:
+    def compute_log_range_difference(lengths: np.ndarray) -> np.ndarray:
         driving_range, previous_driving_range = (
             compared_path.interpolate_column("driving", lengths)
             for compared_path in (length_path, previous_path)
@@ -1190,11 +1244,13 @@ def _estimate_interval_errors(
         return np.abs(np.log(driving_range / previous_driving_range))
 
     # Halved, a spline's error falls by 16, and here by 4 at least.
-    end_errors = log_range_difference(length_path.lengths) / 4.0
+    end_errors = compute_log_range_difference(length_path.lengths) / 4.0
     is_new_length = ~np.isin(length_path.lengths, previous_path.lengths)
     middle_lengths = 0.5 * (length_path.lengths[1:] + length_path.lengths[:-1])
     inherited_errors = previous_errors[np.searchsorted(previous_path.lengths, middle_lengths) - 1]
-    kept_interval_errors = np.maximum(inherited_errors, log_range_difference(middle_lengths))
+    kept_interval_errors = np.maximum(
+        inherited_errors, compute_log_range_difference(middle_lengths)
+    )
     return np.where(
         is_new_length[1:] | is_new_length[:-1],
         np.maximum(end_errors[1:], end_errors[:-1]),

@@ -23,7 +23,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import scene_with_full_paths
-from fenics_crack.monitoring.simulate import find_run_up_points, tip_timing
+from fenics_crack.monitoring.simulate import find_run_up_point_indices, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
@@ -34,7 +34,7 @@ from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE
 
-IGNORED_SCENE_TABLES = (*RESULT_TABLE_NAMES, "reduction")
+IGNORED_SCENE_TABLE_NAMES = (*RESULT_TABLE_NAMES, "reduction")
 """Tables that may differ between a scene and a result.
 
 They choose results, or a run decides them.
@@ -44,9 +44,9 @@ MIN_PLAUSIBLE_TIP_SPEED = 1.0
 
 Times in ms in place of s turn 200 m/s into 0.2.
 """
-TOO_SLOW_FORMAT = "the blade tip moves at {:.3g} m/s, where rotors with probes have 1 to 700"
+SLOW_TIP_TEXT_FORMAT = "the blade tip moves at {:.3g} m/s, where rotors with probes have 1 to 700"
 """Beginning of a remark on slow blade tips."""
-ALLOWED_MODE_DISTANCE = 0.1
+MAX_ALLOWED_RELATIVE_MODE_DISTANCE = 0.1
 """Allowed distance between a resonance and a mode, relative to the resonance frequency."""
 
 
@@ -89,7 +89,7 @@ def arrivals_of_blades(
     if isinstance(source, Mapping):
         return dict(source), None
     timing_table = scene.given("tip_timing")
-    run, arrivals_by_blade = _load_or_solve(scene, source, comm), {}
+    run, arrivals_by_blade = _load_or_solve_run(scene, source, comm), {}
     n_blades = run.structure.whole.n_sectors
     for blade_number, probe_angles in find_probe_angles_by_blade(
         np.radians(timing_table.probes), n_blades
@@ -101,18 +101,20 @@ def arrivals_of_blades(
     return arrivals_by_blade, run
 
 
-def _load_or_solve(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
-    """Return the run of a source, or solve the scene (collective)."""
-    run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
+def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -> Run[Result]:
+    """Load the run of a source, or solve the scene (collective)."""
+    run: Run[Result] = solve(scene, comm) if source_path is None else load_run(source_path, comm)
     result = run.result
     if not isinstance(result, (PeriodicSolution, ResponseCurve)):
-        raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
+        raise InputError(
+            "source", str(source_path), "a solution, a curve, or a CSV file of arrivals"
+        )
     if isinstance(result, PeriodicSolution) and not result.converged:
-        raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
+        raise InputError("source", str(source_path or "the scene"), f"converged: {result.status}")
     return run
 
 
-def get_response_curve(run: Run[Any] | None) -> ResponseCurve | None:
+def get_response_curve_or_none(run: Run[Any] | None) -> ResponseCurve | None:
     """Return the curve of computed arrivals, or None of another source."""
     result = None if run is None else run.result
     return result if isinstance(result, ResponseCurve) else None
@@ -121,90 +123,95 @@ def get_response_curve(run: Run[Any] | None) -> ResponseCurve | None:
 def _compute_arrivals(
     timing_table: TipTiming,
     run: Run[Any],
-    source: Path | None,
+    source_path: Path | None,
     probe_angles: np.ndarray,
     blade_number: int,
 ) -> ArrivalTimes:
     """Compute arrivals of a blade at probes (n,) [rad] (collective)."""
     result: Any = run.result
-    if (curve := get_response_curve(run)) is not None:
-        passed_indices, unstable_index = find_run_up_points(curve)
+    if (curve := get_response_curve_or_none(run)) is not None:
+        passed_indices, unstable_index = find_run_up_point_indices(curve)
         # The part before the curve becomes unstable; all of a curve that is so at once.
         result = (
             curve
             if unstable_index is None or len(passed_indices) < 2
             else curve.part(passed_indices)
         )
-    timing_arguments = {
+    timing_argument_by_name = {
         key: getattr(timing_table, key) for key in ("tip_radius", "revolutions", "noise", "clock")
     }
-    timing_arguments |= {"probes": probe_angles, "seed": timing_table.seed + blade_number - 1}
+    timing_argument_by_name |= {
+        "probes": probe_angles,
+        "seed": timing_table.seed + blade_number - 1,
+    }
     return tip_timing(
         result,
-        find_tip_factors(timing_table, run, blade_number),
-        **timing_arguments,
-        **_choose_speed_or_order(timing_table, run, source),
+        find_tip_factor_by_dof(timing_table, run, blade_number),
+        **timing_argument_by_name,
+        **_choose_speed_or_order_argument(timing_table, run, source_path),
     )
 
 
-def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
+def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
     """Describe where a run-up becomes unstable, or return ""."""
-    if (curve := get_response_curve(run)) is None:
+    if (curve := get_response_curve_or_none(run)) is None:
         return ""
-    passed_indices, unstable_index = find_run_up_points(curve)
+    passed_indices, unstable_index = find_run_up_point_indices(curve)
     if unstable_index is None:
         return ""
     last_and_unstable_speeds = curve.omega[[passed_indices[-1], unstable_index]] / get_engine_order(
         scene.given("tip_timing"), run.scene
     )
     last_speed_text, unstable_speed_text = (
-        format_speed(speed, scene.is_speed_in_rpm) for speed in last_and_unstable_speeds
+        format_speed(rotor_speed, scene.is_speed_in_rpm) for rotor_speed in last_and_unstable_speeds
     )
-    end_text = f"the run-up ends before, at {last_speed_text}"
-    return f"the vibration is unstable at {unstable_speed_text}: {end_text}"
+    run_up_end_text = f"the run-up ends before, at {last_speed_text}"
+    return f"the vibration is unstable at {unstable_speed_text}: {run_up_end_text}"
 
 
-def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
+def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
     """Describe how the scene of a result differs, or return "" (collective)."""
     scene_pair = with_crack_length(scene, run.structure.comm), run.scene
     compared_scenes = [
-        scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLES))
+        scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLE_NAMES))
         for scene in scene_pair
     ]
     scene_text, result_text = describe_differences(compared_scenes)
-    sentence_start = (
+    sentence_start_text = (
         f"the arrivals are those of a result with {result_text}; the vibration is sought by this "
     )
-    return sentence_start + f"scene, which has {scene_text}" if scene_text else ""
+    return sentence_start_text + f"scene, which has {scene_text}" if scene_text else ""
 
 
 def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to be in another unit."""
-    remarks, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
+    remark_texts, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
     if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
-        remark_format = (
-            TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_PLAUSIBLE_TIP_SPEED else TOO_SLOW_FORMAT
+        speed_remark_format = (
+            TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_PLAUSIBLE_TIP_SPEED else SLOW_TIP_TEXT_FORMAT
         )
         question_text = "are speed, or times, and tip_radius in the units of their headings?"
-        remarks.append(f"{remark_format.format(tip_speed)}: {question_text}")
+        remark_texts.append(f"{speed_remark_format.format(tip_speed)}: {question_text}")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < RAD_PER_TURN:
-        probe_range = float(np.degrees(np.ptp(arrivals.probes)))
-        remarks.append(f"all probes are within {probe_range:.3g} degrees: are angles in rad?")
-    return remarks
+        probe_range_degrees = float(np.degrees(np.ptp(arrivals.probes)))
+        remark_texts.append(
+            f"all probes are within {probe_range_degrees:.3g} degrees: are angles in rad?"
+        )
+    return remark_texts
 
 
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
     """Return True if arrivals have a curve or a varying speed."""
-    return get_response_curve(run) is not None or not arrivals.steady
+    return get_response_curve_or_none(run) is not None or not arrivals.steady
 
 
-def fit_vibration(
+def fit_vibration_or_passages(
     timing_table: TipTiming,
     arrivals: ArrivalTimes,
     scene: Scene | None = None,
     run: Run[Any] | None = None,
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
-    """Fit the vibration that ``[tip_timing]`` requests to arrival times.
+    """Fit the vibration, or the passages, that ``[tip_timing]`` requests.
 
     At constant speed, fit frequencies if a range is given; otherwise the orders of the table, the
     order of the load, or the default orders. In a run-up, track the order of the load; without it,
@@ -218,9 +225,9 @@ def fit_vibration(
         harmonics, or revolutions together, where its resonances are sought.
     """
     load_order = timing_table.order or (None if scene is None else scene.excitation.order)
-    fit_arguments: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
-    fit_arguments["angle_deviation"] = np.radians(timing_table.angle_deviation)
-    passage_keys_and_owner = (
+    fit_argument_by_name: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
+    fit_argument_by_name["angle_deviation"] = np.radians(timing_table.angle_deviation)
+    passage_keys_and_owner_text = (
         ("stiffening",),
         "all but a measured run-up in which resonances are sought",
     )
@@ -230,28 +237,34 @@ def fit_vibration(
         )
         timing_table.forbid_keys(("frequencies",), run_up_text)
         if load_order is None or (run is None and timing_table.orders):
-            order_keys = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-            timing_table.forbid_keys(order_keys, "a run-up in which resonances are sought")
-            diagram = (
+            single_order_keys = "fitted_harmonics", "subharmonic", "fitted_revolutions"
+            timing_table.forbid_keys(single_order_keys, "a run-up in which resonances are sought")
+            diagram_or_none = (
                 _compute_campbell_diagram(scene, arrivals) if scene and scene.rotation else None
             )
-            return _fit_passages(timing_table, arrivals, diagram)
-        timing_table.forbid_keys(*passage_keys_and_owner)
+            return _fit_passages(timing_table, arrivals, diagram_or_none)
+        timing_table.forbid_keys(*passage_keys_and_owner_text)
         timing_table.forbid_keys(("orders",), f"a computed run-up: order {load_order} is tracked")
-        fit_arguments |= {
+        fit_argument_by_name |= {
             "subharmonic": timing_table.subharmonic,
             "revolutions": timing_table.fitted_revolutions,
         }
-        return track_order(arrivals, load_order, **fit_arguments)
-    timing_table.forbid_keys(*passage_keys_and_owner)
+        return track_order(arrivals, load_order, **fit_argument_by_name)
+    timing_table.forbid_keys(*passage_keys_and_owner_text)
     if timing_table.frequencies is not None:
-        min_omega, max_omega = (2.0 * np.pi * frequency for frequency in timing_table.frequencies)
-        return fit_frequency(arrivals, min_omega, max_omega, **fit_arguments)
+        lower_omega, upper_omega = (
+            2.0 * np.pi * frequency for frequency in timing_table.frequencies
+        )
+        return fit_frequency(arrivals, lower_omega, upper_omega, **fit_argument_by_name)
     fitted_orders = timing_table.orders or ([load_order] if load_order else ORDERS)
-    return fit_order(arrivals, fitted_orders, **fit_arguments, subharmonic=timing_table.subharmonic)
+    return fit_order(
+        arrivals, fitted_orders, **fit_argument_by_name, subharmonic=timing_table.subharmonic
+    )
 
 
-def find_passed_modes(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
+def find_passages_and_modes(
+    scene: Scene, arrivals: ArrivalTimes
+) -> list[tuple[PassageFit, int, str]]:
     """Find the resonances that a record passes, and their modes (collective).
 
     Returns a list of (resonance, mode of the scene from 1, ""), or (resonance, 0, reason).
@@ -268,7 +281,10 @@ def find_passed_modes(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[Passag
         raise InputError("arrivals", repr(arrivals), requirement_text)
     diagram = _compute_campbell_diagram(scene, arrivals)
     passage_fits = _fit_passages(scene.given("tip_timing"), arrivals, diagram)
-    return [(passage_fit, *match_mode(passage_fit, diagram)) for passage_fit in passage_fits]
+    return [
+        (passage_fit, *match_mode_or_give_reason(passage_fit, diagram))
+        for passage_fit in passage_fits
+    ]
 
 
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
@@ -280,8 +296,8 @@ def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> st
     return f"{mode_text}: {passage_fit.in_words}" + f" ({remark_text})" * bool(remark_text)
 
 
-def match_mode(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
-    """Match a resonance with a mode.
+def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
+    """Match a resonance with a mode, or give the reason against it.
 
     Returns
     -------
@@ -292,27 +308,32 @@ def match_mode(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
     """
     omega_open, omega_tied = diagram.between(passage_fit.speed)
 
-    def distances_from(omega: float) -> np.ndarray:
+    def compute_relative_mode_distances(omega: float) -> np.ndarray:
         return np.maximum(np.maximum(omega_open - omega, omega - omega_tied), 0.0) / omega
 
-    mode_distances = distances_from(passage_fit.omega)
-    nearest_modes = np.argsort(mode_distances)
+    mode_distances = compute_relative_mode_distances(passage_fit.omega)
+    mode_indices_nearest_first = np.argsort(mode_distances)
     range_texts = [
-        f"mode {mode + 1} has {omega_open[mode] / RAD_PER_TURN:.6g} to "
-        f"{omega_tied[mode] / RAD_PER_TURN:.6g} Hz there"
-        for mode in nearest_modes[:2]
+        f"mode {mode_index + 1} has {omega_open[mode_index] / RAD_PER_TURN:.6g} to "
+        f"{omega_tied[mode_index] / RAD_PER_TURN:.6g} Hz there"
+        for mode_index in mode_indices_nearest_first[:2]
     ]
-    if mode_distances[nearest_modes[0]] > ALLOWED_MODE_DISTANCE:
+    if mode_distances[mode_indices_nearest_first[0]] > MAX_ALLOWED_RELATIVE_MODE_DISTANCE:
         return (
             0,
-            f"that of none of the blade's modes to {ALLOWED_MODE_DISTANCE:.0%}; {range_texts[0]}",
+            f"that of none of the blade's modes to {MAX_ALLOWED_RELATIVE_MODE_DISTANCE:.0%}; "
+            f"{range_texts[0]}",
         )
-    if len(mode_distances) > 1 and mode_distances[nearest_modes[1]] < 0.5 * ALLOWED_MODE_DISTANCE:
+    if (
+        len(mode_distances) > 1
+        and mode_distances[mode_indices_nearest_first[1]] < 0.5 * MAX_ALLOWED_RELATIVE_MODE_DISTANCE
+    ):
         return 0, "; ".join(range_texts)
     other_order_texts = [
         f"{ambiguous_order:g}"
         for ambiguous_order in passage_fit.ambiguous
-        if min(distances_from(ambiguous_order * passage_fit.speed)) <= ALLOWED_MODE_DISTANCE
+        if min(compute_relative_mode_distances(ambiguous_order * passage_fit.speed))
+        <= MAX_ALLOWED_RELATIVE_MODE_DISTANCE
     ]
     if other_order_texts:
         reason_text = (
@@ -321,30 +342,32 @@ def match_mode(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
             else "explains it as well"
         )
         return 0, f"order {', '.join(other_order_texts)} {reason_text}, and meets a mode there, too"
-    return int(nearest_modes[0]) + 1, ""
+    return int(mode_indices_nearest_first[0]) + 1, ""
 
 
 def _fit_passages(
-    timing_table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
+    timing_table: TipTiming, arrivals: ArrivalTimes, diagram_or_none: Campbell | None
 ) -> tuple[PassageFit, ...]:
     """Find resonances, with the stiffening of the table, diagram, or none."""
-    stiffening: float | StiffeningFunction = timing_table.stiffening or 0.0
-    if timing_table.stiffening is None and diagram is not None:
-        stiffening = diagram.stiffening
-    return find_passages(arrivals, timing_table.orders or ORDERS, stiffening=stiffening)
+    stiffening_or_function: float | StiffeningFunction = timing_table.stiffening or 0.0
+    if timing_table.stiffening is None and diagram_or_none is not None:
+        stiffening_or_function = diagram_or_none.stiffening
+    return find_passages(arrivals, timing_table.orders or ORDERS, stiffening=stiffening_or_function)
 
 
 def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     """Return a scene's Campbell diagram over a record's speeds (collective)."""
     begin_stage("Campbell diagram")
-    speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), 5)
-    return campbell(scene, speeds, few=10)
+    rotor_speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), 5)
+    return campbell(scene, rotor_speeds, few=10)
 
 
-def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[int, float]:
+def find_tip_factor_by_dof(
+    timing_table: TipTiming, run: Run, blade_number: int = 0
+) -> dict[int, float]:
     """Return the factor of each dof in the tangential tip displacement (collective).
 
-    For a wheel it is a blade's displacement: the watched blade's if ``blade`` is 0.
+    For a wheel it is a blade's displacement: the watched blade's if ``blade_number`` is 0.
 
     Raises
     ------
@@ -352,50 +375,52 @@ def find_tip_factors(timing_table: TipTiming, run: Run, blade: int = 0) -> dict[
         The blade tip of a solid lies on the axis.
     """
     structure = run.structure.whole
-    rotation = _find_tip_rotation(timing_table, run.scene)
-    tip_factor = timing_table.tangential
+    tip_rotation = _get_solid_tip_rotation_or_none(timing_table, run.scene)
+    tangential_factor = timing_table.tangential
     sector_structure, is_disk = structure.sector_structure, structure.n_sectors > 1
     _, tip_dof = structure.blade_of(run.watched_dof)
-    factor_by_dof = {tip_dof: 1.0 if tip_factor is None else tip_factor}
-    if tip_factor is None and (is_disk or rotation):
+    factor_by_dof = {tip_dof: 1.0 if tangential_factor is None else tangential_factor}
+    if tangential_factor is None and (is_disk or tip_rotation):
         dofs, node_points = (
-            gather_rows(sector_structure.comm, local_rows)
-            for local_rows in (sector_structure.nodes.dofs, sector_structure.nodes.points)
+            gather_rows(sector_structure.comm, rows_of_rank)
+            for rows_of_rank in (sector_structure.nodes.dofs, sector_structure.nodes.points)
         )
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
-        if is_disk or rotation is None:  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
-            turn_matrix, rotation_center = structure.sector.rotation, structure.sector.center
-            find_tip_factors = (turn_matrix - turn_matrix.T) @ (
+        if (
+            is_disk or tip_rotation is None
+        ):  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
+            sector_turn_matrix, rotation_center = structure.sector.rotation, structure.sector.center
+            tip_direction = (sector_turn_matrix - sector_turn_matrix.T) @ (
                 node_points[node_index] - rotation_center
             )
-            find_tip_factors /= np.linalg.norm(find_tip_factors)
+            tip_direction /= np.linalg.norm(tip_direction)
         else:
-            find_tip_factors = _find_circumferential_direction(run.scene, node_points[node_index])
-        dofs_and_factors = zip(dofs[node_index].tolist(), find_tip_factors.tolist(), strict=True)
+            tip_direction = _find_circumferential_direction(run.scene, node_points[node_index])
+        dofs_and_factors = zip(dofs[node_index].tolist(), tip_direction.tolist(), strict=True)
         factor_by_dof = {
             dof: factor for dof, factor in dofs_and_factors if dof >= 0 and factor != 0.0
         }
     return {
-        structure.dof_of(blade or structure.watched_sector_index + 1, dof): factor
+        structure.dof_of(blade_number or structure.watched_sector_index + 1, dof): factor
         for dof, factor in factor_by_dof.items()
     }
 
 
-def describe_tip(timing_table: TipTiming, run: Run) -> str:
+def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
     """Describe which displacements the probes measure, and their factors (collective)."""
     structure = run.structure.whole
-    dofs_and_factors = find_tip_factors(timing_table, run).items()
+    dofs_and_factors = find_tip_factor_by_dof(timing_table, run).items()
     term_texts = [
         f"{factor:.4g} times the {structure.dof_name(dof)}" for dof, factor in dofs_and_factors
     ]
     return f"the probes measure {' and '.join(term_texts)}"
 
 
-def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
-    """Find the displacement that measured arrivals show, without a mesh.
+def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
+    """Find the displacement that measured arrivals show, and whether it is reversed.
 
-    Returns the name ("tip.ux"; "" for the watched displacement), and True if it is against the
-    rotation.
+    No mesh is needed. Returns the name ("tip.ux"; "" for the watched displacement), and True if it
+    is against the rotation.
 
     Raises
     ------
@@ -403,8 +428,8 @@ def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
         The blade tip of a solid is not given, lies on the axis, or moves along no coordinate.
     """
     timing_table = scene.given("tip_timing")
-    rotation = _find_tip_rotation(timing_table, scene)
-    if rotation is None:
+    tip_rotation = _get_solid_tip_rotation_or_none(timing_table, scene)
+    if tip_rotation is None:
         return [*scene.label_by_point_name, ""][0], (timing_table.tangential or 1.0) < 0.0
     if not scene.output_points:
         requirement_text = "given with arrivals of a solid blade: its tip first"
@@ -423,7 +448,7 @@ def find_probed_displacement(scene: Scene) -> tuple[str, bool]:
     return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)
 
 
-def _find_tip_rotation(timing_table: TipTiming, scene: Scene) -> Rotation | None:
+def _get_solid_tip_rotation_or_none(timing_table: TipTiming, scene: Scene) -> Rotation | None:
     """Return the rotation that carries the tip of a solid, or None.
 
     Without it, the watched displacement times ``tip_timing.tangential`` (or 1) is tangential.
@@ -445,19 +470,19 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
     direction = np.cross(axis, point - axis_point)
     distance_from_axis = float(np.linalg.norm(direction))
     if distance_from_axis <= RELATIVE_POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
-        coordinates = [float(x) for x in point]
+        point_coordinates = [float(coordinate) for coordinate in point]
         raise InputError(
-            "output.points", coordinates, "a blade tip first, off the axis of the rotation"
+            "output.points", point_coordinates, "a blade tip first, off the axis of the rotation"
         )
     return np.where(
         np.abs(direction) > ROUNDING * distance_from_axis, direction / distance_from_axis, 0.0
     )
 
 
-def _choose_speed_or_order(
-    timing_table: TipTiming, run: Run, source: Path | None
+def _choose_speed_or_order_argument(
+    timing_table: TipTiming, run: Run, source_path: Path | None
 ) -> dict[str, Any]:
-    """Choose the argument of ``tip_timing``: speed of rotation, or engine order.
+    """Choose an argument of :func:`tip_timing`, by name: rotor speed or engine order.
 
     Raises
     ------
@@ -465,24 +490,28 @@ def _choose_speed_or_order(
         As :func:`get_engine_order`; or the curve of a rotor has one speed, while stiffness and
         mean load change in a run-up.
     """
-    owner_text = "" if source is None else f" of {str(source)!r}"
-    curve = get_response_curve(run)
-    if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
+    owner_text = "" if source_path is None else f" of {str(source_path)!r}"
+    curve_or_none = get_response_curve_or_none(run)
+    if curve_or_none is not None and run.scene.speed > 0.0 and curve_or_none.parameter != "speed":
         speed_text = format_speed(run.scene.speed, run.scene.is_speed_in_rpm)
         requirement_text = (
             f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed_text} all along it"
         )
         raise InputError("curve.parameter", run.scene.given("curve").parameter, requirement_text)
-    is_steady = run.scene.excitation.order is None and curve is None
+    is_steady = run.scene.excitation.order is None and curve_or_none is None
     if is_steady and run.scene.speed > 0.0:
         timing_table.forbid_keys(("order",), f"a rotor's speed, in [rotation]{owner_text}")
         return {"speed": run.scene.speed}
-    if source is not None and run.scene.excitation.order is None and timing_table.order is None:
+    if (
+        source_path is not None
+        and run.scene.excitation.order is None
+        and timing_table.order is None
+    ):
         requirement_text = (
             "a result whose own scene has [rotation] and excitation.order, which this one lacks; "
             "or given with tip_timing.order, periods of the load in a revolution"
         )
-        raise InputError("source", str(source), requirement_text)
+        raise InputError("source", str(source_path), requirement_text)
     return {"order": get_engine_order(timing_table, run.scene, owner_text)}
 
 
@@ -499,5 +528,7 @@ def get_engine_order(timing_table: TipTiming, scene: Scene, owner_text: str = ""
     if scene.excitation.order is not None:
         timing_table.forbid_keys(("order",), f"excitation.order{owner_text}")
         return scene.excitation.order
-    order: int = timing_table.given("order", "given without excitation.order: a whole number >= 1")
-    return order
+    engine_order: int = timing_table.given(
+        "order", "given without excitation.order: a whole number >= 1"
+    )
+    return engine_order

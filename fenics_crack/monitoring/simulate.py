@@ -33,7 +33,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
-ALLOWED_JUMP_DISTANCE = 1e-3
+MAX_ALLOWED_RELATIVE_FOLD_DISTANCE = 1e-3
 """Largest distance from a fold at which a motion jumps, relative to the frequency."""
 
 
@@ -128,12 +128,14 @@ def tip_timing(
 
     tip_motion = _build_motion(result, factor_by_dof, speed, order, revolutions)
     arrival_times = _compute_arrival_times(tip_motion, probe_angles, tip_radius)
-    revolution_times = tip_motion.compute_time(2.0 * np.pi * np.arange(revolutions + 1))
-    min_revolution_duration = float(np.diff(revolution_times).min())
-    for key, value in (("noise", noise), ("clock", clock)):
-        if value >= min_revolution_duration:
+    revolution_times = tip_motion.compute_times(2.0 * np.pi * np.arange(revolutions + 1))
+    shortest_revolution_duration = float(np.diff(revolution_times).min())
+    for argument_name, argument_value in (("noise", noise), ("clock", clock)):
+        if argument_value >= shortest_revolution_duration:
             raise InputError(
-                key, value, f"less than a revolution takes, {min_revolution_duration:.3g} s"
+                argument_name,
+                argument_value,
+                f"less than a revolution takes, {shortest_revolution_duration:.3g} s",
             )
     if noise:
         arrival_times = arrival_times + noise * np.random.default_rng(seed).standard_normal(
@@ -148,15 +150,15 @@ def _compute_arrival_times(
     tip_motion: _TipMotion, probe_angles: np.ndarray, tip_radius: float
 ) -> np.ndarray:
     """Compute arrival times at the probes: (revolutions, probes) [s]."""
-    backward_ratio = tip_motion.bound_backward_rate() / tip_radius
-    target_angles = 2.0 * np.pi * np.arange(tip_motion.revolutions)[:, None] + probe_angles
-    target_batches = np.array_split(
+    backward_ratio = tip_motion.bound_backward_slope() / tip_radius
+    target_angles = 2.0 * np.pi * np.arange(tip_motion.n_revolutions)[:, None] + probe_angles
+    target_angle_batches = np.array_split(
         target_angles.ravel(), -(-target_angles.size // 2**15)
     )  # for the memory
     rotor_angles = np.concatenate(
         [
-            _solve_passing_angles(tip_motion, target_batch, tip_radius)
-            for target_batch in target_batches
+            _solve_passing_angles_or_nan(tip_motion, target_angle_batch, tip_radius)
+            for target_angle_batch in target_angle_batches
         ]
     )
     if backward_ratio >= 1.0 or np.any(np.isnan(rotor_angles)):
@@ -165,7 +167,7 @@ def _compute_arrival_times(
             f"vibration reaches {backward_ratio:.3g} of the speed of rotation"
         )
         raise InputError("tip_radius", tip_radius, requirement_text)
-    return tip_motion.compute_time(rotor_angles).reshape(target_angles.shape)
+    return tip_motion.compute_times(rotor_angles).reshape(target_angles.shape)
 
 
 def _build_motion(
@@ -173,7 +175,7 @@ def _build_motion(
     factor_by_dof: Mapping[int, float],
     speed: float | None,
     order: int | None,
-    revolutions: int,
+    n_revolutions: int,
 ) -> _TipMotion:
     """Return the motion of the blade tip (collective).
 
@@ -188,48 +190,54 @@ def _build_motion(
             raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")
         if order is None:
             raise InputError("order", order, "given with a curve: periods of the load in a turn")
-        return _build_run_up(result, factor_by_dof, order, revolutions)
+        return _build_run_up_motion(result, factor_by_dof, order, n_revolutions)
     if (speed is None) == (order is None):
         raise InputError("speed, order", (speed, order), "one of them")
     rotor_speed = float(speed or result.omega / (order or 1))
-    fourier_coefficients = result.coefficients_at(list(factor_by_dof)) @ np.array(
+    tip_fourier_coefficients = result.coefficients_at(list(factor_by_dof)) @ np.array(
         list(factor_by_dof.values()), dtype=float
     )
-    known_speeds = np.array([rotor_speed, 2.0 * rotor_speed])
-    harmonics = np.tile(to_complex(fourier_coefficients), (2, 1))
-    response_order = result.base_omega / rotor_speed
+    speeds_with_harmonics = np.array([rotor_speed, 2.0 * rotor_speed])
+    tip_harmonics = np.tile(to_complex(tip_fourier_coefficients), (2, 1))
+    periods_per_revolution = result.base_omega / rotor_speed
     return _TipMotion(
-        (rotor_speed, rotor_speed), revolutions, known_speeds, harmonics, response_order
+        (rotor_speed, rotor_speed),
+        n_revolutions,
+        speeds_with_harmonics,
+        tip_harmonics,
+        periods_per_revolution,
     )
 
 
-def _build_run_up(
-    curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, revolutions: int
+def _build_run_up_motion(
+    curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, n_revolutions: int
 ) -> _TipMotion:
     """Return the motion of the blade tip along a run-up or run-down."""
     first_omega, last_omega = float(curve.omega[0]), float(curve.omega[-1])
     if first_omega == last_omega:
         raise InputError("result", f"a curve over {curve.parameter}", "one over the load frequency")
-    passed_indices, unstable_index = find_run_up_points(curve)
+    passed_indices, unstable_index = find_run_up_point_indices(curve)
     if unstable_index is not None:
         unstable_omega = float(curve.omega[unstable_index])
         requirement_text = "stable along the run-up, or a part that is, or "
         raise InputError(
             "result", f"unstable at {unstable_omega:.6g} rad/s", f"{requirement_text}its branch"
         )
-    fourier_coefficients = sum(
+    tip_fourier_coefficients = sum(
         float(factor) * curve.coefficients_at(dof) for dof, factor in factor_by_dof.items()
     )
-    known_speeds = curve.omega[passed_indices] / order
-    harmonics = to_complex(np.asarray(fourier_coefficients)[passed_indices].T).T
+    speeds_with_harmonics = curve.omega[passed_indices] / order
+    tip_harmonics = to_complex(np.asarray(tip_fourier_coefficients)[passed_indices].T).T
     if last_omega < first_omega:
-        known_speeds, harmonics = known_speeds[::-1], harmonics[::-1]
+        speeds_with_harmonics, tip_harmonics = speeds_with_harmonics[::-1], tip_harmonics[::-1]
     end_speeds = first_omega / order, float(curve.omega[passed_indices][-1]) / order
-    return _TipMotion(end_speeds, revolutions, known_speeds, harmonics, order / curve.subharmonic)
+    return _TipMotion(
+        end_speeds, n_revolutions, speeds_with_harmonics, tip_harmonics, order / curve.subharmonic
+    )
 
 
-def find_run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
-    """Find the points of a curve that a run-up passes.
+def find_run_up_point_indices(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
+    """Find the indices of points of a curve that a run-up passes.
 
     Returns
     -------
@@ -239,11 +247,11 @@ def find_run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
         Index of that point; None without such a point, or with unknown stability.
     """
     signed_omega = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
-    max_previous_omega = np.concatenate([[-np.inf], np.maximum.accumulate(signed_omega)[:-1]])
-    is_passed = signed_omega > max_previous_omega
+    highest_previous_omega = np.concatenate([[-np.inf], np.maximum.accumulate(signed_omega)[:-1]])
+    is_passed = signed_omega > highest_previous_omega
     if curve.multipliers is None:
         return np.flatnonzero(is_passed), None
-    is_passed &= ~_find_jumped_points(signed_omega, is_passed, curve.verdicts != "stable")
+    is_passed &= ~_mark_jumped_points(signed_omega, is_passed, curve.verdicts != "stable")
     passed_indices = np.flatnonzero(is_passed)
     unstable_indices = passed_indices[
         np.isin(curve.verdicts[passed_indices], ("unstable", "irregular"))
@@ -255,10 +263,10 @@ def find_run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
     )
 
 
-def _find_jumped_points(
+def _mark_jumped_points(
     signed_omega: np.ndarray, is_passed: np.ndarray, is_doubtful: np.ndarray
 ) -> np.ndarray:
-    """Find points before folds that a jump leaves out: (n,) bool.
+    """Mark points before folds that a jump leaves out: (n,) bool.
 
     ``signed_omega``: the frequency, negative in a run-down; ``is_passed``: points of the run-up;
     ``is_doubtful``: points not known to be stable. If doubtful points lead up to a nearby fold, the
@@ -267,10 +275,10 @@ def _find_jumped_points(
     is_jumped = np.zeros(len(signed_omega), dtype=bool)
     for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):
         fold_distances = signed_omega[fold_index] - signed_omega[: fold_index + 1]
-        can_jump = is_doubtful[: fold_index + 1] & (
-            fold_distances < ALLOWED_JUMP_DISTANCE * abs(signed_omega[fold_index])
+        can_jump_before = is_doubtful[: fold_index + 1] & (
+            fold_distances < MAX_ALLOWED_RELATIVE_FOLD_DISTANCE * abs(signed_omega[fold_index])
         )
-        is_jumped[: fold_index + 1] |= np.logical_and.accumulate(can_jump[::-1])[::-1]
+        is_jumped[: fold_index + 1] |= np.logical_and.accumulate(can_jump_before[::-1])[::-1]
     return is_jumped
 
 
@@ -287,127 +295,151 @@ class _TipMotion:
     ----------
     end_speeds : (float, float) [rad/s]
         Rotor speed at the beginning, and after all revolutions.
-    revolutions : int
+    n_revolutions : int
         Number of revolutions.
-    speeds : (n,) [rad/s]
+    rotor_speeds : (n,) [rad/s]
         Speeds with known vibration, increasing; between them it is interpolated.
-    harmonics : (n, H+1) complex [m]
+    tip_harmonics : (n, H+1) complex [m]
         U_k at these speeds.
-    response_order : float
+    periods_per_revolution : float
         Periods of the response in a revolution, q.
     """
 
     end_speeds: tuple[float, float]
-    revolutions: int
-    speeds: np.ndarray
-    harmonics: np.ndarray
-    response_order: float
+    n_revolutions: int
+    rotor_speeds: np.ndarray
+    tip_harmonics: np.ndarray
+    periods_per_revolution: float
 
     @property
-    def acceleration(self) -> float:
+    def angular_acceleration(self) -> float:
         """Return the acceleration of the rotor [rad/s^2]."""
         begin_speed, end_speed = self.end_speeds
         return (
-            (end_speed - begin_speed) * (end_speed + begin_speed) / (4.0 * np.pi * self.revolutions)
+            (end_speed - begin_speed)
+            * (end_speed + begin_speed)
+            / (4.0 * np.pi * self.n_revolutions)
         )
 
-    def compute_rotor_speed(self, rotor_angles: np.ndarray) -> np.ndarray:
-        """Return the rotor speed [rad/s] at angles [rad]."""
-        return np.asarray(np.sqrt(self.end_speeds[0] ** 2 + 2.0 * self.acceleration * rotor_angles))
-
-    def compute_time(self, rotor_angles: np.ndarray) -> np.ndarray:
-        """Return the time [s] at angles [rad], without cancellation at small accelerations."""
+    def compute_rotor_speeds(self, rotor_angles: np.ndarray) -> np.ndarray:
+        """Return rotor speeds [rad/s] at angles [rad]."""
         return np.asarray(
-            2.0 * rotor_angles / (self.end_speeds[0] + self.compute_rotor_speed(rotor_angles))
+            np.sqrt(self.end_speeds[0] ** 2 + 2.0 * self.angular_acceleration * rotor_angles)
         )
 
-    def bound_backward_rate(self) -> float:
+    def compute_times(self, rotor_angles: np.ndarray) -> np.ndarray:
+        """Return times [s] at angles [rad], without cancellation at small accelerations."""
+        return np.asarray(
+            2.0 * rotor_angles / (self.end_speeds[0] + self.compute_rotor_speeds(rotor_angles))
+        )
+
+    def bound_backward_slope(self) -> float:
         """Return an upper bound of -du/dalpha [m] at all speeds.
 
         The largest of samples over a period, and its possible change between two samples.
         """
-        harmonic_orders = np.arange(self.harmonics.shape[1])[:, None]
-        harmonic_derivatives = 1j * self.response_order * harmonic_orders * self.harmonics.T
-        n_samples = max(1024, 64 * len(harmonic_derivatives))
-        change_bounds = (
+        harmonic_orders = np.arange(self.tip_harmonics.shape[1])[:, None]
+        harmonics_of_slope = (
+            1j * self.periods_per_revolution * harmonic_orders * self.tip_harmonics.T
+        )
+        n_samples = max(1024, 64 * len(harmonics_of_slope))
+        change_between_samples_bounds = (
             (2.0 * np.pi / n_samples) ** 2
             / 8.0
-            * (harmonic_orders**2 * np.abs(harmonic_derivatives)).sum(axis=0)
+            * (harmonic_orders**2 * np.abs(harmonics_of_slope)).sum(axis=0)
         )
         return float(
             (
-                change_bounds
-                - sample_period(from_complex(harmonic_derivatives), n_samples).min(axis=0)
+                change_between_samples_bounds
+                - sample_period(from_complex(harmonics_of_slope), n_samples).min(axis=0)
             ).max()
         )
 
-    def evaluate_displacement(self, rotor_angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_displacement_and_slope(
+        self, rotor_angles: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""
-        phase_factors = np.exp(1j * self.response_order * rotor_angles)
-        rotor_speeds = self.compute_rotor_speed(rotor_angles)
-        lower_indices = np.clip(
-            np.searchsorted(self.speeds, rotor_speeds) - 1, 0, len(self.speeds) - 2
+        phase_factors = np.exp(1j * self.periods_per_revolution * rotor_angles)
+        rotor_speeds = self.compute_rotor_speeds(rotor_angles)
+        lower_speed_indices = np.clip(
+            np.searchsorted(self.rotor_speeds, rotor_speeds) - 1, 0, len(self.rotor_speeds) - 2
         )
-        speed_intervals = self.speeds[lower_indices + 1] - self.speeds[lower_indices]
+        speed_interval_widths = (
+            self.rotor_speeds[lower_speed_indices + 1] - self.rotor_speeds[lower_speed_indices]
+        )
         interval_fractions = np.clip(
-            (rotor_speeds - self.speeds[lower_indices]) / speed_intervals, 0.0, 1.0
+            (rotor_speeds - self.rotor_speeds[lower_speed_indices]) / speed_interval_widths,
+            0.0,
+            1.0,
         )
-        harmonic_increments = (self.harmonics[lower_indices + 1] - self.harmonics[lower_indices]).T
+        harmonic_increments = (
+            self.tip_harmonics[lower_speed_indices + 1] - self.tip_harmonics[lower_speed_indices]
+        ).T
         interpolated_harmonics = (
-            self.harmonics[lower_indices].T + interval_fractions * harmonic_increments
+            self.tip_harmonics[lower_speed_indices].T + interval_fractions * harmonic_increments
         )
-        harmonic_derivatives = (
+        harmonics_of_slope = (
             1j
-            * self.response_order
+            * self.periods_per_revolution
             * np.arange(len(interpolated_harmonics))[:, None]
             * interpolated_harmonics
         )
-        is_interpolated = (rotor_speeds > self.speeds[0]) & (rotor_speeds < self.speeds[-1])
-        harmonic_derivatives += (
-            np.where(is_interpolated, self.acceleration / (rotor_speeds * speed_intervals), 0.0)
+        is_interpolated = (rotor_speeds > self.rotor_speeds[0]) & (
+            rotor_speeds < self.rotor_speeds[-1]
+        )
+        harmonics_of_slope += (
+            np.where(
+                is_interpolated,
+                self.angular_acceleration / (rotor_speeds * speed_interval_widths),
+                0.0,
+            )
             * harmonic_increments
         )
         return (
             polyval(phase_factors, interpolated_harmonics, tensor=False).real,
-            polyval(phase_factors, harmonic_derivatives, tensor=False).real,
+            polyval(phase_factors, harmonics_of_slope, tensor=False).real,
         )
 
 
-def _solve_passing_angles(
+def _solve_passing_angles_or_nan(
     tip_motion: _TipMotion, target_angles: np.ndarray, tip_radius: float
 ) -> np.ndarray:
     """Find the rotor angles at which the tip has the target angles.
 
     Solves alpha + u(alpha) / R = targets (n,) [rad] to rounding; nan if the tip moves backwards.
     """
-    max_displacement_angle = (
-        np.abs(tip_motion.harmonics).sum(axis=1).max() / tip_radius * (1.0 + 1e-12)
+    displacement_angle_bound = (
+        np.abs(tip_motion.tip_harmonics).sum(axis=1).max() / tip_radius * (1.0 + 1e-12)
     )
-    max_displacement_angle = max_displacement_angle + 4.0 * np.spacing(np.abs(target_angles))
-    min_angles = target_angles - max_displacement_angle
-    max_angles = target_angles + max_displacement_angle
+    displacement_angle_bound = displacement_angle_bound + 4.0 * np.spacing(np.abs(target_angles))
+    lower_angle_bounds = target_angles - displacement_angle_bound
+    upper_angle_bounds = target_angles + displacement_angle_bound
     rotor_angles = target_angles.copy()
-    previous_steps, angle_slopes = max_angles - min_angles, np.ones_like(target_angles)
+    previous_step_sizes = upper_angle_bounds - lower_angle_bounds
+    angle_slopes = np.ones_like(target_angles)
     for _ in range(200):  # more than bisection needs
-        displacements, displacement_rates = tip_motion.evaluate_displacement(rotor_angles)
-        angle_excesses = rotor_angles - target_angles + displacements / tip_radius
-        angle_slopes = 1.0 + displacement_rates / tip_radius
-        max_angles = np.where(angle_excesses >= 0.0, rotor_angles, max_angles)
-        min_angles = np.where(angle_excesses <= 0.0, rotor_angles, min_angles)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            newton_steps = -angle_excesses / angle_slopes
-        bisection_steps = 0.5 * (min_angles + max_angles) - rotor_angles
-        is_inside = (rotor_angles + newton_steps >= min_angles) & (
-            rotor_angles + newton_steps <= max_angles
+        displacements, displacement_slopes = tip_motion.evaluate_displacement_and_slope(
+            rotor_angles
         )
-        newton_steps = np.where(
-            is_inside & (np.abs(newton_steps) <= 0.5 * previous_steps),
-            newton_steps,
+        angle_excesses = rotor_angles - target_angles + displacements / tip_radius
+        angle_slopes = 1.0 + displacement_slopes / tip_radius
+        upper_angle_bounds = np.where(angle_excesses >= 0.0, rotor_angles, upper_angle_bounds)
+        lower_angle_bounds = np.where(angle_excesses <= 0.0, rotor_angles, lower_angle_bounds)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            angle_steps = -angle_excesses / angle_slopes
+        bisection_steps = 0.5 * (lower_angle_bounds + upper_angle_bounds) - rotor_angles
+        is_inside_bounds = (rotor_angles + angle_steps >= lower_angle_bounds) & (
+            rotor_angles + angle_steps <= upper_angle_bounds
+        )
+        angle_steps = np.where(
+            is_inside_bounds & (np.abs(angle_steps) <= 0.5 * previous_step_sizes),
+            angle_steps,
             bisection_steps,
         )
-        rotor_angles, previous_steps = rotor_angles + newton_steps, np.abs(newton_steps)
+        rotor_angles, previous_step_sizes = rotor_angles + angle_steps, np.abs(angle_steps)
         if np.all(
-            previous_steps <= 2.0 * np.spacing(np.abs(target_angles) + max_displacement_angle)
+            previous_step_sizes
+            <= 2.0 * np.spacing(np.abs(target_angles) + displacement_angle_bound)
         ):
             break
     return np.where(angle_slopes > 0.0, rotor_angles, np.nan)

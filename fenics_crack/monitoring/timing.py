@@ -89,11 +89,11 @@ class Timing(SavedResult):
     def to_dict(self) -> dict[str, Any]:
         """Return a row for each resonance, blade, harmonic or speed."""
         if self.of_resonances:
-            rows = [
-                {"blade": blade} | passage.to_dict()
+            table_rows = [
+                {"blade": blade} | passage_fit.to_dict()
                 for blade, fit in self.fits.items()
                 if isinstance(fit, tuple)
-                for passage in fit
+                for passage_fit in fit
             ]
         elif len(self.fits) == 1:
             return self._first_fit.to_dict()
@@ -101,16 +101,19 @@ class Timing(SavedResult):
             fit_by_blade = {
                 blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)
             }
-            have_ratios = all(map(_has_second_harmonic, fit_by_blade.values()))
-            rows = [
-                {"blade": blade} | _tabulate_fit(fit, have_ratios)
+            have_harmonic_ratios = all(map(_has_second_harmonic, fit_by_blade.values()))
+            table_rows = [
+                {"blade": blade} | _make_fit_row_by_column(fit, have_harmonic_ratios)
                 for blade, fit in fit_by_blade.items()
             ]
         column_names = (
-            [column_name for column_name in rows[0] if column_name != "speed"] if rows else []
+            [column_name for column_name in table_rows[0] if column_name != "speed"]
+            if table_rows
+            else []
         )
         return {
-            column_name: [row[column_name] for row in rows] for column_name in column_names
+            column_name: [table_row[column_name] for table_row in table_rows]
+            for column_name in column_names
         } or EMPTY_COLUMN_BY_NAME
 
     @property
@@ -134,17 +137,17 @@ def _has_second_harmonic(fit: TipFit) -> bool:
     return bool(np.any(np.isclose(fit.multiples, 2.0)))
 
 
-def _tabulate_fit(fit: TipFit, has_ratio: bool) -> dict[str, float]:
-    """Return the row of a fit by column, with the harmonic ratio if ``has_ratio``."""
+def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, float]:
+    """Return a fit's table row by column, perhaps with the ratio of harmonics."""
     amplitudes, amplitude_errors = fit.amplitudes, fit.amplitude_errors
     value_by_column = {
         "amplitude": float(amplitudes[0]),
         "amplitude_error": float(amplitude_errors[0]),
         "order": fit.order,
     }
-    ratio_columns = "ratio_2_1", "ratio_2_1_error"
+    ratio_column_names = "ratio_2_1", "ratio_2_1_error"
     return value_by_column | (
-        dict(zip(ratio_columns, fit.ratio(), strict=True)) if has_ratio else {}
+        dict(zip(ratio_column_names, fit.ratio(), strict=True)) if has_harmonic_ratio else {}
     )
 
 
@@ -159,23 +162,23 @@ def report_of_timing(timing: Timing) -> Report:
     tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
     shown_table = timing.table()
     if passages_by_blade:
-        conclusion, notes, warnings = _describe_passages(passages_by_blade)
+        conclusion, note_texts, warning_texts = _conclude_from_passages(passages_by_blade)
     elif tracks:
-        conclusion, shown_table, notes, warnings = _describe_track(tracks[0])
+        conclusion, shown_table, note_texts, warning_texts = _conclude_from_track(tracks[0])
     else:
-        conclusion, notes, warnings = _describe_fits(timing)
+        conclusion, note_texts, warning_texts = _conclude_from_fits(timing)
     return Report(
         timing.table(),
         conclusion,
         timing.scene,
         printed_table=shown_table,
-        notes=notes,
-        warnings=[*timing.doubts, *warnings],
+        notes=note_texts,
+        warnings=[*timing.doubts, *warning_texts],
         remarks=() if timing.scene is None else remarks_on_scene(timing.scene),
     )
 
 
-def find_largest_blade(timing: Timing) -> int | None:
+def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
     """Find the blade with the largest amplitude; None in a run-up."""
     fit_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, TipFit)}
     return (
@@ -185,10 +188,10 @@ def find_largest_blade(timing: Timing) -> int | None:
     )
 
 
-def _describe_passages(
+def _conclude_from_passages(
     passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
-    """Describe all blades' resonances: conclusion, notes and doubts."""
+    """Conclude from all blades' resonances, with notes and doubts."""
     blades_and_resonances = [
         (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
@@ -206,19 +209,19 @@ def _describe_passages(
         for blade, probe_angle in blades_and_probe_angles
     ]
     for blade, fit in blades_and_resonances:
-        resonance_text = f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm"
+        resonance_prefix = f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm"
         if fit.untested:
             probes_text = format_count(fit.probes, "probe")
             warning_texts.append(
-                f"{resonance_text}: {probes_text} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
+                f"{resonance_prefix}: {probes_text} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
             )
         elif fit.ambiguous:
-            orders_text = _orders_in_words("explain the arrivals as well", fit.ambiguous)
-            warning_texts.append(f"{resonance_text}: {orders_text}")
+            orders_text = _describe_orders("explain the arrivals as well", fit.ambiguous)
+            warning_texts.append(f"{resonance_prefix}: {orders_text}")
         if fit.disagree:
-            warning_texts.append(f"{resonance_text}: {fit.disagreement}")
+            warning_texts.append(f"{resonance_prefix}: {fit.disagreement}")
         if fit.in_doubt:
-            warning_texts.append(f"{resonance_text}: {CORRELATED_RESIDUALS_TEXT}")
+            warning_texts.append(f"{resonance_prefix}: {CORRELATED_RESIDUALS_TEXT}")
     note_texts = [CONSTANT_FREQUENCY_TEXT] * any(
         fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
     )
@@ -228,7 +231,8 @@ def _describe_passages(
         for line_fit in fit.asynchronous
     ]
     note_texts += [
-        f"blade {blade}: {_describe_line(line_fit)}" for blade, line_fit in blades_and_lines
+        f"blade {blade}: {_describe_constant_frequency_fit(line_fit)}"
+        for blade, line_fit in blades_and_lines
     ]
     conclusion = Conclusion("no resonance found")
     if blades_and_resonances:
@@ -240,27 +244,28 @@ def _describe_passages(
     return conclusion, note_texts, warning_texts
 
 
-def _orders_in_words(orders_text: str, orders: Iterable[float]) -> str:
-    """Return "orders that TEXT: 5, 7"."""
-    return f"orders that {orders_text}: {format_first_orders([*orders])}"
+def _describe_orders(statement_text: str, orders: Iterable[float]) -> str:
+    """Return "orders that STATEMENT: 5, 7"."""
+    return f"orders that {statement_text}: {format_first_orders([*orders])}"
 
 
-def _describe_line(line_fit: TipFit) -> str:
+def _describe_constant_frequency_fit(line_fit: TipFit) -> str:
     """Describe a vibration of constant frequency."""
     amplitude, amplitude_error = line_fit.amplitudes[0], line_fit.amplitude_errors[0]
     line_text = (
-        f"{line_fit.omega / RAD_PER_TURN:.6g} Hz, {_amplitude_in_words(amplitude, amplitude_error)}"
+        f"{line_fit.omega / RAD_PER_TURN:.6g} Hz, "
+        f"{_format_amplitude_with_error(amplitude, amplitude_error)}"
     )
     return f"a vibration that follows no order: {line_text}"
 
 
-def _amplitude_in_words(amplitude: float, amplitude_error: float) -> str:
+def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> str:
     """Return "3 µm ± 1 µm"."""
     return f"{format_quantity(amplitude, 'm')} ± {format_quantity(amplitude_error, 'm')}"
 
 
-def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
-    """Describe a run-up: conclusion, table of peaks, notes and doubts."""
+def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
+    """Conclude from a run-up, with a table of peaks, notes and doubts."""
     track_table = track.table()
     kept_column_indices = [
         column_index
@@ -268,16 +273,16 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
         if not column_name.startswith("amplitude")
     ]
     conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
-    peak_rows, notes = [], []
+    peak_rows, note_texts = [], []
     # Without any vibration, the largest of so many amplitudes is several errors large.
-    max_noise_ratio = float(
+    allowed_noise_ratio = float(
         np.sqrt(2.0 * np.log(len(track.speed) / CONFIDENCE_LEVELS.misfit_significance_level))
     )
     for harmonic_index, harmonic_multiple in enumerate(track.multiples):
         amplitudes = track.amplitudes[:, harmonic_index]
         amplitude_errors = track.amplitude_errors[:, harmonic_index]
         clear_amplitudes = np.where(
-            amplitudes <= max_noise_ratio * amplitude_errors, np.nan, amplitudes
+            amplitudes <= allowed_noise_ratio * amplitude_errors, np.nan, amplitudes
         )
         if not np.all(np.isnan(clear_amplitudes)):
             peak_row_index = int(np.nanargmax(clear_amplitudes))
@@ -298,7 +303,9 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
             if len(peak_rows) == 1:
                 peak_frequency = track.omega[peak_row_index] / RAD_PER_TURN
                 peak_frequency_text = f"{peak_frequency:.6g} Hz, engine order {track.order:g}"
-                peak_text = f"{peak_frequency_text}: {_amplitude_in_words(*peak_and_error)}"
+                peak_text = (
+                    f"{peak_frequency_text}: {_format_amplitude_with_error(*peak_and_error)}"
+                )
                 answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Conclusion("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
@@ -310,80 +317,85 @@ def _describe_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list
                 ),
                 "m",
             )
-            unclear_text = UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)
-            notes.append(f"harmonic {harmonic_multiple:g}: {unclear_text}")
-    peak_columns = [
+            unclear_harmonic_text = UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)
+            note_texts.append(f"harmonic {harmonic_multiple:g}: {unclear_harmonic_text}")
+    peak_column_names = [
         "multiple, where it is largest",
         *(track_table.columns[column_index] for column_index in kept_column_indices),
     ]
-    peak_table = Table([*peak_columns, "amplitude [m]", "amplitude_error [m]"], peak_rows)
-    doubts = [NO_SPARE_PROBE_TEXT] if np.isnan(track.misfit) else []
+    peak_table = Table([*peak_column_names, "amplitude [m]", "amplitude_error [m]"], peak_rows)
+    doubt_texts = [NO_SPARE_PROBE_TEXT] if np.isnan(track.misfit) else []
     if track.does_not_fit:
-        doubts.append(
+        doubt_texts.append(
             f"the residual repeats in all revolutions: {MISSING_HARMONICS_TEXT}, the vibration "
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
-    elif track.in_doubt and not doubts:
-        doubts.append(FOLDED_HARMONICS_TEXT)
-    return conclusion, peak_table, notes, doubts
+    elif track.in_doubt and not doubt_texts:
+        doubt_texts.append(FOLDED_HARMONICS_TEXT)
+    return conclusion, peak_table, note_texts, doubt_texts
 
 
-def _describe_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
-    """Describe vibrations at one speed: conclusion, notes and doubts."""
-    has_several_blades, notes, warnings = len(timing.fits) > 1, [], []
+def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
+    """Conclude from vibrations at one speed, with notes and doubts."""
+    has_several_blades, note_texts, warning_texts = len(timing.fits) > 1, [], []
     for blade, fit in timing.fits.items():
         assert isinstance(fit, TipFit)
         blade_prefix = f"blade {blade}: " if has_several_blades else ""
-        fit_notes, doubts = _describe_fit(fit)
-        notes += [] if has_several_blades else fit_notes
-        warnings += [f"{blade_prefix}{doubt}" for doubt in doubts]
-    largest_fit: Any = timing.fits[blade := find_largest_blade(timing) or 1]
-    amplitude_text = _amplitude_in_words(largest_fit.amplitudes[0], largest_fit.amplitude_errors[0])
+        fit_note_texts, doubt_texts = _list_fit_notes_and_doubts(fit)
+        note_texts += [] if has_several_blades else fit_note_texts
+        warning_texts += [f"{blade_prefix}{doubt_text}" for doubt_text in doubt_texts]
+    largest_fit: Any = timing.fits[blade := find_blade_of_largest_amplitude_or_none(timing) or 1]
+    amplitude_text = _format_amplitude_with_error(
+        largest_fit.amplitudes[0], largest_fit.amplitude_errors[0]
+    )
     frequency_text = (
         f"engine order {largest_fit.order:g}, {largest_fit.omega / RAD_PER_TURN:.6g} Hz"
     )
     if has_several_blades:
-        notes.append(f"the picture shows blade {blade}, whose amplitude is the largest")
+        note_texts.append(f"the picture shows blade {blade}, whose amplitude is the largest")
         answer_text = (
             f"the largest vibration is that of blade {blade}, {amplitude_text}, {frequency_text}"
         )
         return (
             Conclusion(f"{format_count(len(timing.fits), 'blade')} fitted", answer_text),
-            notes,
-            warnings,
+            note_texts,
+            warning_texts,
         )
     return (
         Conclusion("vibration found", f"amplitude {amplitude_text}, {frequency_text}"),
-        notes,
-        warnings,
+        note_texts,
+        warning_texts,
     )
 
 
-def _describe_fit(fit: TipFit) -> tuple[list[str], list[str]]:
-    """Describe a fit: notes and doubts.
+def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
+    """List notes and doubts of a fit.
 
     A note has the ratio of the second harmonic to the first, which indicates a crack.
     """
-    notes = [f"in addition, {_describe_line(line_fit)}" for line_fit in fit.asynchronous]
-    warnings = []
+    note_texts = [
+        f"in addition, {_describe_constant_frequency_fit(line_fit)}"
+        for line_fit in fit.asynchronous
+    ]
+    doubt_texts = []
     if _has_second_harmonic(fit):
         harmonic_ratio, ratio_error = fit.ratio()
-        notes.append(f"second harmonic over first: {harmonic_ratio:.4g} ± {ratio_error:.2g}")
+        note_texts.append(f"second harmonic over first: {harmonic_ratio:.4g} ± {ratio_error:.2g}")
     if fit.does_not_fit:
-        warnings.append(
+        doubt_texts.append(
             "residuals differ between the probes by more than their scatter: "
             f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or the "
             "order is none of tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:
-        warnings.append(FOLDED_HARMONICS_TEXT)
+        doubt_texts.append(FOLDED_HARMONICS_TEXT)
     if fit.spare < 1:
-        warnings.append(NO_SPARE_PROBE_TEXT)
+        doubt_texts.append(NO_SPARE_PROBE_TEXT)
     elif fit.seen_once:
-        warnings.append(NO_REPETITION_TEXT)
+        doubt_texts.append(NO_REPETITION_TEXT)
     if fit.ambiguous:
-        warnings.append(_orders_in_words("explain the arrivals as well", fit.ambiguous))
+        doubt_texts.append(_describe_orders("explain the arrivals as well", fit.ambiguous))
     if fit.hidden:
-        warnings.append(_orders_in_words("these probes cannot measure", fit.hidden))
-    return notes, warnings
+        doubt_texts.append(_describe_orders("these probes cannot measure", fit.hidden))
+    return note_texts, doubt_texts

@@ -14,7 +14,7 @@ from surroundings import main
 from wheels import BRIEF, SOLID, ring
 
 import fenics_crack as fc
-from fenics_crack.monitoring.scene_timing import find_tip_factors
+from fenics_crack.monitoring.scene_timing import find_tip_factor_by_dof
 
 PATTERN: dict[str, Any] = {"disk__deviation": 0.01, "disk__seed": 3}
 PROBES = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0]
@@ -123,7 +123,7 @@ def test_tips_are_timed() -> None:
     wheel = run.structure.whole
     for blade, blade_arrivals in arrivals.items():
         fit = fc.fit_order(blade_arrivals, [2], harmonics=2)
-        shares = find_tip_factors(scene.given("tip_timing"), run, blade)
+        shares = find_tip_factor_by_dof(scene.given("tip_timing"), run, blade)
         assert {wheel.blade_of(dof)[0] for dof in shares} == {blade}
         rows = run.structure.values_at(run.result.displacement_coefficients, [*shares])
         a, b = (rows[row] @ np.array([*shares.values()]) for row in (1, 2))

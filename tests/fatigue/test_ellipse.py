@@ -19,8 +19,8 @@ from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 import fenics_crack as fc
 from fenics_crack.fatigue import growth
 from fenics_crack.fatigue.ellipse import (
-    EFFECTIVE_RANGE_COLUMNS,
-    EQUIVALENT_RANGE_COLUMNS,
+    EFFECTIVE_RANGE_COLUMN_NAMES,
+    EQUIVALENT_RANGE_COLUMN_NAMES,
     EllipsePath,
     EllipseTable,
     integrate_ellipse_growth,
@@ -92,7 +92,11 @@ def table_of(
     lengths = np.geomspace(start[1], growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH, count)
     deepest, ends = both(*np.meshgrid(depths, lengths, indexing="ij"), stress)
     columns = dict(
-        zip((*EQUIVALENT_RANGE_COLUMNS, *EFFECTIVE_RANGE_COLUMNS), 2 * (deepest, ends), strict=True)
+        zip(
+            (*EQUIVALENT_RANGE_COLUMN_NAMES, *EFFECTIVE_RANGE_COLUMN_NAMES),
+            2 * (deepest, ends),
+            strict=True,
+        )
     )
     return EllipseTable(depths, lengths, columns | {"K_max": np.maximum(deepest, ends)})
 
@@ -182,7 +186,7 @@ def test_ends_of_the_path() -> None:
         growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH
     )
     ranges = table.interpolate_column(
-        EFFECTIVE_RANGE_COLUMNS[0], threshold_path.depth, threshold_path.length
+        EFFECTIVE_RANGE_COLUMN_NAMES[0], threshold_path.depth, threshold_path.length
     )
     assert (
         ranges[0] == pytest.approx(deepest)
@@ -205,7 +209,7 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         columns = dict.fromkeys((*growth.SWEEP_COLUMN_NAMES, *NATURAL), 600.0 - 1e4 * length)
         columns |= dict(
             zip(
-                (*EQUIVALENT_RANGE_COLUMNS, *EFFECTIVE_RANGE_COLUMNS),
+                (*EQUIVALENT_RANGE_COLUMN_NAMES, *EFFECTIVE_RANGE_COLUMN_NAMES),
                 2 * (deepest, ends),
                 strict=True,
             )
@@ -219,7 +223,7 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         return fc.SweepResult(Path("none.h5"), swept, columns)
 
     monkeypatch.setattr(growth, "run_sweep", sweep)
-    monkeypatch.setattr(growth, "_estimate_quantity_error", lambda *_: (0.02, []))
+    monkeypatch.setattr(growth, "_estimate_quantity_error_and_remarks", lambda *_: (0.02, []))
     return log
 
 

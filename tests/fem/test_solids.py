@@ -44,9 +44,9 @@ from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import relative_coriolis_shifts, static_displacement_and_forces
 from fenics_crack.monitoring.scene_timing import (
-    describe_tip,
-    find_probed_displacement,
-    find_tip_factors,
+    describe_probed_tip_displacement,
+    find_probed_displacement_and_reversal,
+    find_tip_factor_by_dof,
 )
 from fenics_crack.study.plausibility import find_key_figures, remarks_on_scene
 from fenics_crack.sweep.plan import Plan
@@ -1074,20 +1074,20 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     radius = math.hypot(LENGTH + 0.1, SIDE)
     shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
     direction = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
-    assert find_tip_factors(table, run) == pytest.approx(direction, rel=1e-12)
+    assert find_tip_factor_by_dof(table, run) == pytest.approx(direction, rel=1e-12)
     parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
-    assert all(part in describe_tip(table, run) for part in parts)
+    assert all(part in describe_probed_tip_displacement(table, run) for part in parts)
     by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
-    assert find_tip_factors(by_hand, run) == {run.watched_dof: -0.5}
+    assert find_tip_factor_by_dof(by_hand, run) == {run.watched_dof: -0.5}
     run_with_offset = replace(
         run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]})
     )
-    assert find_tip_factors(table, run_with_offset) == {
+    assert find_tip_factor_by_dof(table, run_with_offset) == {
         structure.find_dof(tip, "z"): 1.0
     }  # y by rounding
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
     with pytest.raises(InputError, match="off the axis"):
-        find_tip_factors(table, through_it)
+        find_tip_factor_by_dof(table, through_it)
 
 
 @pytest.mark.parametrize(
@@ -1114,20 +1114,20 @@ def test_probes_see_the_displacement_that_rotation_makes(
     arm = np.array(tip) - [0.0, -0.1, 0.0]
     tip_motion = Turned.from_rotvec(1e-6 * axis_direction).apply(arm) - arm
     if seen is not None:
-        name, is_opposed = find_probed_displacement(scene)
+        name, is_opposed = find_probed_displacement_and_reversal(scene)
         assert (name, is_opposed) == seen
         share = (-1.0 if is_opposed else 1.0) * tip_motion["xyz".index(name[-1])]
         assert share == pytest.approx(np.linalg.norm(tip_motion), rel=1e-5)
     else:
         assert (
-            refusal(lambda: find_probed_displacement(scene), "none of x, y and z").key
+            refusal(lambda: find_probed_displacement_and_reversal(scene), "none of x, y and z").key
             == "tip_timing.tangential"
         )
     for tangential in (0.5, -0.5):
         by_hand = scene.replace({"tip_timing.tangential": tangential})
-        assert find_probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
+        assert find_probed_displacement_and_reversal(by_hand) == ("tip.ux", tangential < 0.0)
     with pytest.raises(InputError, match="its tip first"):
-        find_probed_displacement(scene.replace({"output": None}))
+        find_probed_displacement_and_reversal(scene.replace({"output": None}))
 
 
 def test_coriolis_force_of_a_whirling_bar() -> None:

@@ -33,16 +33,19 @@ from fenics_crack.monitoring.identification.interpolation import (
 from fenics_crack.monitoring.identification.measurements import (
     Measurement,
     Measurements,
-    list_crack_removal_changes,
+    get_crack_removal_changes_or_none,
 )
-from fenics_crack.monitoring.identification.model import ForwardModel, has_load_independent_shape
+from fenics_crack.monitoring.identification.model import (
+    ForwardModel,
+    has_load_independent_motion_shape,
+)
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
-    Branch,
     Likelihood,
     Posterior,
-    list_first_grid_points,
+    PosteriorBranch,
+    build_first_grid_points,
 )
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
@@ -51,7 +54,7 @@ from fenics_crack.scene.tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, 
 from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.sweep.result import SweepResult, iterate_texts_by_reason, run_sweep
 
-IRRELEVANT_SCENE_TABLES = ("sweep", "curve", "integration", "identify", "tip_timing")
+IRRELEVANT_SCENE_TABLE_NAMES = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Scene tables without effect on a sweep of the forward model."""
 ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
 """Sweeps of all cases, of a finer mesh, and halfway between the cases."""
@@ -129,52 +132,54 @@ def identify(
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
-    rows = measurements.rows
-    load_frequencies = [measurement.frequency for measurement in rows if not measurement.natural]
-    speed_loads = [
+    measurement_rows = measurements.rows
+    load_frequencies = [
+        measurement.frequency for measurement in measurement_rows if not measurement.natural
+    ]
+    frequency_only_loads = [
         load_frequency
-        for measurement in rows
+        for measurement in measurement_rows
         if measurement.natural and (load_frequency := measurement.load(scene))
     ]
     uncracked_plate = _solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
         not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
     )
-    known_loads = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
+    scene_load_frequencies = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
     uncracked_plate.check_units_and_modes(
         measurements,
-        [load_frequency for load_frequency in known_loads if load_frequency > 0.0],
+        [load_frequency for load_frequency in scene_load_frequencies if load_frequency > 0.0],
         may_be_other_plate=has_other_unknowns,
     )
     refined_axes: list[Axis] = []
     while True:
-        solve_arguments: dict[str, Any] = {
-            "speed_loads": speed_loads,
+        solve_argument_by_name: dict[str, Any] = {
+            "frequency_only_loads": frequency_only_loads,
             "uncracked_plate": uncracked_plate,
             "refined_axes": refined_axes,
         }
         forward_models = solve_forward(
-            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_arguments
+            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_argument_by_name
         )
         begin_stage("inference")
         identification = infer_unknowns(forward_models, measurements)
         if (
-            interpolated_measurement := _find_most_interpolated_measurement(identification)
+            name_shares_and_points := _find_most_interpolated_measurement_or_none(identification)
         ) is None:
             return identification
-        measurement_name, share_by_unknown, explaining_x = interpolated_measurement
+        measurement_name, shares_along_unknowns, explaining_points = name_shares_and_points
         if (
-            refined_axis := _refine_axis_by_share(
-                forward_models, identification, share_by_unknown, explaining_x
+            refined_axis := _refine_axis_by_share_or_none(
+                forward_models, identification, shares_along_unknowns, explaining_points
             )
         ) is None:
             break
         refined_axes.append(refined_axis)
-    remark = (
-        f"interpolation between the solved cases has {share_by_unknown.sum():.0%} of the variance "
-        f"of {measurement_name}: more values in identify.unknown make regions narrower"
+    remark_text = (
+        f"interpolation between the solved cases has {shares_along_unknowns.sum():.0%} of the "
+        f"variance of {measurement_name}: more values in identify.unknown make regions narrower"
     )
-    return replace(identification, remarks=(*identification.remarks, remark))
+    return replace(identification, remarks=(*identification.remarks, remark_text))
 
 
 def infer_unknowns(
@@ -190,21 +195,21 @@ def infer_unknowns(
         Too few cases of the model were solved for any measurement of the plate as it is.
     """
     measurements.check(forward_models.scene)
-    measurements, doubt_texts = _select_predictable_rows(forward_models, measurements)
+    measurements, doubt_texts = _select_predictable_measurements(forward_models, measurements)
     measurement_rows = measurements.rows
     measurement_values, measurement_deviations = np.array(
         [(measurement.value, measurement.deviation) for measurement in measurement_rows]
     ).T
     branch_by_words, uncracked_branch_by_words = (
         {
-            words: Branch(
+            words_text: PosteriorBranch(
                 Likelihood(
                     measurement_values,
                     measurement_deviations,
                     model.make_predictor(measurement_rows),
                 )
             )
-            for words, model in model_by_words.items()
+            for words_text, model in model_by_words.items()
         }
         for model_by_words in (
             forward_models.cracked_model_by_words,
@@ -212,19 +217,23 @@ def infer_unknowns(
         )
     )
     remark_texts = (
-        *list_measurement_remarks(forward_models.scene, measurements),
-        *_describe_unresolved_resonances(forward_models, measurements),
+        *list_measurement_limit_remarks(forward_models.scene, measurements),
+        *_yield_unresolved_resonance_remarks(forward_models, measurements),
     )
-    posteriors = (
+    cracked_and_uncracked_posteriors = (
         Posterior(branch_by_words),
         Posterior(uncracked_branch_by_words) if uncracked_branch_by_words else None,
     )
     return Identification(
-        forward_models.scene, measurements, *posteriors, remark_texts, doubt_texts
+        forward_models.scene,
+        measurements,
+        *cracked_and_uncracked_posteriors,
+        remark_texts,
+        doubt_texts,
     )
 
 
-def _select_predictable_rows(
+def _select_predictable_measurements(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
     """Select the measurements that every model predicts, with a crack and without.
@@ -246,19 +255,21 @@ def _select_predictable_rows(
     is_predictable = np.all(
         [model.make_predictor(measurement_rows).is_predictable for model in models], axis=0
     )
-    case_sets = (
+    solved_cases_of_models = (
         solved_cases
         for model in models
         for solved_cases in (model.coarse_cases, model.finer_cases)
         if solved_cases
     )
-    cases_by_path = {solved_cases.sweep_result.path: solved_cases for solved_cases in case_sets}
+    solved_cases_by_path = {
+        solved_cases.sweep_result.path: solved_cases for solved_cases in solved_cases_of_models
+    }
     load_frequencies = {measurement.frequency for measurement in measurement_rows}
     doubt_texts = []
-    for sweep_path, solved_cases in cases_by_path.items():
+    for sweep_path, solved_cases in solved_cases_by_path.items():
         sweep_result = solved_cases.sweep_result
         swept_frequencies = solved_cases.swept_loads.frequencies
-        failures = [
+        failed_cases_and_reasons = [
             (case_index, reason_text)
             for case_index, reason_text in sweep_result.failed
             if swept_frequencies[case_index[-1]] in load_frequencies
@@ -266,10 +277,12 @@ def _select_predictable_rows(
         ]
         doubt_texts += [
             f"{sweep_path.name}: {failure_text}"
-            for failure_text in iterate_texts_by_reason(sweep_result, failures, "failed")
+            for failure_text in iterate_texts_by_reason(
+                sweep_result, failed_cases_and_reasons, "failed"
+            )
         ]
-    used_rows = list(itertools.compress(measurement_rows, is_predictable))
-    if all(measurement.quantity == "frequency_uncracked" for measurement in used_rows):
+    predictable_rows = list(itertools.compress(measurement_rows, is_predictable))
+    if all(measurement.quantity == "frequency_uncracked" for measurement in predictable_rows):
         reason_text = "; ".join(doubt_texts) or "no case has the measured quantities"
         raise ConvergenceError(f"identification, no measurement can be predicted: {reason_text}")
     reason_text = "too few cases have it, or only those on one side of what failed"
@@ -277,11 +290,11 @@ def _select_predictable_rows(
         f"{measurement.name} is not used: {reason_text}"
         for measurement in itertools.compress(measurement_rows, ~is_predictable)
     ]
-    return Measurements(tuple(used_rows)), tuple(doubt_texts)
+    return Measurements(tuple(predictable_rows)), tuple(doubt_texts)
 
 
-def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """Return limits of measurements, whatever their values are."""
+def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
+    """List remarks on limits of measurements, whatever their values are."""
     identify_table = scene.given("identify")
     crack, measurement_rows, remark_texts = scene.crack, measurements.rows, []
     is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
@@ -302,7 +315,7 @@ def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[
         )
     if any(
         measurement.shape for measurement in measurement_rows
-    ) and not has_load_independent_shape(scene):
+    ) and not has_load_independent_motion_shape(scene):
         remark_texts.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
@@ -310,14 +323,14 @@ def list_measurement_remarks(scene: Scene, measurements: Measurements) -> tuple[
     return tuple(remark_texts)
 
 
-def _describe_unresolved_resonances(
+def _yield_unresolved_resonance_remarks(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> Iterator[str]:
-    """Describe loads with much larger vibration between the solved cases.
+    """Yield remarks on loads with much larger vibration between the solved cases.
 
     Steady loads let the crack breathe there as in no solved case.
     """
-    if has_load_independent_shape(forward_models.scene):
+    if has_load_independent_motion_shape(forward_models.scene):
         return
     loads_and_points = dict.fromkeys(
         (measurement.frequency, measurement.point)
@@ -327,7 +340,7 @@ def _describe_unresolved_resonances(
     for model, (load_frequency, point_name) in itertools.product(
         forward_models.cracked_model_by_words.values(), loads_and_points
     ):
-        vibration_ratio, unknown_values = _find_largest_vibration_between(
+        vibration_ratio, unknown_values = _find_largest_vibration_ratio_and_place(
             model, load_frequency, point_name
         )
         if vibration_ratio > OPTIONS.allowed_vibration_ratio:
@@ -343,7 +356,7 @@ def _describe_unresolved_resonances(
             )
 
 
-def _find_largest_vibration_between(
+def _find_largest_vibration_ratio_and_place(
     model: ForwardModel, load_frequency: float, point_name: str
 ) -> tuple[float, np.ndarray]:
     """Find a point's largest vibration at a load [Hz] between the solved cases.
@@ -355,18 +368,20 @@ def _find_largest_vibration_between(
     (d,)
         Values of the unknowns there.
     """
-    first_harmonic = Measurement("harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name)
-    grid_points = list_first_grid_points(model.unknown_grid)
-    interpolated_amplitudes = np.nan_to_num(
-        model.make_predictor([first_harmonic])(grid_points).values[:, 0]
+    first_harmonic_measurement = Measurement(
+        "harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name
     )
-    max_solved_amplitude = np.fmax.reduce(
-        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+    grid_points = build_first_grid_points(model.unknown_grid)
+    interpolated_amplitudes = np.nan_to_num(
+        model.make_predictor([first_harmonic_measurement])(grid_points).values[:, 0]
+    )
+    largest_solved_amplitude = np.fmax.reduce(
+        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     )
     largest_index = int(np.argmax(interpolated_amplitudes))
     return float(
-        interpolated_amplitudes[largest_index] / max_solved_amplitude
-    ) if max_solved_amplitude > 0.0 else 0.0, grid_points[largest_index]
+        interpolated_amplitudes[largest_index] / largest_solved_amplitude
+    ) if largest_solved_amplitude > 0.0 else 0.0, grid_points[largest_index]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
@@ -374,7 +389,7 @@ def _find_largest_vibration_between(
 
 @dataclass(frozen=True)
 class SolvedForwardModels:
-    """A forward model, solved.
+    """Solved forward models, with the crack and without.
 
     Attributes
     ----------
@@ -397,11 +412,12 @@ class SolvedForwardModels:
 def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
     """Solve the plate of a scene without its crack for every rank (collective)."""
     identify_table = scene.given("identify")
-    plain_scene = scene.replace(
-        dict.fromkeys(IRRELEVANT_SCENE_TABLES) | (list_crack_removal_changes(scene) or {})
+    uncracked_scene = scene.replace(
+        dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES)
+        | (get_crack_removal_changes_or_none(scene) or {})
     )
     begin_stage("plate without its crack")
-    return on_root(comm, lambda: UncrackedPlate(plain_scene, identify_table))
+    return on_root(comm, lambda: UncrackedPlate(uncracked_scene, identify_table))
 
 
 def solve_forward(
@@ -410,7 +426,7 @@ def solve_forward(
     folder: Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    speed_loads: Sequence[float] = (),
+    frequency_only_loads: Sequence[float] = (),
     uncracked_plate: UncrackedPlate | None = None,
     refined_axes: Sequence[Axis] = (),
     progress: bool = False,
@@ -427,7 +443,7 @@ def solve_forward(
         Folder of the files of the sweeps; their names depend on the scene and the frequencies.
     comm : MPI.Comm
         The ranks over which the cases are spread.
-    speed_loads : sequence of float
+    frequency_only_loads : sequence of float
         Loads [Hz] at whose speeds of the rotor only natural frequencies are needed.
     uncracked_plate : UncrackedPlate, optional
         The plate without its crack, if it is known already.
@@ -445,7 +461,7 @@ def solve_forward(
     """
     uncracked_plate = uncracked_plate or _solve_uncracked_plate(scene, comm)
     identify_table = scene.given("identify")
-    requested_frequencies = (*load_frequencies, *speed_loads, *identify_table.frequencies)
+    requested_frequencies = (*load_frequencies, *frequency_only_loads, *identify_table.frequencies)
     swept_loads = SweptLoads(scene, [float(frequency) for frequency in requested_frequencies])
     vibration_frequencies = (
         *load_frequencies,
@@ -457,51 +473,51 @@ def solve_forward(
         for load_index, frequency in enumerate(swept_loads.frequencies)
         if frequency not in vibration_frequencies
     ]
-    plain_scene = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLES))
-    scene_pair = _list_coarse_and_fine_scenes(plain_scene, identify_table.finer)
+    scene_without_tables = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES))
+    scene_pair = _list_coarse_and_fine_scenes(scene_without_tables, identify_table.finer)
     sweeper = _ForwardSweeper(
         *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
     )
     unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
-    sweep_result = sweeper.run("forward", sweeper.coarse_scene, [*sweeper.mesh_axes, *unknown_axes])
+    sweep_result = sweeper.run_or_read_sweep(
+        "forward", sweeper.coarse_scene, [*sweeper.mesh_file_axes, *unknown_axes]
+    )
     while True:
         model_by_words = _build_models(
             scene, uncracked_plate, swept_loads, (sweep_result, None, None)
         )
-        refined_axis = _refine_axis_at_resonance(
+        refined_axis = _refine_axis_at_resonance_or_none(
             scene, model_by_words.values(), load_frequencies, unknown_axes
         )
         if refined_axis is None and not remaining_axes:
             break
         refined_axis = refined_axis or remaining_axes.pop(0)
-        axis_index = [unknown_axis.key for unknown_axis in unknown_axes].index(refined_axis.key)
-        sweep_result = sweeper.run_added_values(
+        axis_index = [axis.key for axis in unknown_axes].index(refined_axis.key)
+        sweep_result = sweeper.run_and_join_added_values(
             sweep_result, unknown_axes, axis_index, refined_axis
         )
         unknown_axes[axis_index] = refined_axis
     cracked_sweeps = sweeper.run_check_sweeps(
-        "forward", {}, [*sweeper.mesh_axes, *unknown_axes], sweep_result
+        "forward", {}, [*sweeper.mesh_file_axes, *unknown_axes], sweep_result
     )
-    removal_changes = list_crack_removal_changes(scene)
-    if removal_changes is None:
+    removal_value_by_key = get_crack_removal_changes_or_none(scene)
+    if removal_value_by_key is None:
         model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
         return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
     uncracked_axes = [
-        unknown_axis
-        for unknown_axis in unknown_axes
-        if not unknown_axis.key.startswith(("crack.", "contact."))
+        axis for axis in unknown_axes if not axis.key.startswith(("crack.", "contact."))
     ]
-    uncracked_sweep = sweeper.run(
-        "uncracked", sweeper.coarse_scene.replace(removal_changes), uncracked_axes
+    uncracked_sweep = sweeper.run_or_read_sweep(
+        "uncracked", sweeper.coarse_scene.replace(removal_value_by_key), uncracked_axes
     )
     uncracked_sweeps = sweeper.run_check_sweeps(
-        "uncracked", removal_changes, uncracked_axes, uncracked_sweep
+        "uncracked", removal_value_by_key, uncracked_axes, uncracked_sweep
     )
-    model_maps = (
+    cracked_and_uncracked_models = (
         _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
         _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
     )
-    return SolvedForwardModels(scene, unknown_axes, *model_maps)
+    return SolvedForwardModels(scene, unknown_axes, *cracked_and_uncracked_models)
 
 
 @dataclass(frozen=True)
@@ -536,22 +552,24 @@ class _ForwardSweeper:
     progress: bool
 
     @property
-    def mesh_axes(self) -> list[Axis]:
+    def mesh_file_axes(self) -> list[Axis]:
         """Return the axis of mesh files, if the table has meshes."""
-        table = self.identify_table
-        return [Axis(MESH_AXIS_KEY, table.mesh_files)] if table.meshes else []
+        identify_table = self.identify_table
+        return [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
 
-    def run(self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]) -> SweepResult:
+    def run_or_read_sweep(
+        self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
+    ) -> SweepResult:
         """Run, or read, the sweep of a scene over unknowns and loads (collective)."""
         swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
         swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
-        digest = hashlib.sha256(
+        file_name_digest = hashlib.sha256(
             f"{scene_text(swept_scene)}{self.frequency_only_indices or ''}".encode()
         ).hexdigest()[:8]
         with StopRequest() as stop_request:
             sweep_result = run_sweep(
                 swept_scene,
-                self.folder / f"{sweep_name}_{digest}.h5",
+                self.folder / f"{sweep_name}_{file_name_digest}.h5",
                 self.comm,
                 progress=self.progress,
                 verdicts=False,
@@ -562,24 +580,24 @@ class _ForwardSweeper:
             raise StoppedError("identification was stopped; the same command goes on with it")
         return sweep_result
 
-    def run_added_values(
+    def run_and_join_added_values(
         self,
         sweep_result: SweepResult,
         unknown_axes: Sequence[Axis],
         axis_index: int,
         refined_axis: Axis,
     ) -> SweepResult:
-        """Return a sweep with the further values of a refined axis (collective)."""
+        """Run the further values of a refined axis, and join them to a sweep (collective)."""
         values_solved_before = unknown_axes[axis_index].values
         added_axis_values = tuple(
             axis_value
             for axis_value in refined_axis.values
             if axis_value not in values_solved_before
         )
-        added_axes = [*self.mesh_axes, *unknown_axes]
-        axis_index += len(self.mesh_axes)
+        added_axes = [*self.mesh_file_axes, *unknown_axes]
+        axis_index += len(self.mesh_file_axes)
         added_axes[axis_index] = Axis(refined_axis.key, added_axis_values)
-        added_sweep = self.run("forward", self.coarse_scene, added_axes)
+        added_sweep = self.run_or_read_sweep("forward", self.coarse_scene, added_axes)
         return _join_sweeps(sweep_result, added_sweep, axis_index)
 
     def run_check_sweeps(
@@ -587,28 +605,32 @@ class _ForwardSweeper:
         sweep_name: str,
         scene_changes: dict[str, Any],
         unknown_axes: Sequence[Axis],
-        all_cases: SweepResult,
+        all_cases_sweep: SweepResult,
     ) -> ForwardSweeps:
         """Run sweeps on the finer mesh and halfway, if any, beside all cases (collective)."""
-        table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
-        n_numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-        n_axis_values = MIN_ALLOWED_VALUES_PER_UNKNOWN - (n_numbers > 2)
+        identify_table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
+        n_number_unknowns = sum(
+            not isinstance(axis.values[0], str) for axis in identify_table.unknown
+        )
+        n_kept_values = MIN_ALLOWED_VALUES_PER_UNKNOWN - (n_number_unknowns > 2)
         finer_sweep = halfway_sweep = None
         if self.fine_scene is not None:
             check_axes = [
-                axis for axis in (*self.mesh_axes, *table.unknown) if axis.key in axis_keys
+                axis
+                for axis in (*self.mesh_file_axes, *identify_table.unknown)
+                if axis.key in axis_keys
             ]
             finer_scene = self.fine_scene.replace(scene_changes)
-            few_axes = _thin_axes(check_axes, n_axis_values)
-            finer_sweep = self.run(f"{sweep_name}_finer", finer_scene, few_axes)
-        if not table.meshes:
+            thinned_axes = _thin_axes(check_axes, n_kept_values)
+            finer_sweep = self.run_or_read_sweep(f"{sweep_name}_finer", finer_scene, thinned_axes)
+        if not identify_table.meshes:
             halfway_axes = [
                 Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in unknown_axes
             ]
             halfway_scene = self.coarse_scene.replace(scene_changes)
-            few_axes = _thin_axes(halfway_axes, n_axis_values)
-            halfway_sweep = self.run(sweep_name, halfway_scene, few_axes)
-        return all_cases, finer_sweep, halfway_sweep
+            thinned_axes = _thin_axes(halfway_axes, n_kept_values)
+            halfway_sweep = self.run_or_read_sweep(sweep_name, halfway_scene, thinned_axes)
+        return all_cases_sweep, finer_sweep, halfway_sweep
 
 
 def _join_sweeps(
@@ -616,16 +638,17 @@ def _join_sweeps(
 ) -> SweepResult:
     """Join the cases of two sweeps with different values on one axis."""
     axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
-    value_order = np.argsort(axis_values)
+    sorted_value_indices = np.argsort(axis_values)
     column_by_name = {
         column_name: np.concatenate([column, second_sweep[column_name]], axis=axis_index).take(
-            value_order, axis=axis_index
+            sorted_value_indices, axis=axis_index
         )
         for column_name, column in first_sweep.columns.items()
     }
     joined_axes = list(first_sweep.axes)
     joined_axes[axis_index] = Axis(
-        joined_axes[axis_index].key, tuple(axis_values[value_index] for value_index in value_order)
+        joined_axes[axis_index].key,
+        tuple(axis_values[value_index] for value_index in sorted_value_indices),
     )
     return replace(
         first_sweep,
@@ -634,15 +657,15 @@ def _join_sweeps(
     )
 
 
-def _compute_max_cases(scene: Scene) -> int:
-    """Return the maximum number of solved cases."""
+def _count_allowed_cases(scene: Scene) -> int:
+    """Return the allowed number of solved cases."""
     unknown_axes = scene.given("identify").unknown
     return OPTIONS.max_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
     )
 
 
-def _refine_axis_at_resonance(
+def _refine_axis_at_resonance_or_none(
     scene: Scene,
     models: Iterable[ForwardModel],
     load_frequencies: Sequence[float],
@@ -656,27 +679,27 @@ def _refine_axis_at_resonance(
     models_loads_points = itertools.product(
         models, load_frequencies, scene.label_by_point_name or ("",)
     )
-    vibration_cases = (
+    ratios_models_loads_points = (
         []
-        if has_load_independent_shape(scene)
+        if has_load_independent_motion_shape(scene)
         else [
-            (_find_largest_vibration_between(*model_load_point)[0], *model_load_point)
+            (_find_largest_vibration_ratio_and_place(*model_load_point)[0], *model_load_point)
             for model_load_point in models_loads_points
         ]
     )
     if (
-        not vibration_cases
-        or max(vibration_case[0] for vibration_case in vibration_cases)
+        not ratios_models_loads_points
+        or max(ratio_model_load_point[0] for ratio_model_load_point in ratios_models_loads_points)
         <= OPTIONS.allowed_vibration_ratio
     ):
         return None
     vibration_ratio, model, load_frequency, point_name = max(
-        vibration_cases, key=lambda vibration_case: vibration_case[0]
+        ratios_models_loads_points, key=lambda ratio_model_load_point: ratio_model_load_point[0]
     )
     log_amplitudes = np.log(
-        np.abs(model.coarse_cases.get_harmonic(point_name, load_frequency, 1))
+        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     ).reshape(model.unknown_grid.shape)
-    max_step_by_key = {
+    largest_step_by_key = {
         key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
         for axis_index, key in enumerate(model.unknown_keys)
     }
@@ -684,24 +707,30 @@ def _refine_axis_at_resonance(
     number_axes = [
         unknown_axis
         for unknown_axis in unknown_axes
-        if unknown_axis.key in max_step_by_key and _is_divisible(unknown_axis)
+        if unknown_axis.key in largest_step_by_key and _is_divisible(unknown_axis)
     ]
     for unknown_axis in sorted(
-        number_axes, key=lambda unknown_axis: -max_step_by_key[unknown_axis.key]
+        number_axes, key=lambda unknown_axis: -largest_step_by_key[unknown_axis.key]
     ):
-        n_values = len(unknown_axis.values)
-        max_parts = (_compute_max_cases(scene) * n_values // n_cases - 1) // (n_values - 1)
-        n_parts = min(math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), max_parts)
-        if n_parts > 1:
-            value_coordinates = np.arange((n_values - 1) * n_parts + 1) / n_parts
+        n_axis_values = len(unknown_axis.values)
+        allowed_parts = (_count_allowed_cases(scene) * n_axis_values // n_cases - 1) // (
+            n_axis_values - 1
+        )
+        n_parts_per_interval = min(
+            math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), allowed_parts
+        )
+        if n_parts_per_interval > 1:
+            value_coordinates = (
+                np.arange((n_axis_values - 1) * n_parts_per_interval + 1) / n_parts_per_interval
+            )
             refined_axis_values = np.interp(
-                value_coordinates, np.arange(n_values), unknown_axis.values
+                value_coordinates, np.arange(n_axis_values), unknown_axis.values
             ).tolist()
             return Axis(unknown_axis.key, tuple(refined_axis_values))
     return None
 
 
-def _find_most_interpolated_measurement(
+def _find_most_interpolated_measurement_or_none(
     identification: Identification,
 ) -> tuple[str, np.ndarray, np.ndarray] | None:
     """Find the measurement with the largest share of interpolation in its variance.
@@ -715,31 +744,35 @@ def _find_most_interpolated_measurement(
         Its name, its shares by the interpolation along each unknown (d,), and those cracks (m, d).
         None if the share is small.
     """
-    branch_shares = [
-        branch.compute_interpolation_shares()
+    branch_points_and_shares = [
+        branch.compute_explaining_points_and_shares()
         for branch in identification.posterior.branch_by_words.values()
     ]
-    explaining_x, interpolation_shares = (
-        np.vstack(branch_arrays) for branch_arrays in zip(*branch_shares, strict=True)
+    explaining_points, interpolation_shares = (
+        np.vstack(branch_arrays) for branch_arrays in zip(*branch_points_and_shares, strict=True)
     )
     if not interpolation_shares.size:
         return None
     mean_shares = interpolation_shares.mean(axis=0)
-    worst_row = int(mean_shares.sum(axis=0).argmax())
-    share_by_unknown = mean_shares[:, worst_row]
-    is_small = share_by_unknown.sum() <= OPTIONS.allowed_interpolation_share
+    worst_row_index = int(mean_shares.sum(axis=0).argmax())
+    shares_along_unknowns = mean_shares[:, worst_row_index]
+    is_share_small = shares_along_unknowns.sum() <= OPTIONS.allowed_interpolation_share
     return (
         None
-        if is_small
-        else (identification.measurements.rows[worst_row].name, share_by_unknown, explaining_x)
+        if is_share_small
+        else (
+            identification.measurements.rows[worst_row_index].name,
+            shares_along_unknowns,
+            explaining_points,
+        )
     )
 
 
-def _refine_axis_by_share(
+def _refine_axis_by_share_or_none(
     forward_models: SolvedForwardModels,
     identification: Identification,
-    share_by_unknown: np.ndarray,
-    explaining_x: np.ndarray,
+    shares_along_unknowns: np.ndarray,
+    explaining_points: np.ndarray,
 ) -> Axis | None:
     """Refine the unknown along which interpolation adds most to an error.
 
@@ -747,13 +780,13 @@ def _refine_axis_by_share(
     measurements. None if the cases would be too many, or if no unknown has values between.
     """
     axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
-    for unknown_index in np.argsort(-share_by_unknown):
+    for unknown_index in np.argsort(-shares_along_unknowns):
         unknown_axis = axis_by_key.get(identification.unknown[unknown_index])
         if unknown_axis is not None and _is_divisible(unknown_axis):
             halfway_values = _list_halfway_values(
                 unknown_axis,
-                explaining_x[:, unknown_index].min(),
-                explaining_x[:, unknown_index].max(),
+                explaining_points[:, unknown_index].min(),
+                explaining_points[:, unknown_index].max(),
             )
             refined_axis = Axis(
                 unknown_axis.key, tuple(sorted({*unknown_axis.values, *halfway_values}))
@@ -762,7 +795,7 @@ def _refine_axis_by_share(
                 len(solved_axis.values)
                 for solved_axis in (axis_by_key | {unknown_axis.key: refined_axis}).values()
             )
-            return refined_axis if n_cases <= _compute_max_cases(forward_models.scene) else None
+            return refined_axis if n_cases <= _count_allowed_cases(forward_models.scene) else None
     return None
 
 
@@ -771,24 +804,24 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
     The second is None without a finer mesh.
     """
-    finer_changes: dict[str, Any] = {}
+    finer_value_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
         n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
-        finer_changes = {
+        finer_value_by_key = {
             "harmonic_balance.harmonics": n_harmonics,
             "harmonic_balance.samples": None,
         }
-    other_scene = None if mesh_ratio == 1.0 else refine_scene_or_none(scene, mesh_ratio)
-    if other_scene is None and not finer_changes:
+    scene_with_other_mesh = None if mesh_ratio == 1.0 else refine_scene_or_none(scene, mesh_ratio)
+    if scene_with_other_mesh is None and not finer_value_by_key:
         return scene, None
     return (
-        (scene, (other_scene or scene).replace(finer_changes))
+        (scene, (scene_with_other_mesh or scene).replace(finer_value_by_key))
         if mesh_ratio > 1.0
-        else (other_scene or scene, scene)
+        else (scene_with_other_mesh or scene, scene)
     )
 
 
-def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
+def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
     """Thin the values of each unknown to a few, with its ends.
 
     Words are all kept.
@@ -796,7 +829,7 @@ def _thin_axes(unknown_axes: Sequence[Axis], n_values: int) -> tuple[Axis, ...]:
     thinned_axes = []
     for unknown_axis in unknown_axes:
         value_indices = np.unique(
-            np.linspace(0, len(unknown_axis.values) - 1, n_values).round().astype(int)
+            np.linspace(0, len(unknown_axis.values) - 1, n_kept_values).round().astype(int)
         )
         kept_axis_values = tuple(unknown_axis.values[value_index] for value_index in value_indices)
         thinned_axes.append(
@@ -838,17 +871,17 @@ def _build_models(
 
     Sweeps on a finer mesh, halfway between the values, and without the crack are optional.
     """
-    mesh_axes = scene.given("identify").mesh_axes
+    mesh_number_axes = scene.given("identify").mesh_axes
     axes = [
         axis
         for axis in cracked_sweeps[0].axes[:-1]
-        if not (mesh_axes and axis.key == MESH_AXIS_KEY)
+        if not (mesh_number_axes and axis.key == MESH_AXIS_KEY)
     ]
     words_by_key = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
     model_by_words = {}
     for chosen_words in itertools.product(*words_by_key.values()):
         word_by_key = dict(zip(words_by_key, chosen_words, strict=True))
-        case_sets: list[SolvedCases | None] = []
+        coarse_finer_halfway_cases: list[SolvedCases | None] = []
         for sweep_result, uncracked_sweep in zip(
             cracked_sweeps, uncracked_sweeps or (None,) * 3, strict=True
         ):
@@ -857,12 +890,14 @@ def _build_models(
                 if uncracked_sweep is None
                 else SolvedCases(uncracked_sweep, swept_loads, (), word_by_key)
             )
-            case_sets.append(
+            coarse_finer_halfway_cases.append(
                 None
                 if sweep_result is None
-                else SolvedCases(sweep_result, swept_loads, mesh_axes, word_by_key, uncracked_cases)
+                else SolvedCases(
+                    sweep_result, swept_loads, mesh_number_axes, word_by_key, uncracked_cases
+                )
             )
         model_by_words[", ".join(chosen_words)] = ForwardModel(
-            scene, uncracked_plate, case_sets, word_by_key=word_by_key
+            scene, uncracked_plate, coarse_finer_halfway_cases, word_by_key=word_by_key
         )
     return model_by_words

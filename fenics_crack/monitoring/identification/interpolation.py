@@ -140,16 +140,16 @@ class Interpolation:
 
     Attributes
     ----------
-    has_enough_nodes : (q,) bool
+    has_enough_known_nodes : (q,) bool
         True for a quantity known at enough nodes.
-    is_between_known : (q,) bool
+    has_only_inner_gaps : (q,) bool
         True if every unknown node lies between two known ones on a line.
     """
 
     def __init__(self, unknown_grid: UnknownGrid, node_values: np.ndarray) -> None:
         self.unknown_grid = unknown_grid
-        self.is_between_known = _find_values_between_known(unknown_grid, np.isfinite(node_values))
-        node_values, self.has_enough_nodes, fill_errors = _fill_unknown_nodes(
+        self.has_only_inner_gaps = _has_only_inner_gaps(unknown_grid, np.isfinite(node_values))
+        node_values, self.has_enough_known_nodes, fill_errors = _fill_unknown_nodes(
             unknown_grid, node_values
         )
         self._node_values = node_values
@@ -159,7 +159,7 @@ class Interpolation:
         ]
         if unknown_grid.axes:
             value_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
-            leave_one_out_errors = (
+            leave_one_out_errors_along_axes = (
                 np.moveaxis(
                     compute_leave_one_out_errors(
                         axis_values, np.moveaxis(value_grid, axis_index, 0)
@@ -169,12 +169,12 @@ class Interpolation:
                 )
                 for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
-            self._errors_by_axis = [
-                OPTIONS.leave_one_out_fraction * axis_errors.reshape(node_values.shape)
-                for axis_errors in leave_one_out_errors
+            self._node_errors_along_axes = [
+                OPTIONS.leave_one_out_fraction * errors_along_axis.reshape(node_values.shape)
+                for errors_along_axis in leave_one_out_errors_along_axes
             ]
             if fill_errors.any():
-                self._errors_by_axis.append(fill_errors)
+                self._node_errors_along_axes.append(fill_errors)
 
     def interpolate(self, x: np.ndarray) -> np.ndarray:
         """Return the quantities at x (m, d): (m, q).
@@ -185,24 +185,26 @@ class Interpolation:
         for x_column, axis_values, basis_spline in zip(
             x.T, self.unknown_grid.axes, self._basis_splines, strict=True
         ):
-            axis_weights = basis_spline(np.clip(x_column, axis_values[0], axis_values[-1]))
-            node_weights = (node_weights[:, :, None] * axis_weights[:, None, :]).reshape(len(x), -1)
+            weights_along_axis = basis_spline(np.clip(x_column, axis_values[0], axis_values[-1]))
+            node_weights = (node_weights[:, :, None] * weights_along_axis[:, None, :]).reshape(
+                len(x), -1
+            )
         return np.asarray(node_weights @ self._node_values)
 
-    def compute_weighted_errors(self, x: np.ndarray) -> np.ndarray:
-        """Return weighted errors of all quantities around x (m, d): (m, k, q).
+    def list_weighted_node_errors(self, x: np.ndarray) -> np.ndarray:
+        """Return weighted errors of all quantities at nodes around x (m, d): (m, k, q).
 
         They belong to the nodes around, along each axis and at failed cases; the sum of their
         squares is the covariance.
         """
-        errors_by_axis = self.compute_weighted_errors_by_axis(x)
+        errors_along_axes = self.list_weighted_node_errors_along_axes(x)
         return (
-            np.concatenate(errors_by_axis, axis=1)
-            if errors_by_axis
-            else np.zeros((len(x), 0, len(self.has_enough_nodes)))
+            np.concatenate(errors_along_axes, axis=1)
+            if errors_along_axes
+            else np.zeros((len(x), 0, len(self.has_enough_known_nodes)))
         )
 
-    def compute_weighted_errors_by_axis(self, x: np.ndarray) -> list[np.ndarray]:
+    def list_weighted_node_errors_along_axes(self, x: np.ndarray) -> list[np.ndarray]:
         """Return a list of weighted errors (m, k, q), one for each axis.
 
         Failed cases, if any, add a last one.
@@ -215,32 +217,34 @@ class Interpolation:
             / OPTIONS.error_average_width**2
             * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
         )
-        n_averaged = min(OPTIONS.max_averaged_nodes, len(node_coordinates))
-        nearest_nodes = np.argpartition(-weight_exponents, n_averaged - 1, axis=1)[:, :n_averaged]
-        weight_exponents = np.take_along_axis(weight_exponents, nearest_nodes, axis=1)
+        n_averaged_nodes = min(OPTIONS.max_averaged_nodes, len(node_coordinates))
+        nearest_node_indices = np.argpartition(-weight_exponents, n_averaged_nodes - 1, axis=1)[
+            :, :n_averaged_nodes
+        ]
+        weight_exponents = np.take_along_axis(weight_exponents, nearest_node_indices, axis=1)
         node_weights = np.exp(weight_exponents - weight_exponents.max(axis=1, keepdims=True))
         node_weights /= node_weights.sum(axis=1, keepdims=True)
         return [
-            np.sqrt(node_weights)[..., None] * node_errors[nearest_nodes]
-            for node_errors in self._errors_by_axis
+            np.sqrt(node_weights)[..., None] * node_errors[nearest_node_indices]
+            for node_errors in self._node_errors_along_axes
         ]
 
 
-def _find_values_between_known(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
+def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
     """Return True for quantities whose unknown nodes lie between known ones: (q,).
 
     ``is_known`` (n, q) is at the nodes; a line along any axis will do.
     """
-    known_grid = is_known.reshape(*unknown_grid.shape, is_known.shape[1])
-    is_between_known = known_grid.copy()
+    is_known_on_grid = is_known.reshape(*unknown_grid.shape, is_known.shape[1])
+    is_known_or_between = is_known_on_grid.copy()
     for axis_index in range(len(unknown_grid.axes)):
-        known_lines = np.moveaxis(known_grid, axis_index, 0)
+        is_known_on_lines = np.moveaxis(is_known_on_grid, axis_index, 0)
         is_known_below, is_known_above = (
-            np.logical_or.accumulate(directed_lines)
-            for directed_lines in (known_lines, known_lines[::-1])
+            np.logical_or.accumulate(is_known_in_order)
+            for is_known_in_order in (is_known_on_lines, is_known_on_lines[::-1])
         )
-        is_between_known |= np.moveaxis(is_known_below & is_known_above[::-1], 0, axis_index)
-    return np.asarray(is_between_known.reshape(is_known.shape).all(axis=0))
+        is_known_or_between |= np.moveaxis(is_known_below & is_known_above[::-1], 0, axis_index)
+    return np.asarray(is_known_or_between.reshape(is_known.shape).all(axis=0))
 
 
 def _fill_unknown_nodes(
@@ -252,18 +256,18 @@ def _fill_unknown_nodes(
     -------
     gapless_node_values : (n, q)
         0 for quantities without enough nodes.
-    has_enough_nodes : (q,) bool
+    has_enough_known_nodes : (q,) bool
     fill_errors : (n, q)
         Errors at filled nodes, else 0.
     """
     is_known, n_unknowns = np.isfinite(node_values), len(unknown_grid.axes)
     min_known_nodes = max((n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2)
-    has_enough_nodes = is_known.all(axis=0) | (
+    has_enough_known_nodes = is_known.all(axis=0) | (
         (is_known.sum(axis=0) >= min_known_nodes) & (n_unknowns > 0)
     )
-    gapless_node_values = np.where(is_known & has_enough_nodes, node_values, 0.0)
+    gapless_node_values = np.where(is_known & has_enough_known_nodes, node_values, 0.0)
     fill_errors = np.zeros_like(gapless_node_values)
-    for quantity_index in np.flatnonzero(has_enough_nodes & ~is_known.all(axis=0)):
+    for quantity_index in np.flatnonzero(has_enough_known_nodes & ~is_known.all(axis=0)):
         is_known_node, quantity_values = is_known[:, quantity_index], node_values[:, quantity_index]
         scaled_nodes = (unknown_grid.nodes - unknown_grid.lower_bounds) / (
             unknown_grid.upper_bounds - unknown_grid.lower_bounds
@@ -273,19 +277,21 @@ def _fill_unknown_nodes(
             quantity_values[is_known_node],
             scaled_nodes[~is_known_node],
         )
-        for unknown_node in np.flatnonzero(~is_known_node):
-            node_distances = np.linalg.norm(scaled_nodes - scaled_nodes[unknown_node], axis=1)
-            nearest_node = np.argmin(np.where(is_known_node, node_distances, np.inf))
-            is_plate_node = is_known_node & (np.arange(len(is_known_node)) != nearest_node)
-            nearest_estimate = _interpolate_thin_plate(
-                scaled_nodes[is_plate_node],
-                quantity_values[is_plate_node],
-                scaled_nodes[nearest_node, None],
+        for unknown_node_index in np.flatnonzero(~is_known_node):
+            node_distances = np.linalg.norm(scaled_nodes - scaled_nodes[unknown_node_index], axis=1)
+            nearest_node_index = np.argmin(np.where(is_known_node, node_distances, np.inf))
+            is_other_known_node = is_known_node & (
+                np.arange(len(is_known_node)) != nearest_node_index
             )
-            fill_errors[unknown_node, quantity_index] = (
-                quantity_values[nearest_node] - nearest_estimate[0]
+            nearest_node_estimate = _interpolate_thin_plate(
+                scaled_nodes[is_other_known_node],
+                quantity_values[is_other_known_node],
+                scaled_nodes[nearest_node_index, None],
             )
-    return gapless_node_values, has_enough_nodes, fill_errors
+            fill_errors[unknown_node_index, quantity_index] = (
+                quantity_values[nearest_node_index] - nearest_node_estimate[0]
+            )
+    return gapless_node_values, has_enough_known_nodes, fill_errors
 
 
 def _interpolate_thin_plate(
@@ -323,17 +329,17 @@ class SweptLoads:
 
         The scene's own is taken if the load follows the rotor, or if there is no other.
         """
-        engine_order, asked_frequencies = scene.excitation.order, sorted(set(frequencies))
+        engine_order, sorted_frequencies = scene.excitation.order, sorted(set(frequencies))
         scene_frequency = float(
             f"{scene.excitation.omega / RAD_PER_TURN:.9g}"
         )  # as that of arrivals
         if engine_order is None:
-            self.frequencies = tuple(asked_frequencies) or (scene_frequency,)
+            self.frequencies = tuple(sorted_frequencies) or (scene_frequency,)
             self.sweep_axis = Axis("excitation.frequency", self.frequencies)
         else:
             self.frequencies = (
                 scene_frequency,
-                *(frequency for frequency in asked_frequencies if frequency != scene_frequency),
+                *(frequency for frequency in sorted_frequencies if frequency != scene_frequency),
             )
             speeds_rpm = tuple(60.0 * frequency / engine_order for frequency in self.frequencies)
             self.sweep_axis = Axis("rotation.rpm", speeds_rpm)
@@ -344,7 +350,7 @@ class SweptLoads:
         return self.sweep_axis.key == "rotation.rpm"
 
     @property
-    def speed_ratios(self) -> np.ndarray:
+    def rotor_speed_ratios(self) -> np.ndarray:
         """Return the rotor speeds over the scene's (n,); 1 without own speeds."""
         frequency_array = np.array(self.frequencies)
         return (
@@ -364,7 +370,7 @@ class SolvedCases:
         self,
         sweep_result: SweepResult,
         swept_loads: SweptLoads,
-        mesh_axes: Sequence[Axis],
+        mesh_number_axes: Sequence[Axis],
         word_by_key: Mapping[str, Any],
         uncracked_cases: SolvedCases | None = None,
     ) -> None:
@@ -373,36 +379,40 @@ class SolvedCases:
         self.swept_loads = swept_loads
         self.uncracked_cases = uncracked_cases
         number_axes: list[Axis] = []
-        word_index: list[Any] = []
+        word_selection: list[Any] = []
         for axis in sweep_result.axes[:-1]:
             is_word = axis.key in word_by_key
-            word_index.append(axis.values.index(word_by_key[axis.key]) if is_word else slice(None))
-            number_axes += [] if is_word else mesh_axes if axis.key == MESH_AXIS_KEY else [axis]
+            word_selection.append(
+                axis.values.index(word_by_key[axis.key]) if is_word else slice(None)
+            )
+            number_axes += (
+                [] if is_word else mesh_number_axes if axis.key == MESH_AXIS_KEY else [axis]
+            )
         self.unknown_grid = UnknownGrid(
             tuple(np.array(axis.values, dtype=float) for axis in number_axes)
         )
         self.unknown_keys = tuple(axis.key for axis in number_axes)
-        self.word_index = tuple(word_index)
+        self.word_selection_index = tuple(word_selection)
 
     def get_column(self, column_name: str) -> np.ndarray:
         """Return a column at all nodes and loads: (n, n_loads)."""
-        column = self.sweep_result[column_name][self.word_index]
+        column = self.sweep_result[column_name][self.word_selection_index]
         return np.asarray(column.reshape(-1, column.shape[-1]), dtype=float)
 
-    def get_natural_frequency(self, crack_state: str, mode: int) -> np.ndarray:
-        """Return a natural frequency at all nodes and loads [Hz]: (n, n_loads).
+    def get_natural_frequencies(self, crack_state: str, mode: int) -> np.ndarray:
+        """Return natural frequencies of a mode at all nodes and loads [Hz]: (n, n_loads).
 
         Without the crack ("uncracked") all cracks have the same; if the crack cannot be removed, a
         bonded crack replaces the missing plate.
         """
         if crack_state == "uncracked":
             if self.uncracked_cases is None:
-                return self.get_natural_frequency("tied", mode)
-            frequencies = self.uncracked_cases.get_natural_frequency("tied", mode)
-            sizes_by_key = zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
+                return self.get_natural_frequencies("tied", mode)
+            frequencies = self.uncracked_cases.get_natural_frequencies("tied", mode)
+            keys_and_axis_lengths = zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
             uncracked_shape = [
                 n_values if key in self.uncracked_cases.unknown_keys else 1
-                for key, n_values in sizes_by_key
+                for key, n_values in keys_and_axis_lengths
             ]
             n_loads = frequencies.shape[1]
             frequencies = np.broadcast_to(
@@ -413,14 +423,18 @@ class SolvedCases:
         if self.swept_loads.has_rotor_speeds:
             return frequencies
         is_known = np.isfinite(frequencies)
-        max_frequencies = np.max(np.where(is_known, frequencies, -np.inf), axis=1, keepdims=True)
-        max_frequencies = np.where(is_known.any(axis=1, keepdims=True), max_frequencies, np.nan)
-        return np.broadcast_to(max_frequencies, frequencies.shape)
+        largest_frequencies = np.max(
+            np.where(is_known, frequencies, -np.inf), axis=1, keepdims=True
+        )
+        largest_frequencies = np.where(
+            is_known.any(axis=1, keepdims=True), largest_frequencies, np.nan
+        )
+        return np.broadcast_to(largest_frequencies, frequencies.shape)
 
-    def get_harmonic(
+    def get_harmonic_amplitudes(
         self, point_name: str, load_frequency: float, harmonic_order: int
     ) -> np.ndarray:
-        """Return the complex amplitude of a harmonic at all nodes: (n,) [m].
+        """Return complex amplitudes of a harmonic at all nodes: (n,) [m].
 
         It is 0 for a case with fewer harmonics, and nan for a failed case.
         """
@@ -440,8 +454,8 @@ class SolvedCases:
             np.nan,
         )
 
-    def count_harmonics(self, load_frequency: float) -> int:
-        """Return the minimum number of harmonics of solved cases at a load; 1 without any."""
+    def find_smallest_harmonic_count(self, load_frequency: float) -> int:
+        """Find the smallest number of harmonics in solved cases at a load; 1 without any."""
         load_index = self.find_load_index(load_frequency)
         is_solved = self.get_column("state")[:, load_index] == CaseState.CONVERGED
         return (
@@ -460,13 +474,13 @@ class SolvedCases:
             frequencies_text = ", ".join(
                 f"{solved_frequency:.9g}" for solved_frequency in solved_frequencies
             )
-            solved_text = f"one of those that are solved, {frequencies_text} Hz"
-            allowed_text = f"{solved_text}; identify.frequencies adds others"
+            solved_loads_text = f"one of those that are solved, {frequencies_text} Hz"
+            allowed_text = f"{solved_loads_text}; identify.frequencies adds others"
             raise InputError("measurements.frequency", load_frequency, allowed_text)
         return solved_frequencies.index(load_frequency)
 
     @cached_property
-    def scale_and_frequencies(self) -> np.ndarray:
+    def split_root_and_frequencies(self) -> np.ndarray:
         """Collect the data of poles at all nodes and loads: (n, n_loads, 1 + 2 modes).
 
         Columns are the root of s (1 without a crack), the bilinear frequencies [Hz], and the
@@ -474,7 +488,7 @@ class SolvedCases:
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
-                [self.get_natural_frequency(crack_state, mode) for mode in KEPT_MODE_NUMBERS],
+                [self.get_natural_frequencies(crack_state, mode) for mode in KEPT_MODE_NUMBERS],
                 axis=2,
             )
             for crack_state in ("tied", "open", "bilinear", "uncracked")
@@ -485,14 +499,14 @@ class SolvedCases:
                 / bonded_frequencies
                 * (bonded_frequencies[..., :1] / bonded_frequencies) ** 2
             )
-            frequency_split = np.nan_to_num(mode_splits, posinf=0.0, neginf=0.0).sum(axis=2)
-        split_root = np.where(frequency_split > 1e-9, np.sqrt(np.abs(frequency_split)), 1.0)
+            summed_split = np.nan_to_num(mode_splits, posinf=0.0, neginf=0.0).sum(axis=2)
+        split_root = np.where(summed_split > 1e-9, np.sqrt(np.abs(summed_split)), 1.0)
         return np.concatenate(
             [split_root[..., None], bilinear_frequencies, uncracked_frequencies], axis=2
         )
 
 
-RESONANCE_STATES = ("bilinear", "open", "tied")
+RESONANCE_STATE_NAMES = ("bilinear", "open", "tied")
 """States of the crack faces at a resonance: breathing, open, closed."""
 
 
@@ -522,11 +536,13 @@ class Feature:
     harmonic_order: int = 0
 
     @classmethod
-    def list_for_measurement(cls, measurement: Measurement, scene: Scene) -> tuple[Feature, ...]:
-        """Return the features of a measurement, of a ratio the numerator first."""
+    def list_features_of_measurement(
+        cls, measurement: Measurement, scene: Scene
+    ) -> tuple[Feature, ...]:
+        """List the features of a measurement, of a ratio the numerator first."""
         if measurement.natural:
             state_name = measurement.quantity.removeprefix("frequency_")
-            crack_states = RESONANCE_STATES if state_name == "resonance" else (state_name,)
+            crack_states = RESONANCE_STATE_NAMES if state_name == "resonance" else (state_name,)
             return tuple(
                 cls(crack_state, measurement.mode, load_frequency=measurement.load(scene))
                 for crack_state in crack_states
@@ -538,7 +554,7 @@ class Feature:
         )
 
     @property
-    def error_group(self) -> tuple[float, float, float]:
+    def error_group_key(self) -> tuple[float, float, float]:
         """Return the key of features with a common error.
 
         They share a mode, or a harmonic at a load.
@@ -550,21 +566,23 @@ class Feature:
         )
 
     @property
-    def uncracked_feature(self) -> Feature:
+    def uncracked_frequency_feature(self) -> Feature:
         """Return the same natural frequency without the crack."""
         return replace(self, crack_state="uncracked")
 
     def get_node_values(self, solved_cases: SolvedCases) -> np.ndarray:
         """Return values at all nodes of a sweep: (n,), logarithms or complex amplitudes."""
         if self.is_natural_frequency:
-            frequencies = solved_cases.get_natural_frequency(self.crack_state, self.mode)[
+            frequencies = solved_cases.get_natural_frequencies(self.crack_state, self.mode)[
                 :, solved_cases.find_load_index(self.load_frequency)
             ]
             return np.log(frequencies).astype(complex)
-        return solved_cases.get_harmonic(self.point_name, self.load_frequency, self.harmonic_order)
+        return solved_cases.get_harmonic_amplitudes(
+            self.point_name, self.load_frequency, self.harmonic_order
+        )
 
     @property
-    def scale_power(self) -> int:
+    def split_exponent(self) -> int:
         """Return the exponent n of s^n, to which a harmonic is proportional."""
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
@@ -579,8 +597,8 @@ class Feature:
         return self.crack_state in ("open", "tied", "bilinear")
 
 
-def compute_ratios_and_poles(
-    features: Sequence[Feature], damping_ratios: np.ndarray, scale_and_frequencies: np.ndarray
+def compute_ratios_and_pole_factors(
+    features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return frequency ratios r and pole factors 1 - r^2 + 2 i z r of each mode.
 
@@ -591,10 +609,10 @@ def compute_ratios_and_poles(
     features : sequence of Feature
         f features.
     damping_ratios : (m, 1)
-    scale_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
+    split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = scale_and_frequencies[..., KEPT_MODE_NUMBERS]
+    mode_frequencies = split_root_and_frequencies[..., KEPT_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )
@@ -604,10 +622,10 @@ def compute_ratios_and_poles(
     return r, 1.0 - r**2 + 2j * damping_ratios[..., None] * r
 
 
-def apply_first_harmonic_logs(
+def compute_log_factors_by_first_harmonic(
     first_harmonic_logs: np.ndarray, features: Sequence[Feature]
 ) -> np.ndarray:
-    """Return the parts of logarithms of the first harmonic in each feature (m, f, ...).
+    """Return logarithms of the factors of features by their first harmonic (m, f, ...).
 
     A higher harmonic of order k has the size once and the phase k times. Other features have 0.
     """
@@ -621,8 +639,8 @@ def apply_first_harmonic_logs(
     )
 
 
-def list_driving_harmonics(features: Sequence[Feature]) -> list[Feature]:
-    """Return for each feature the first harmonic that drives it.
+def list_first_harmonic_features(features: Sequence[Feature]) -> list[Feature]:
+    """List for each feature the first harmonic that drives it.
 
     A feature that is no higher harmonic gets order 0.
     """
@@ -634,22 +652,22 @@ def list_driving_harmonics(features: Sequence[Feature]) -> list[Feature]:
 def compute_smoothing_factors(
     features: Sequence[Feature],
     damping_ratios: np.ndarray,
-    scale_and_frequencies: np.ndarray,
-    crack_sizes: np.ndarray,
+    split_root_and_frequencies: np.ndarray,
+    relative_crack_sizes: np.ndarray,
 ) -> np.ndarray:
     """Return factors that make features smooth: (m, f).
 
-    They follow from :func:`compute_ratios_and_poles` and relative sizes of the crack (m,).
+    They follow from :func:`compute_ratios_and_pole_factors` and relative sizes of the crack (m,).
     """
-    scale_powers = np.array([feature.scale_power for feature in features])
+    split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])
-    harmonic_factors = compute_ratios_and_poles(features, damping_ratios, scale_and_frequencies)[
-        1
-    ].prod(axis=2) / scale_and_frequencies[..., 0] ** (2 * scale_powers)
-    first_harmonic_poles = compute_ratios_and_poles(
-        list_driving_harmonics(features), damping_ratios, scale_and_frequencies
+    harmonic_factors = compute_ratios_and_pole_factors(
+        features, damping_ratios, split_root_and_frequencies
+    )[1].prod(axis=2) / split_root_and_frequencies[..., 0] ** (2 * split_exponents)
+    first_harmonic_pole_factors = compute_ratios_and_pole_factors(
+        list_first_harmonic_features(features), damping_ratios, split_root_and_frequencies
     )[1].prod(axis=2)
     harmonic_factors = harmonic_factors * np.exp(
-        apply_first_harmonic_logs(np.log(first_harmonic_poles), features)
+        compute_log_factors_by_first_harmonic(np.log(first_harmonic_pole_factors), features)
     )
-    return np.where(is_cracked_frequency, 1.0 / crack_sizes[:, None], harmonic_factors)
+    return np.where(is_cracked_frequency, 1.0 / relative_crack_sizes[:, None], harmonic_factors)

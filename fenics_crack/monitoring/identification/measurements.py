@@ -36,7 +36,7 @@ from fenics_crack.scene.scene import Scene
 if TYPE_CHECKING:
     from fenics_crack.arrivals.passages import PassageFit  # SciPy
 
-FREQUENCY_STATES = ("open", "tied", "bilinear", "resonance", "uncracked")
+NATURAL_FREQUENCY_STATE_NAMES = ("open", "tied", "bilinear", "resonance", "uncracked")
 """States of a plate in the names of natural frequencies.
 
 The crack is held open, held closed, breathing by the bilinear formula, or breathing at a measured
@@ -55,17 +55,17 @@ REQUIRED_COLUMN_NAMES = ("quantity", "value", "deviation")
 """Columns that every table has."""
 OPTIONAL_COLUMN_NAMES = ("mode", "frequency", "point", "phase", "rpm", "temperature")
 """Columns that a table may have."""
-VALUE_UNITS = "Hz", "m", "-"
-"""Units of measured values: frequencies, harmonics, and ratios."""
-UNITS_BY_COLUMN = {
-    "frequency": VALUE_UNITS[:1],
+ALLOWED_VALUE_UNITS = "Hz", "m", "-"
+"""Allowed units of measured values: frequencies, harmonics, and ratios."""
+ALLOWED_UNITS_BY_COLUMN = {
+    "frequency": ALLOWED_VALUE_UNITS[:1],
     "phase": ("rad",),
-    "value": VALUE_UNITS,
-    "deviation": VALUE_UNITS,
+    "value": ALLOWED_VALUE_UNITS,
+    "deviation": ALLOWED_VALUE_UNITS,
     "temperature": ("K", "°C", "C"),
     "rpm": ("rpm",),
 }
-"""Units in the brackets of headings, after conversion."""
+"""Allowed units in the brackets of headings, after conversion, by column."""
 UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
 """Suffixes of universal files."""
 
@@ -120,12 +120,12 @@ class Measurement:
 
     def __post_init__(self) -> None:
         quantity_names = (
-            *(f"frequency_{state}" for state in FREQUENCY_STATES),
+            *(f"frequency_{state_name}" for state_name in NATURAL_FREQUENCY_STATE_NAMES),
             *LOAD_QUANTITY_NAMES,
         )
         check_choice("measurements.quantity", self.quantity, quantity_names)
-        at_probe = self.quantity == "displacement"
-        check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
+        is_displacement = self.quantity == "displacement"
+        check_number("measurements.value", self.value, -math.inf if is_displacement else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
         if self.natural:
             if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
@@ -133,7 +133,7 @@ class Measurement:
                 raise InputError("measurements.mode", self.mode, allowed_text)
         else:
             check_number("measurements.frequency", self.frequency, 0.0, excludes_bound=True)
-        if at_probe:
+        if is_displacement:
             check_number("measurements.phase", self.phase)
             if abs(self.phase) > 2.0 * RAD_PER_TURN:  # a period that may begin elsewhere
                 allowed_text = (
@@ -144,8 +144,12 @@ class Measurement:
             check_number("measurements.rpm", self.rpm, 0.0)
         if not math.isnan(self.temperature):
             check_number("measurements.temperature", self.temperature)
-        mode_keys = ("mode", "rpm", "temperature")
-        allowed_keys = mode_keys if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        natural_frequency_keys = ("mode", "rpm", "temperature")
+        allowed_keys = (
+            natural_frequency_keys
+            if self.natural
+            else ("frequency", "point", *["phase"] * is_displacement)
+        )
         for key in OPTIONAL_COLUMN_NAMES:
             key_value = getattr(self, key)
             if (
@@ -232,12 +236,15 @@ class Measurement:
                 f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}"
             )
             raise InputError("measurements.point", self.point, allowed_text)
-        if self.quantity == "frequency_uncracked" and list_crack_removal_changes(scene) is None:
+        if (
+            self.quantity == "frequency_uncracked"
+            and get_crack_removal_changes_or_none(scene) is None
+        ):
             allowed_text = "left out where the crack cannot be taken out of the scene"
             raise InputError("measurements.quantity", self.quantity, allowed_text)
-        max_order, n_harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
-        if n_harmonics < max_order:
-            allowed_text = f"at least {max_order} for {self.quantity}"
+        highest_order, n_harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
+        if n_harmonics < highest_order:
+            allowed_text = f"at least {highest_order} for {self.quantity}"
             raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)
 
 
@@ -267,14 +274,18 @@ class Measurements(Tabular):
         count_by_name = Counter(
             measurement.name for measurement in self.rows if measurement.quantity != "displacement"
         )
-        if repeated_names := [name for name, name_count in count_by_name.items() if name_count > 1]:
-            repeated_rows = [
+        if repeated_names := [
+            measurement_name
+            for measurement_name, name_count in count_by_name.items()
+            if name_count > 1
+        ]:
+            repeated_values = [
                 measurement.value
                 for measurement in self.rows
                 if measurement.name == repeated_names[0]
             ]
             allowed_text = "one value, the mean, with the standard deviation of that"
-            raise InputError(f"measurements, {repeated_names[0]}", repeated_rows, allowed_text)
+            raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
 
     @classmethod
     def from_arrays(
@@ -319,11 +330,16 @@ class Measurements(Tabular):
                 raise InputError(
                     column_name, column, f"{n_values} values of {', '.join(OPTIONAL_COLUMN_NAMES)}"
                 )
-        value_by_column_rows = (
-            dict(zip(column_by_name, cells, strict=True))
-            for cells in zip(*column_by_name.values(), strict=True)
+        value_by_column_of_rows = (
+            dict(zip(column_by_name, row_values, strict=True))
+            for row_values in zip(*column_by_name.values(), strict=True)
         )
-        return cls(tuple(Measurement(quantity, **cells) for cells in value_by_column_rows))
+        return cls(
+            tuple(
+                Measurement(quantity, **value_by_column)
+                for value_by_column in value_by_column_of_rows
+            )
+        )
 
     @classmethod
     def from_arrivals(
@@ -375,34 +391,41 @@ class Measurements(Tabular):
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
         arrivals.check_places(angle_deviation)
-        n_arrivals = np.isfinite(arrivals.time).sum(axis=0)
-        n_arrivals, rotor_speed = n_arrivals[n_arrivals > 0], arrivals.mean_speed
-        if len(n_arrivals) < 4:  # one more than the load's size and phase, and a constant
+        n_arrivals_of_probes = np.isfinite(arrivals.time).sum(axis=0)
+        n_arrivals_of_probes = n_arrivals_of_probes[n_arrivals_of_probes > 0]
+        rotor_speed = arrivals.mean_speed
+        if len(n_arrivals_of_probes) < 4:  # one more than the load's size and phase, and a constant
             raise InputError("arrivals", repr(arrivals), "those of 4 probes or more")
-        probe_means = ProbeMeans(arrivals, 1, float(order), angle_deviation)
-        place_deviation = arrivals.tip_radius * angle_deviation
+        probe_statistics = ProbeMeans(arrivals, 1, float(order), angle_deviation)
+        probe_place_deviation = arrivals.tip_radius * angle_deviation
         if noise is not None:
-            angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals)
-            deviations = arrivals.tip_radius * np.hypot(angle_deviations, angle_deviation)
-        elif probe_means.scatter <= arrivals.rounding:
+            mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
+            deviations = arrivals.tip_radius * np.hypot(mean_angle_deviations, angle_deviation)
+        elif probe_statistics.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
-        elif np.isnan(variance_factor := student_variance_ratio(probe_means.freedom_within_groups)):
-            arrivals_text = format_count(int(n_arrivals.sum()), "arrival")
-            probes_text = format_count(len(n_arrivals), "probe")
+        elif np.isnan(
+            variance_factor := student_variance_ratio(probe_statistics.freedom_within_groups)
+        ):
+            arrivals_text = format_count(int(n_arrivals_of_probes.sum()), "arrival")
+            probes_text = format_count(len(n_arrivals_of_probes), "probe")
             allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
             raise InputError("noise", None, allowed_text)
         else:
-            displacement_variances = np.diag(probe_means.covariance) - place_deviation**2
-            deviations = np.sqrt(variance_factor * displacement_variances + place_deviation**2)
+            displacement_variances = np.diag(probe_statistics.covariance) - probe_place_deviation**2
+            deviations = np.sqrt(
+                variance_factor * displacement_variances + probe_place_deviation**2
+            )
         # Rounded, for one sweep to serve all arrivals at a speed.
         load_frequency = float(f"{order * rotor_speed / RAD_PER_TURN:.9g}")
-        displacements = -probe_means.displacements if against else probe_means.displacements
+        displacements = (
+            -probe_statistics.displacements if against else probe_statistics.displacements
+        )
         column_by_name: dict[str, Any] = {
-            "phase": (order * probe_means.angles % RAD_PER_TURN).tolist()
+            "phase": (order * probe_statistics.angles % RAD_PER_TURN).tolist()
         }
         column_by_name |= {
-            "frequency": [load_frequency] * len(n_arrivals),
-            "point": [point] * len(n_arrivals),
+            "frequency": [load_frequency] * len(n_arrivals_of_probes),
+            "point": [point] * len(n_arrivals_of_probes),
         }
         return cls.from_arrays(
             "displacement", displacements.tolist(), deviations.tolist(), **column_by_name
@@ -437,16 +460,19 @@ class Measurements(Tabular):
         """
         if len(modes) != len(passages):
             raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
-        fitted_modes = [
-            fit_and_mode for fit_and_mode in zip(passages, modes, strict=True) if fit_and_mode[1]
+        passages_and_modes = [
+            passage_and_mode
+            for passage_and_mode in zip(passages, modes, strict=True)
+            if passage_and_mode[1]
         ]
-        frequencies = [passage_fit.frequency for passage_fit, _ in fitted_modes]
-        deviations = [passage_fit.deviation / RAD_PER_TURN for passage_fit, _ in fitted_modes]
+        frequencies = [passage_fit.frequency for passage_fit, _ in passages_and_modes]
+        deviations = [passage_fit.deviation / RAD_PER_TURN for passage_fit, _ in passages_and_modes]
         speeds_rpm = [
-            float(f"{passage_fit.speed / RAD_PER_S_PER_RPM:.7g}") for passage_fit, _ in fitted_modes
+            float(f"{passage_fit.speed / RAD_PER_S_PER_RPM:.7g}")
+            for passage_fit, _ in passages_and_modes
         ]
         column_by_name: dict[str, Any] = {
-            "mode": [mode for _, mode in fitted_modes],
+            "mode": [mode for _, mode in passages_and_modes],
             "rpm": speeds_rpm,
         }
         return cls.from_arrays(quantity, frequencies, deviations, **column_by_name)
@@ -506,7 +532,7 @@ class Measurements(Tabular):
                 f"{format_count(len(mode_rows), 'number')}, of the modes at {frequencies_text} Hz"
             )
             raise InputError("modes", list(modes), allowed_text)
-        frequencies, deviations = mode_rows[:, 0].tolist(), mode_rows[:, 1].tolist()
+        frequencies, deviations = (mode_rows[:, 0].tolist(), mode_rows[:, 1].tolist())
         return cls.from_arrays(quantity, frequencies, deviations, mode=mode_numbers)
 
     @classmethod
@@ -548,21 +574,21 @@ class Measurements(Tabular):
         return values_by_column
 
     def _title(self) -> str:
-        n_frequencies = sum(measurement.natural for measurement in self.rows)
-        return f"{n_frequencies} natural frequencies, {len(self) - n_frequencies} at loads"
+        n_natural = sum(measurement.natural for measurement in self.rows)
+        return f"{n_natural} natural frequencies, {len(self) - n_natural} at loads"
 
 
-def list_crack_removal_changes(scene: Scene) -> dict[str, Any] | None:
-    """Return scene changes, by key, that remove the crack; None if impossible."""
+def get_crack_removal_changes_or_none(scene: Scene) -> dict[str, Any] | None:
+    """Return scene changes by key that remove the crack; None if impossible."""
     value_by_key: dict[str, Any] = dict.fromkeys(
         ("crack", "cracks", "contact", "output.quantities")
     )
     if scene.identify is not None and scene.identify.uncracked is not None:
         return value_by_key | {"mesh.file": scene.identify.uncracked}
-    is_removable = (
+    is_crack_removable = (
         scene.structure is None and scene.mesh.layout != "file" and len(scene.crack_by_name) == 1
     )
-    return value_by_key if is_removable else None
+    return value_by_key if is_crack_removable else None
 
 
 def _read_csv_measurements(path: str | Path) -> list[Measurement]:
@@ -571,38 +597,45 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     Raises InputError.
     """
     with report_read_errors("measurements", path, "a CSV file"):
-        (_, heading_cells), *table_lines = read_numbered_csv_rows(path) or [(0, [])]
-    table_lines = table_lines[: OPTIONS.max_measurements + 1]  # enough to be too many
+        (_, heading_cells), *numbered_table_rows = read_numbered_csv_rows(path) or [(0, [])]
+    numbered_table_rows = numbered_table_rows[
+        : OPTIONS.max_measurements + 1
+    ]  # enough to be too many
     # Those of a value depend on the quantity.
-    headings_in_si = [
+    si_headings_and_factors = [
         (cell, 1.0) if cell.startswith(REQUIRED_COLUMN_NAMES) else convert_heading_to_si(cell)
         for cell in heading_cells
     ]
-    column_names = [cell.partition("[")[0].strip() for cell, _ in headings_in_si]
-    known_names = (*REQUIRED_COLUMN_NAMES, *OPTIONAL_COLUMN_NAMES)
-    if not set(REQUIRED_COLUMN_NAMES) <= set(column_names) <= set(known_names) or len(
+    column_names = [cell.partition("[")[0].strip() for cell, _ in si_headings_and_factors]
+    allowed_column_names = (*REQUIRED_COLUMN_NAMES, *OPTIONAL_COLUMN_NAMES)
+    if not set(REQUIRED_COLUMN_NAMES) <= set(column_names) <= set(allowed_column_names) or len(
         set(column_names)
     ) != len(column_names):
         allowed_text = (
-            f"a CSV file with the columns {', '.join(known_names)}, the first three of them needed"
+            f"a CSV file with the columns {', '.join(allowed_column_names)}, "
+            "the first three of them needed"
         )
-        found_text = f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
-        raise InputError("measurements", f"{path}: {found_text}", allowed_text)
+        found_columns_text = (
+            f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
+        )
+        raise InputError("measurements", f"{path}: {found_columns_text}", allowed_text)
     for cell, column_name, (si_heading, _) in zip(
-        heading_cells, column_names, headings_in_si, strict=True
+        heading_cells, column_names, si_headings_and_factors, strict=True
     ):
-        heading_unit = si_heading.partition("[")[2].partition("]")[0].strip()
-        if heading_unit and heading_unit not in (
-            allowed_units := UNITS_BY_COLUMN.get(column_name, ())
+        heading_unit_text = si_heading.partition("[")[2].partition("]")[0].strip()
+        if heading_unit_text and heading_unit_text not in (
+            allowed_units := ALLOWED_UNITS_BY_COLUMN.get(column_name, ())
         ):
             allowed_text = f"in {' or '.join(allowed_units)}" if allowed_units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell}", allowed_text)
     factor_by_column = {
         column_name: column_factor
-        for column_name, (_, column_factor) in zip(column_names, headings_in_si, strict=True)
+        for column_name, (_, column_factor) in zip(
+            column_names, si_headings_and_factors, strict=True
+        )
     }
     measurements = []
-    for line_number, cells in table_lines:
+    for line_number, cells in numbered_table_rows:
         try:
             measurements.append(
                 _parse_measurement(dict(zip(column_names, cells, strict=True)), factor_by_column)
@@ -619,14 +652,14 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
 
 
 def _parse_measurement(
-    cell_by_column: Mapping[str, str], factor_by_column: Mapping[str, float]
+    cell_text_by_column: Mapping[str, str], factor_by_column: Mapping[str, float]
 ) -> Measurement:
     """Parse a measurement from a table's line, each cell times its column's factor.
 
     Raises InputError.
     """
     value_by_column: dict[str, Any] = {
-        column_name: cell for column_name, cell in cell_by_column.items() if cell
+        column_name: cell for column_name, cell in cell_text_by_column.items() if cell
     }
     for column_name in [
         column_name for column_name in value_by_column if column_name not in ("quantity", "point")

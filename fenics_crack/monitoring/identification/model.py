@@ -24,11 +24,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_LOWEST_MODES
 from fenics_crack.monitoring.identification.interpolation import (
-    RESONANCE_STATES,
+    RESONANCE_STATE_NAMES,
     Feature,
     Interpolation,
     SolvedCases,
-    compute_ratios_and_poles,
+    compute_ratios_and_pole_factors,
     compute_smoothing_factors,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement
@@ -36,7 +36,7 @@ from fenics_crack.monitoring.identification.nuisance import (
     CRACK_SIZE_KEYS,
     BaselineChanges,
     UncrackedPlate,
-    compute_crack_deviations,
+    compute_deviations_from_equivalent_crack,
 )
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import scales_with_load
@@ -75,19 +75,23 @@ class ProbeDisplacements:
         candidate_rows: Sequence[Measurement],
     ) -> None:
         self.row_indices, all_rows = list(row_indices), (*measured_rows, *candidate_rows)
-        own_rows = [
+        measured_group_rows = [
             all_rows[row_index] for row_index in self.row_indices if row_index < len(measured_rows)
         ]
-        self._phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
-        self._n_measured = len(own_rows)
-        self._measurement_values = np.array([measurement.value for measurement in own_rows])
-        self._weights = 1.0 / np.array([measurement.deviation for measurement in own_rows])
+        self._probe_phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
+        self._n_measured = len(measured_group_rows)
+        self._measurement_values = np.array(
+            [measurement.value for measurement in measured_group_rows]
+        )
+        self._inverse_deviations = 1.0 / np.array(
+            [measurement.deviation for measurement in measured_group_rows]
+        )
 
     @classmethod
-    def group_measurements(
+    def group_displacements(
         cls, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement]
     ) -> list[ProbeDisplacements]:
-        """Group displacements by load and point."""
+        """Group the displacements among measurements by load and point."""
         indices_by_load_and_point: dict[tuple[float, str], list[int]] = {}
         for row_index, measurement in enumerate((*measured_rows, *candidate_rows)):
             if measurement.quantity == "displacement":
@@ -99,18 +103,18 @@ class ProbeDisplacements:
             for row_indices in indices_by_load_and_point.values()
         ]
 
-    def compute_harmonic_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
+    def compute_displacement_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
         """Return covariances of displacements by harmonics of random phase: (k, n, n).
 
         Each of the orders (k,) has mean square 1.
         """
-        phase_differences = self._phases[:, None] - self._phases
+        phase_differences = self._probe_phases[:, None] - self._probe_phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
 
-    def fit_harmonics(
-        self, harmonics: np.ndarray
+    def fit_load_to_displacements(
+        self, model_harmonics: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit harmonics U_k (m, K) [m] to the measured displacements.
+        """Fit the load to the measured displacements, with harmonics U_k (m, K) [m].
 
         Returns
         -------
@@ -118,19 +122,19 @@ class ProbeDisplacements:
             All displacements, those of candidates, too.
         displacement_slopes : (m, n, K)
             Their slopes t by the harmonics: u = Re sum_k t_k U_k + c.
-        load_changes : (m, n, 3) [m]
+        load_induced_changes : (m, n, 3) [m]
             Their changes by a standard deviation of A, psi and c.
         load_sizes : (m,)
             A.
         """
-        harmonic_orders = np.arange(1, harmonics.shape[1] + 1)
-        phase_factors = np.exp(1j * np.multiply.outer(self._phases, harmonic_orders))
-        load_sizes = np.ones(len(harmonics))
-        load_phases = np.zeros(len(harmonics))
-        constants = np.zeros(len(harmonics))
+        harmonic_orders = np.arange(1, model_harmonics.shape[1] + 1)
+        phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
+        load_sizes = np.ones(len(model_harmonics))
+        load_phases = np.zeros(len(model_harmonics))
+        constant_displacements = np.zeros(len(model_harmonics))
         if self._n_measured:
-            load_sizes, load_phases, constants = self._fit_load_and_constant(
-                harmonics, phase_factors[: self._n_measured], harmonic_orders
+            load_sizes, load_phases, constant_displacements = self._fit_load_and_constant(
+                model_harmonics, phase_factors[: self._n_measured], harmonic_orders
             )
         displacement_slopes = (
             phase_factors
@@ -138,74 +142,89 @@ class ProbeDisplacements:
                 :, None, :
             ]
         )
-        harmonic_parts = displacement_slopes * harmonics[:, None, :]
-        displacements = harmonic_parts.sum(axis=2).real
+        harmonic_terms = displacement_slopes * model_harmonics[:, None, :]
+        displacements = harmonic_terms.sum(axis=2).real
         # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
         # times the largest displacement.
-        phase_changes = np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_parts).sum(axis=2).imag
-        constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
-        load_changes = np.stack(
-            [displacements, phase_changes, np.full_like(displacements, constant_change)], axis=2
+        phase_induced_changes = (
+            np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
         )
-        return displacements + constants[:, None], displacement_slopes, load_changes, load_sizes
+        constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
+        load_induced_changes = np.stack(
+            [displacements, phase_induced_changes, np.full_like(displacements, constant_change)],
+            axis=2,
+        )
+        return (
+            displacements + constant_displacements[:, None],
+            displacement_slopes,
+            load_induced_changes,
+            load_sizes,
+        )
 
     def _fit_load_and_constant(
-        self, harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
+        self, model_harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit A > 0, psi and c by least squares: (m,) each, all m at once.
 
         The best of 64 phases is refined by four damped steps of Gauss and Newton.
         """
         tried_phases = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-        shifted_harmonics = harmonics[:, None, :] * np.exp(
+        shifted_harmonics = model_harmonics[:, None, :] * np.exp(
             -1j * np.multiply.outer(tried_phases, harmonic_orders)
         )
         displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
-        weight_shares = self._weights**2 / np.sum(self._weights**2)
+        weight_shares = self._inverse_deviations**2 / np.sum(self._inverse_deviations**2)
         centred_measurements = self._measurement_values - weight_shares @ self._measurement_values
         centred_displacements = displacements - (displacements @ weight_shares)[..., None]
         projections = centred_displacements @ (weight_shares * centred_measurements)
         squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
         explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
         best_phase_indices = explained_squares.argmax(axis=1)
-        all_indices = np.arange(len(harmonics))
+        point_indices = np.arange(len(model_harmonics))
         load_sizes = (
-            projections[all_indices, best_phase_indices]
-            / squared_norms[all_indices, best_phase_indices]
+            projections[point_indices, best_phase_indices]
+            / squared_norms[point_indices, best_phase_indices]
         )
         load_phases = tried_phases[best_phase_indices]
-        constants = weight_shares @ self._measurement_values - load_sizes * (
-            displacements[all_indices, best_phase_indices] @ weight_shares
+        constant_displacements = weight_shares @ self._measurement_values - load_sizes * (
+            displacements[point_indices, best_phase_indices] @ weight_shares
         )
         for _ in range(4):
-            harmonic_parts = (
-                harmonics[:, None, :]
+            harmonic_terms = (
+                model_harmonics[:, None, :]
                 * phase_factors
                 * np.exp(-1j * np.outer(load_phases, harmonic_orders))[:, None, :]
             )
-            displacements = harmonic_parts.sum(axis=2).real
-            phase_slopes = load_sizes[:, None] * (harmonic_orders * harmonic_parts).sum(axis=2).imag
-            weighted_residuals = self._weights * (
-                self._measurement_values - load_sizes[:, None] * displacements - constants[:, None]
+            displacements = harmonic_terms.sum(axis=2).real
+            phase_slopes = load_sizes[:, None] * (harmonic_orders * harmonic_terms).sum(axis=2).imag
+            weighted_residuals = self._inverse_deviations * (
+                self._measurement_values
+                - load_sizes[:, None] * displacements
+                - constant_displacements[:, None]
             )
             parameter_scales = np.array(
                 [1.0, 1.0, np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny]
             )
-            weighted_columns = np.stack(
+            weighted_jacobian = np.stack(
                 [displacements * load_sizes[:, None], phase_slopes, np.ones_like(displacements)],
                 axis=2,
             )
-            weighted_columns = weighted_columns * parameter_scales * self._weights[:, None]
-            squared_norms = weighted_columns.transpose(0, 2, 1) @ weighted_columns + 1e-3 * np.eye(
-                3
+            weighted_jacobian = (
+                weighted_jacobian * parameter_scales * self._inverse_deviations[:, None]
             )
+            normal_matrices = weighted_jacobian.transpose(
+                0, 2, 1
+            ) @ weighted_jacobian + 1e-3 * np.eye(3)
             newton_steps = np.linalg.solve(
-                squared_norms, weighted_columns.transpose(0, 2, 1) @ weighted_residuals[..., None]
+                normal_matrices,
+                weighted_jacobian.transpose(0, 2, 1) @ weighted_residuals[..., None],
             )[..., 0]
             load_sizes = load_sizes * np.exp(np.clip(newton_steps[:, 0], -1.0, 1.0))
             load_phases = load_phases + np.clip(newton_steps[:, 1], -0.1, 0.1)
-            constants = constants + parameter_scales[2] * newton_steps[:, 2]
-        return load_sizes, load_phases, constants
+            constant_displacements = (
+                constant_displacements + parameter_scales[2] * newton_steps[:, 2]
+            )
+        return load_sizes, load_phases, constant_displacements
 
 
 # --- the model ------------------------------------------------------------------------------------
@@ -217,7 +236,7 @@ class CrackFaceState(NamedTuple):
     Attributes
     ----------
     resonance_state : str
-        One of RESONANCE_STATES.
+        One of RESONANCE_STATE_NAMES.
     common_deviation, independent_deviation : float
         Standard deviation of resonances from the frequency of that state, relative to the
         difference between frequencies with the crack bonded and open. The first is common to all
@@ -232,7 +251,7 @@ class CrackFaceState(NamedTuple):
     prior_weight: float = 1.0
 
 
-BREATHING_FACES = CrackFaceState("bilinear")
+BREATHING_STATE = CrackFaceState("bilinear")
 """Crack faces that are open for half of the period."""
 
 
@@ -245,7 +264,7 @@ class ForwardModel:
         Scene with the damping and the table ``[identify]``.
     uncracked_plate : UncrackedPlate
         The plate without its crack.
-    case_sets : (coarse, finer, halfway)
+    coarse_finer_halfway_cases : (coarse, finer, halfway)
         Solved cases of the sweep; of the finer mesh, or None; and halfway between the nodes, or
         None.
     word_by_key : mapping of str to object
@@ -256,14 +275,14 @@ class ForwardModel:
         self,
         scene: Scene,
         uncracked_plate: UncrackedPlate,
-        case_sets: Sequence[SolvedCases | None],
+        coarse_finer_halfway_cases: Sequence[SolvedCases | None],
         *,
         word_by_key: Mapping[str, Any],
     ) -> None:
         self.scene = scene
         self.identify_table = scene.given("identify")
         self.uncracked_plate = uncracked_plate
-        coarse_cases, self.finer_cases, self.halfway_cases = case_sets
+        coarse_cases, self.finer_cases, self.halfway_cases = coarse_finer_halfway_cases
         assert coarse_cases is not None
         self.coarse_cases = coarse_cases
         self.word_by_key = dict(word_by_key)
@@ -271,42 +290,47 @@ class ForwardModel:
         self.unknown_grid = coarse_cases.unknown_grid
 
     def make_predictor(
-        self, rows: Sequence[Measurement], candidate_rows: Sequence[Measurement] = ()
+        self, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement] = ()
     ) -> MeasurementPredictor:
         """Make a predictor for measurements, and for candidates."""
-        return MeasurementPredictor(self, rows, candidate_rows)
+        return MeasurementPredictor(self, measured_rows, candidate_rows)
 
     def get_damping_ratios(self, x: np.ndarray) -> np.ndarray:
         """Return the damping ratio at values x (m, d) of the unknowns: (m, 1)."""
         if "damping.ratio" in self.unknown_keys:
             return x[:, [self.unknown_keys.index("damping.ratio")]]
-        scene_ratios, damping_table = None, self.scene.damping
+        scene_damping_ratios, damping_table = None, self.scene.damping
         if damping_table is not None:
-            scene_ratios = (
+            scene_damping_ratios = (
                 damping_table.ratios if damping_table.ratio is None else damping_table.ratio
             )
         return np.full(
-            (len(x), 1), 0.01 if scene_ratios is None else np.mean(scene_ratios)
+            (len(x), 1), 0.01 if scene_damping_ratios is None else np.mean(scene_damping_ratios)
         )  # of a matrix
 
-    def compute_crack_sizes(self, x: np.ndarray) -> np.ndarray:
-        """Return the crack size at values x (m, d), relative to the largest: (m,).
+    def compute_relative_crack_sizes(self, x: np.ndarray) -> np.ndarray:
+        """Return relative crack sizes at values x (m, d): (m,), 1 for the largest.
 
         It is the product of relative length and depth; 1 if neither is an unknown.
         """
-        key_indices = [
-            key_index for key_index, key in enumerate(self.unknown_keys) if key in CRACK_SIZE_KEYS
+        size_unknown_indices = [
+            unknown_index
+            for unknown_index, key in enumerate(self.unknown_keys)
+            if key in CRACK_SIZE_KEYS
         ]
         return np.asarray(
-            np.prod(x[:, key_indices] / self.unknown_grid.upper_bounds[key_indices], axis=1)
+            np.prod(
+                x[:, size_unknown_indices] / self.unknown_grid.upper_bounds[size_unknown_indices],
+                axis=1,
+            )
         )
 
-    def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
+    def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
         """Return standard deviations (m, d) of a crack from the equivalent one.
 
         They are for values x (m, d) of the unknowns.
         """
-        return compute_crack_deviations(x, self.unknown_keys, self.scene)
+        return compute_deviations_from_equivalent_crack(x, self.unknown_keys, self.scene)
 
     def list_candidates(self) -> tuple[Measurement, ...]:
         """List possible measurements: natural frequencies, and ratios of harmonics.
@@ -343,7 +367,7 @@ class MeasurementPrediction:
         Predicted values.
     covariance : (m, q, q)
         Covariance of their errors.
-    load_changes : (m, q, s)
+    load_induced_changes : (m, q, s)
         Their changes by a standard deviation of each unknown of the load and the probes.
     is_predictable : (q,) bool
         True for a measurement that can be predicted.
@@ -351,7 +375,7 @@ class MeasurementPrediction:
 
     values: np.ndarray
     covariance: np.ndarray
-    load_changes: np.ndarray
+    load_induced_changes: np.ndarray
     is_predictable: np.ndarray
 
 
@@ -361,8 +385,8 @@ class FeaturePrediction(NamedTuple):
     Attributes
     ----------
     damping_ratios : (m, 1)
-    scale_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.scale_and_frequencies` there at the load of each feature.
+    split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.split_root_and_frequencies` there at the load of each feature.
     smoothing_factors : (m, f)
         Factors that make features smooth.
     feature_values : (m, f)
@@ -374,7 +398,7 @@ class FeaturePrediction(NamedTuple):
     """
 
     damping_ratios: np.ndarray
-    scale_and_frequencies: np.ndarray
+    split_root_and_frequencies: np.ndarray
     smoothing_factors: np.ndarray
     feature_values: np.ndarray
     interpolation_variances: np.ndarray
@@ -395,37 +419,43 @@ class MeasurementPredictor:
     def __init__(
         self,
         model: ForwardModel,
-        rows: Sequence[Measurement],
+        measured_rows: Sequence[Measurement],
         candidate_rows: Sequence[Measurement] = (),
     ) -> None:
-        self.model, self.rows = model, (*rows, *candidate_rows)
-        self._index_features()
-        self._probe_groups = ProbeDisplacements.group_measurements(rows, candidate_rows)
-        self._error_groups = _build_error_groups(self._features)
-        self._is_uncracked = np.array(
+        self.model, self.rows = model, (*measured_rows, *candidate_rows)
+        self._set_up_features_and_indices()
+        self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
+        self._error_group_matrix = _build_error_group_matrix(self._features)
+        self._is_uncracked_feature = np.array(
             [feature.crack_state == "uncracked" for feature in self._features]
         )
-        node_data = model.coarse_cases.scale_and_frequencies
-        self._node_data_interpolation = Interpolation(
-            model.unknown_grid, node_data.reshape(len(node_data), -1)
+        split_root_and_frequencies = model.coarse_cases.split_root_and_frequencies
+        self._split_root_and_frequency_interpolation = Interpolation(
+            model.unknown_grid,
+            split_root_and_frequencies.reshape(len(split_root_and_frequencies), -1),
         )
-        self._highest_frequency = float(np.nanmax(node_data[..., KEPT_MODE_NUMBERS], initial=0.0))
-        self._load_indices = [
+        self._highest_mode_frequency = float(
+            np.nanmax(split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0)
+        )
+        self._load_index_of_features = [
             model.coarse_cases.find_load_index(feature.load_frequency) for feature in self._features
         ]
-        speed_ratios = model.coarse_cases.swept_loads.speed_ratios
-        self._prior_sensitivities = np.stack(
-            [model.uncracked_plate.compute_prior_sensitivities(ratio) for ratio in speed_ratios]
-        )[self._load_indices]
+        speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
+        self._mode_prior_sensitivities = np.stack(
+            [
+                model.uncracked_plate.compute_prior_sensitivities(speed_ratio)
+                for speed_ratio in speed_ratios
+            ]
+        )[self._load_index_of_features]
         row_speed_ratios = [
-            speed_ratios[self._load_indices[feature_indices[0]]]
+            speed_ratios[self._load_index_of_features[feature_indices[0]]]
             for feature_indices in self._feature_indices_by_row
         ]
         self.baseline_changes = BaselineChanges(self.rows, row_speed_ratios, model.uncracked_plate)
-        self._higher_harmonic_masks, is_motionless = _find_motionless_nodes(
-            model.coarse_cases, self._features, self._load_indices
+        self._higher_harmonic_masks, is_motionless = _find_harmonic_masks_and_motionless_nodes(
+            model.coarse_cases, self._features, self._load_index_of_features
         )
-        self._motionless_interpolator = (
+        self._motionless_fraction_interpolator = (
             RegularGridInterpolator(model.unknown_grid.axes, is_motionless)
             if len(is_motionless)
             else None
@@ -433,19 +463,22 @@ class MeasurementPredictor:
         self._face_states = (
             _list_face_states(model)
             if any(measurement.resonance for measurement in self.rows)
-            else (BREATHING_FACES,)
+            else (BREATHING_STATE,)
         )
-        self._is_free_at_rest = scales_with_load(model.scene.without_rotation())
-        self._interpolate_features()
+        self._scales_with_load_at_rest = scales_with_load(model.scene.without_rotation())
+        self._set_up_feature_interpolations()
 
-    def _index_features(self) -> None:
-        """List the features, their indices in each row, and pairs with and without a crack."""
+    def _set_up_features_and_indices(self) -> None:
+        """Set up the features, their indices in each row, and pairs with and without a crack."""
         features_by_row = [
-            Feature.list_for_measurement(measurement, self.model.scene) for measurement in self.rows
+            Feature.list_features_of_measurement(measurement, self.model.scene)
+            for measurement in self.rows
         ]
         features = [feature for row_features in features_by_row for feature in row_features]
         features += [
-            feature.uncracked_feature for feature in features if feature.is_cracked_frequency
+            feature.uncracked_frequency_feature
+            for feature in features
+            if feature.is_cracked_frequency
         ]
         self._features = tuple(dict.fromkeys(features))
         index_by_feature = {
@@ -455,27 +488,29 @@ class MeasurementPredictor:
             [index_by_feature[feature] for feature in row_features]
             for row_features in features_by_row
         ]
-        index_pairs = [
-            (index_by_feature[feature], index_by_feature[feature.uncracked_feature])
+        cracked_uncracked_index_pairs = [
+            (index_by_feature[feature], index_by_feature[feature.uncracked_frequency_feature])
             for feature in index_by_feature
             if feature.is_cracked_frequency
         ]
         self._cracked_indices, self._uncracked_indices = (
-            map(list, zip(*index_pairs, strict=True)) if index_pairs else ([], [])
+            map(list, zip(*cracked_uncracked_index_pairs, strict=True))
+            if cracked_uncracked_index_pairs
+            else ([], [])
         )
 
-    def _interpolate_features(self) -> None:
-        """Interpolate the features, and the correction by the finer mesh."""
+    def _set_up_feature_interpolations(self) -> None:
+        """Set up interpolations of features, and of the correction by the finer mesh."""
         model = self.model
         self._coarse_interpolation = Interpolation(
             model.unknown_grid, self._evaluate_smooth_features(model.coarse_cases)
         )
-        self._error_scales = self._estimate_error_scales()
+        self._interpolation_error_scales = self._estimate_interpolation_error_scales()
         is_harmonic_column = np.repeat(
             [not feature.is_natural_frequency for feature in self._features], 2
         )
-        has_known_column = self._coarse_interpolation.has_enough_nodes & (
-            self._coarse_interpolation.is_between_known | ~is_harmonic_column
+        is_known_column = self._coarse_interpolation.has_enough_known_nodes & (
+            self._coarse_interpolation.has_only_inner_gaps | ~is_harmonic_column
         )
         # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
         # high order nothing: half of the former is added, and may be wrong.
@@ -488,10 +523,10 @@ class MeasurementPredictor:
                 finer_cases
             ) - self._coarse_interpolation.interpolate(finer_cases.unknown_grid.nodes)
             self._mesh_correction = Interpolation(finer_cases.unknown_grid, mesh_difference)
-            has_known_column &= self._mesh_correction.has_enough_nodes & (
-                self._mesh_correction.is_between_known | ~is_harmonic_column
+            is_known_column &= self._mesh_correction.has_enough_known_nodes & (
+                self._mesh_correction.has_only_inner_gaps | ~is_harmonic_column
             )
-        is_known_feature = has_known_column.reshape(-1, 2).all(axis=1)
+        is_known_feature = is_known_column.reshape(-1, 2).all(axis=1)
         is_known_feature[self._cracked_indices] &= is_known_feature[self._uncracked_indices]
         self.is_predictable = np.array(
             [
@@ -513,10 +548,10 @@ class MeasurementPredictor:
         )
         return changed_predictor
 
-    def iterate_face_states(
+    def iterate_face_state_predictions(
         self, x: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
-        """Iterate over possible states of the crack faces at x (m, d).
+        """Iterate over predictions in possible states of the crack faces at x (m, d).
 
         Under a steady load, a preload or a clearance a crack may stay open or closed. The motion
         then has no higher harmonics. Between a node with such a motion and one without, both are
@@ -532,26 +567,30 @@ class MeasurementPredictor:
             Points among x at which the state is possible.
         probabilities : (n,)
             Its probability there.
-        prediction : MeasurementPrediction
+        MeasurementPrediction
             Predictions there.
         """
         motionless_fractions = np.zeros((len(x), 0))
-        if self._motionless_interpolator is not None:
-            motionless_fractions = self._motionless_interpolator(
+        if self._motionless_fraction_interpolator is not None:
+            motionless_fractions = self._motionless_fraction_interpolator(
                 np.clip(
                     x, self.model.unknown_grid.lower_bounds, self.model.unknown_grid.upper_bounds
                 )
             )
-        for is_group_motionless in itertools.product(
+        for are_loads_motionless in itertools.product(
             (False, True), repeat=motionless_fractions.shape[1]
         ):
             probabilities = np.prod(
-                np.where(is_group_motionless, motionless_fractions, 1.0 - motionless_fractions),
+                np.where(are_loads_motionless, motionless_fractions, 1.0 - motionless_fractions),
                 axis=1,
             )
             point_indices = np.flatnonzero(probabilities > 0.0)
-            group_masks = list(itertools.compress(self._higher_harmonic_masks, is_group_motionless))
-            is_zero_feature = np.any(group_masks, axis=0) if group_masks else None
+            motionless_feature_masks = list(
+                itertools.compress(self._higher_harmonic_masks, are_loads_motionless)
+            )
+            is_zero_feature = (
+                np.any(motionless_feature_masks, axis=0) if motionless_feature_masks else None
+            )
             if len(point_indices):
                 feature_prediction = self._predict_features(x[point_indices])
                 for face_state in self._face_states:
@@ -574,11 +613,11 @@ class MeasurementPredictor:
             feature_values
             * self._compute_smoothing_factors(
                 solved_cases.unknown_grid.nodes,
-                self._interpolate_node_data(solved_cases.unknown_grid.nodes),
+                self._interpolate_split_root_and_frequencies(solved_cases.unknown_grid.nodes),
             )
         )
 
-    def _estimate_error_scales(self) -> np.ndarray:
+    def _estimate_interpolation_error_scales(self) -> np.ndarray:
         """Return factors (2f,), at least 1, by which interpolation errors are understated.
 
         They compare the errors halfway between nodes with the estimated errors. Features with more
@@ -593,11 +632,11 @@ class MeasurementPredictor:
             - self._coarse_interpolation.interpolate(x)
         ) ** 2
         stated_variances = np.sum(
-            self._coarse_interpolation.compute_weighted_errors(x) ** 2, axis=1
+            self._coarse_interpolation.list_weighted_node_errors(x) ** 2, axis=1
         )
         error_and_variance_sums = [
-            np.nansum(squared_columns, axis=0).reshape(-1, 2).sum(axis=1)
-            for squared_columns in (squared_errors, stated_variances)
+            np.nansum(squared_error_columns, axis=0).reshape(-1, 2).sum(axis=1)
+            for squared_error_columns in (squared_errors, stated_variances)
         ]
         with np.errstate(divide="ignore", invalid="ignore"):
             variance_ratios = np.where(
@@ -608,7 +647,7 @@ class MeasurementPredictor:
         return np.repeat(np.sqrt(np.maximum(variance_ratios, 1.0)), 2)
 
     def _compute_smoothing_factors(
-        self, x: np.ndarray, scale_and_frequencies: np.ndarray
+        self, x: np.ndarray, split_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
         """Return factors (m, f) that make features smooth.
 
@@ -617,23 +656,23 @@ class MeasurementPredictor:
         return compute_smoothing_factors(
             self._features,
             self.model.get_damping_ratios(x),
-            scale_and_frequencies,
-            self.model.compute_crack_sizes(x),
+            split_root_and_frequencies,
+            self.model.compute_relative_crack_sizes(x),
         )
 
-    def _interpolate_node_data(self, x: np.ndarray) -> np.ndarray:
-        """Return :attr:`SolvedCases.scale_and_frequencies` at x (m, d): (m, f, 1 + 2 modes).
+    def _interpolate_split_root_and_frequencies(self, x: np.ndarray) -> np.ndarray:
+        """Return :attr:`SolvedCases.split_root_and_frequencies` at x (m, d): (m, f, 1 + 2 modes).
 
         It is at the load of each feature.
         """
-        node_data = np.where(
-            self._node_data_interpolation.has_enough_nodes,
-            self._node_data_interpolation.interpolate(x),
+        split_root_and_frequencies = np.where(
+            self._split_root_and_frequency_interpolation.has_enough_known_nodes,
+            self._split_root_and_frequency_interpolation.interpolate(x),
             np.nan,
         )
-        return node_data.reshape(len(x), *self.model.coarse_cases.scale_and_frequencies.shape[1:])[
-            :, self._load_indices
-        ]
+        return split_root_and_frequencies.reshape(
+            len(x), *self.model.coarse_cases.split_root_and_frequencies.shape[1:]
+        )[:, self._load_index_of_features]
 
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at x (m, d) in the first state of the faces.
@@ -642,8 +681,10 @@ class MeasurementPredictor:
         """
         return self._predict_measurements(self._predict_features(x), None, self._face_states[0])
 
-    def compute_interpolation_variances(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variances of predictions at x (m, d) by interpolation.
+    def compute_interpolation_and_total_variances(
+        self, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return variances of predictions at x (m, d): by interpolation, and total.
 
         Returns
         -------
@@ -653,26 +694,30 @@ class MeasurementPredictor:
             Total variances.
         """
         feature_prediction = self._predict_features(x)
-        zero_features = np.zeros((len(x), 2 * len(self._features)))
+        zero_smooth_features = np.zeros((len(x), 2 * len(self._features)))
 
-        def propagate_covariance(covariance: np.ndarray) -> np.ndarray:
+        def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
             changed_prediction = feature_prediction._replace(smooth_covariance=covariance)
             prediction = self._predict_measurements(changed_prediction, None, self._face_states[0])
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
-        other_variances = propagate_covariance(np.zeros_like(feature_prediction.smooth_covariance))
-        variances_by_unknown = []
-        for weighted_errors in self._coarse_interpolation.compute_weighted_errors_by_axis(x)[
+        variances_without_interpolation = propagate_to_variances(
+            np.zeros_like(feature_prediction.smooth_covariance)
+        )
+        variances_along_unknowns = []
+        for weighted_errors in self._coarse_interpolation.list_weighted_node_errors_along_axes(x)[
             : x.shape[1]
         ]:
-            feature_errors = self._collect_feature_errors(
-                zero_features, zero_features, [self._error_scales * weighted_errors]
+            feature_errors = self._stack_feature_errors(
+                zero_smooth_features,
+                zero_smooth_features,
+                [self._interpolation_error_scales * weighted_errors],
             )
-            variances_by_unknown.append(
-                propagate_covariance(feature_errors @ feature_errors.transpose(0, 2, 1))
-                - other_variances
+            variances_along_unknowns.append(
+                propagate_to_variances(feature_errors @ feature_errors.transpose(0, 2, 1))
+                - variances_without_interpolation
             )
-        return np.stack(variances_by_unknown, axis=1), propagate_covariance(
+        return np.stack(variances_along_unknowns, axis=1), propagate_to_variances(
             feature_prediction.smooth_covariance
         )
 
@@ -680,27 +725,33 @@ class MeasurementPredictor:
         """Return the features at x (m, d)."""
         smooth_features = self._coarse_interpolation.interpolate(x)
         interpolation_errors = [
-            self._error_scales * self._coarse_interpolation.compute_weighted_errors(x)
+            self._interpolation_error_scales
+            * self._coarse_interpolation.list_weighted_node_errors(x)
         ]
         remaining_mesh_errors = np.zeros_like(smooth_features)
         if self._mesh_correction is not None:
             mesh_difference = self._mesh_correction.interpolate(x)
             remaining_mesh_errors = self._remaining_mesh_fraction * mesh_difference
             smooth_features = smooth_features + mesh_difference + remaining_mesh_errors
-            interpolation_errors.append(self._mesh_correction.compute_weighted_errors(x))
+            interpolation_errors.append(self._mesh_correction.list_weighted_node_errors(x))
         damping_ratios = self.model.get_damping_ratios(x)
-        scale_and_frequencies = self._interpolate_node_data(x)
-        smoothing_factors = self._compute_smoothing_factors(x, scale_and_frequencies)
+        split_root_and_frequencies = self._interpolate_split_root_and_frequencies(x)
+        smoothing_factors = self._compute_smoothing_factors(x, split_root_and_frequencies)
         feature_values = (
             smooth_features[:, ::2] + 1j * smooth_features[:, 1::2]
         ) / smoothing_factors
         uncracked_plate = self.model.uncracked_plate
         prior_sensitivities = uncracked_plate.compute_feature_sensitivities(
-            self._features, damping_ratios, scale_and_frequencies, self._prior_sensitivities
+            self._features,
+            damping_ratios,
+            split_root_and_frequencies,
+            self._mode_prior_sensitivities,
         )
         prior_sensitivities = (
             prior_sensitivities
-            * np.where(self._is_uncracked, 1.0, feature_values * smoothing_factors)[..., None]
+            * np.where(self._is_uncracked_feature, 1.0, feature_values * smoothing_factors)[
+                ..., None
+            ]
         )
         feature_values[:, self._cracked_indices] += feature_values[:, self._uncracked_indices]
         interpolation_variances = sum(
@@ -714,7 +765,7 @@ class MeasurementPredictor:
         )
         feature_errors = np.concatenate(
             [
-                self._collect_feature_errors(
+                self._stack_feature_errors(
                     smooth_features, remaining_mesh_errors, interpolation_errors
                 ),
                 prior_errors,
@@ -723,7 +774,7 @@ class MeasurementPredictor:
         )
         return FeaturePrediction(
             damping_ratios,
-            scale_and_frequencies,
+            split_root_and_frequencies,
             smoothing_factors,
             feature_values,
             interpolation_variances,
@@ -753,36 +804,38 @@ class MeasurementPredictor:
                 feature_prediction.damping_ratios, feature_values, smoothing_factors, face_state
             )
         )
-        predictions *= self.baseline_changes.temperature_factors
+        predictions *= self.baseline_changes.temperature_frequency_factors
         load_change_blocks = [np.zeros((*predictions.shape, 0))]
         omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
         for probe_group in self._probe_groups:
             row_indices = probe_group.row_indices
             feature_indices = self._feature_indices_by_row[row_indices[0]]
-            predictions[:, row_indices], real_slopes, load_changes, load_sizes = (
-                probe_group.fit_harmonics(feature_values[:, feature_indices])
+            predictions[:, row_indices], displacement_slopes, load_induced_changes, load_sizes = (
+                probe_group.fit_load_to_displacements(feature_values[:, feature_indices])
             )
-            mean_squares = (
+            harmonic_mean_squares = (
                 np.abs(feature_values[:, feature_indices]) ** 2
                 + interpolation_variances[:, feature_indices]
             )
-            omitted_orders, omitted_squares = self._estimate_omitted_harmonics(
+            omitted_orders, omitted_squares = self._estimate_omitted_orders_and_squares(
                 self._features[feature_indices[0]],
-                mean_squares,
+                harmonic_mean_squares,
                 feature_prediction.damping_ratios,
-                feature_prediction.scale_and_frequencies[:, feature_indices[:1]],
+                feature_prediction.split_root_and_frequencies[:, feature_indices[:1]],
             )
-            group_block = np.ix_(range(len(feature_values)), row_indices, row_indices)
-            squared_sizes = load_sizes[:, None, None] ** 2
-            omitted_covariance[group_block] = squared_sizes * np.tensordot(
-                omitted_squares, probe_group.compute_harmonic_covariances(omitted_orders), axes=1
+            group_block_index = np.ix_(range(len(feature_values)), row_indices, row_indices)
+            squared_load_sizes = load_sizes[:, None, None] ** 2
+            omitted_covariance[group_block_index] = squared_load_sizes * np.tensordot(
+                omitted_squares,
+                probe_group.compute_displacement_covariances(omitted_orders),
+                axes=1,
             )
             complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
-                real_slopes / smoothing_factors[:, None, feature_indices]
+                displacement_slopes / smoothing_factors[:, None, feature_indices]
             )
-            group_changes = np.zeros((*predictions.shape, load_changes.shape[2]))
-            group_changes[:, row_indices] = load_changes
-            load_change_blocks.append(group_changes)
+            all_row_load_changes = np.zeros((*predictions.shape, load_induced_changes.shape[2]))
+            all_row_load_changes[:, row_indices] = load_induced_changes
+            load_change_blocks.append(all_row_load_changes)
         complex_slopes[:, ~self.is_predictable] = 0.0
         if is_zero_feature is not None:
             complex_slopes[..., is_zero_feature] = 0.0
@@ -792,7 +845,8 @@ class MeasurementPredictor:
             + omitted_covariance
         )
         shared_errors = np.concatenate(
-            [predictions[..., None] * self.baseline_changes.all_changes, common_errors], axis=2
+            [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
+            axis=2,
         )
         covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
             :, :, None
@@ -802,12 +856,12 @@ class MeasurementPredictor:
             predictions, covariance, np.concatenate(load_change_blocks, axis=2), self.is_predictable
         )
 
-    def _estimate_omitted_harmonics(
+    def _estimate_omitted_orders_and_squares(
         self,
-        first_harmonic: Feature,
+        first_harmonic_feature: Feature,
         mean_squares: np.ndarray,
         damping_ratios: np.ndarray,
-        scale_and_frequencies: np.ndarray,
+        split_root_and_frequencies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the harmonics that not all cases have, as far as modes resonate there.
 
@@ -818,12 +872,12 @@ class MeasurementPredictor:
 
         Parameters
         ----------
-        first_harmonic : Feature
+        first_harmonic_feature : Feature
             First harmonic of a point.
         mean_squares : (m, K) [m^2]
             Mean squares of its known harmonics.
         damping_ratios : (m, 1)
-        scale_and_frequencies : (m, 1, 1 + 2 modes)
+        split_root_and_frequencies : (m, 1, 1 + 2 modes)
 
         Returns
         -------
@@ -832,39 +886,47 @@ class MeasurementPredictor:
         (m, k) [m^2]
             Mean squares of these harmonics.
         """
-        n_kept = self.model.coarse_cases.count_harmonics(first_harmonic.load_frequency)
-        highest_frequency = self._highest_frequency
-        n_kept = min(n_kept, mean_squares.shape[1])
+        n_known_harmonics = self.model.coarse_cases.find_smallest_harmonic_count(
+            first_harmonic_feature.load_frequency
+        )
+        highest_frequency = self._highest_mode_frequency
+        n_known_harmonics = min(n_known_harmonics, mean_squares.shape[1])
         n_harmonics = min(
-            max(2 * n_kept, math.ceil(highest_frequency / first_harmonic.load_frequency)),
+            max(
+                2 * n_known_harmonics,
+                math.ceil(highest_frequency / first_harmonic_feature.load_frequency),
+            ),
             MAX_HARMONIC_ORDER,
         )
         harmonic_features = [
-            replace(first_harmonic, harmonic_order=harmonic_order)
+            replace(first_harmonic_feature, harmonic_order=harmonic_order)
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
-            np.nan_to_num(scale_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf) ** -4.0
+            np.nan_to_num(split_root_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf) ** -4.0
         )
         relative_squares = np.sum(
             squared_compliances
             / np.abs(
-                compute_ratios_and_poles(harmonic_features, damping_ratios, scale_and_frequencies)[
-                    1
-                ]
+                compute_ratios_and_pole_factors(
+                    harmonic_features, damping_ratios, split_root_and_frequencies
+                )[1]
             )
             ** 2,
             axis=2,
         )
         relative_squares /= np.arange(1.0, n_harmonics + 1.0) ** 2
-        upper_half = slice(n_kept // 2, n_kept)
+        upper_half_slice = slice(n_known_harmonics // 2, n_known_harmonics)
         with np.errstate(divide="ignore", invalid="ignore"):
             force_squares = np.nan_to_num(
-                np.mean(mean_squares[:, upper_half] / relative_squares[:, upper_half], axis=1)
+                np.mean(
+                    mean_squares[:, upper_half_slice] / relative_squares[:, upper_half_slice],
+                    axis=1,
+                )
             )
-        return np.arange(n_kept + 1, n_harmonics + 1), force_squares[:, None] * relative_squares[
-            :, n_kept:
-        ]
+        return np.arange(n_known_harmonics + 1, n_harmonics + 1), force_squares[
+            :, None
+        ] * relative_squares[:, n_known_harmonics:]
 
     def _predict_all_but_displacements(
         self,
@@ -877,7 +939,7 @@ class MeasurementPredictor:
 
         Returns
         -------
-        values : (m, q)
+        predictions : (m, q)
         complex_slopes : (m, q, f)
             Slopes t by the smooth forms S: the change of a value is Re sum t dS.
         common_errors : (m, q, 1 + modes)
@@ -913,12 +975,12 @@ class MeasurementPredictor:
             if row.quantity == "displacement" or not self.is_predictable[row_index]:
                 continue
             row_face_state = (
-                BREATHING_FACES if row.rpm == 0.0 and self._is_free_at_rest else face_state
+                BREATHING_STATE if row.rpm == 0.0 and self._scales_with_load_at_rest else face_state
             )
             state_index = (
-                RESONANCE_STATES.index(row_face_state.resonance_state) if row.resonance else 0
+                RESONANCE_STATE_NAMES.index(row_face_state.resonance_state) if row.resonance else 0
             )
-            predictions[:, row_index], row_size_slopes = _combine_features(
+            predictions[:, row_index], row_size_slopes = _combine_features_with_slopes(
                 row, feature_sizes[:, feature_indices], state_index
             )
             complex_slopes[:, row_index, feature_indices] = (
@@ -940,21 +1002,21 @@ class MeasurementPredictor:
                 independent_variances[:, row_index] = (
                     row_face_state.independent_deviation * frequency_split
                 ) ** 2 + damping_shift**2
-        for row_face_state, uncracked_index in zip(
+        for cracked_index, uncracked_index in zip(
             self._cracked_indices, self._uncracked_indices, strict=True
         ):
             complex_slopes[:, :, uncracked_index] += (
-                complex_slopes[:, :, row_face_state] * smoothing_factors[:, None, row_face_state]
+                complex_slopes[:, :, cracked_index] * smoothing_factors[:, None, cracked_index]
             )
         return predictions, complex_slopes, common_errors, independent_variances
 
-    def _collect_feature_errors(
+    def _stack_feature_errors(
         self,
         smooth_features: np.ndarray,
         remaining_mesh_errors: np.ndarray,
         interpolation_errors: list[np.ndarray],
     ) -> np.ndarray:
-        """Collect independent errors of the smooth forms: (m, 2f, r).
+        """Stack independent errors of the smooth forms: (m, 2f, r).
 
         Half of each variance is common to several forms.
 
@@ -967,14 +1029,16 @@ class MeasurementPredictor:
         interpolation_errors : list of (m, k, 2f)
             Errors at the nodes around, for each sweep.
         """
-        half_root = np.sqrt(0.5)
-        all_errors = np.concatenate(interpolation_errors, axis=1)
+        root_of_half = np.sqrt(0.5)
+        all_interpolation_errors = np.concatenate(interpolation_errors, axis=1)
         identity_matrix = np.eye(smooth_features.shape[1])
         error_blocks = [
-            half_root * all_errors.transpose(0, 2, 1),
-            half_root * np.sqrt(np.sum(all_errors**2, axis=1))[:, None, :] * identity_matrix,
-            half_root * remaining_mesh_errors[..., None],
-            half_root * remaining_mesh_errors[..., None] * self._error_groups,
+            root_of_half * all_interpolation_errors.transpose(0, 2, 1),
+            root_of_half
+            * np.sqrt(np.sum(all_interpolation_errors**2, axis=1))[:, None, :]
+            * identity_matrix,
+            root_of_half * remaining_mesh_errors[..., None],
+            root_of_half * remaining_mesh_errors[..., None] * self._error_group_matrix,
         ]
         harmonic_deviation = self.model.identify_table.harmonic_deviation
         if harmonic_deviation:
@@ -984,18 +1048,18 @@ class MeasurementPredictor:
             rotated_features = np.stack(
                 [-smooth_features[:, 1::2], smooth_features[:, ::2]], axis=2
             ).reshape(smooth_features.shape)
-            feature_columns = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
-            for feature_part in (smooth_features, rotated_features):
-                contact_errors = harmonic_deviation * (feature_part * order_excess)[..., None]
+            feature_membership_matrix = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
+            for turned_features in (smooth_features, rotated_features):
+                contact_errors = harmonic_deviation * (turned_features * order_excess)[..., None]
                 error_blocks += [
-                    half_root * contact_errors * self._error_groups,
-                    half_root * contact_errors * feature_columns,
+                    root_of_half * contact_errors * self._error_group_matrix,
+                    root_of_half * contact_errors * feature_membership_matrix,
                 ]
         return np.concatenate(error_blocks, axis=2)
 
 
-def _find_motionless_nodes(
-    solved_cases: SolvedCases, features: Sequence[Feature], load_indices: Sequence[int]
+def _find_harmonic_masks_and_motionless_nodes(
+    solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Find nodes at which the crack faces neither touch nor part under a load.
 
@@ -1010,13 +1074,13 @@ def _find_motionless_nodes(
     """
     harmonic_masks, motionless_grids = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
-    for load_index in np.unique(np.array(load_indices)[is_higher_harmonic]):
-        is_group_member = is_higher_harmonic & (np.array(load_indices) == load_index)
-        group_values = [
+    for load_index in np.unique(np.array(load_index_of_features)[is_higher_harmonic]):
+        is_group_member = is_higher_harmonic & (np.array(load_index_of_features) == load_index)
+        group_harmonic_amplitudes = [
             features[feature_index].get_node_values(solved_cases)
             for feature_index in np.flatnonzero(is_group_member)
         ]
-        largest_amplitudes = np.fmax.reduce(np.abs(group_values))
+        largest_amplitudes = np.fmax.reduce(np.abs(group_harmonic_amplitudes))
         is_motionless = largest_amplitudes <= 1e-9 * np.fmax.reduce(largest_amplitudes)  # rounding
         if is_motionless.any() and not is_motionless.all():
             harmonic_masks.append(is_group_member)
@@ -1026,14 +1090,14 @@ def _find_motionless_nodes(
     ) if harmonic_masks else np.zeros(0)
 
 
-def _build_error_groups(features: Sequence[Feature]) -> np.ndarray:
-    """Return groups of columns with a common mesh error: (2f, groups).
+def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
+    """Return the matrix of columns with a common mesh error: (2f, groups).
 
     A member has 1, others 0.
     """
-    group_keys = list(dict.fromkeys(feature.error_group for feature in features))
+    group_keys = list(dict.fromkeys(feature.error_group_key for feature in features))
     group_memberships = [
-        [float(feature.error_group == group_key) for group_key in group_keys]
+        [float(feature.error_group_key == group_key) for group_key in group_keys]
         for feature in features
     ]
     return np.repeat(group_memberships, 2, axis=0)
@@ -1053,23 +1117,26 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     of the period. They may stay open if any solved case is ever open, and closed if any is ever
     closed.
     """
-    if has_load_independent_shape(model.scene):
-        return (BREATHING_FACES,)
+    if has_load_independent_motion_shape(model.scene):
+        return (BREATHING_STATE,)
     resonance_deviation = model.identify_table.resonance_deviation
-    closed_shares = model.coarse_cases.sweep_result["closed_share"][model.coarse_cases.word_index]
-    min_closed_share, max_closed_share = (
-        ufunc.reduce(closed_shares, axis=None) for ufunc in (np.fmin, np.fmax)
+    closed_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
+        model.coarse_cases.word_selection_index
+    ]
+    smallest_closed_share, largest_closed_share = (
+        reduce_function.reduce(closed_share_of_cases, axis=None)
+        for reduce_function in (np.fmin, np.fmax)
     )
     held_states = itertools.compress(
         (CrackFaceState("open"), CrackFaceState("tied")),
-        (min_closed_share < 1.0, max_closed_share > 0.0),
+        (smallest_closed_share < 1.0, largest_closed_share > 0.0),
     )
     # Breathing for another part of the period at each resonance, or for the same at all.
     partly_open_states = (
         CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
         CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
     )
-    face_states = (*partly_open_states, BREATHING_FACES, *held_states)
+    face_states = (*partly_open_states, BREATHING_STATE, *held_states)
     total_weight = sum(face_state.prior_weight for face_state in face_states)
     return tuple(
         face_state._replace(prior_weight=face_state.prior_weight / total_weight)
@@ -1077,15 +1144,15 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     )
 
 
-def has_load_independent_shape(scene: Scene) -> bool:
+def has_load_independent_motion_shape(scene: Scene) -> bool:
     """Return True if a motion's shape does not depend on the load's size."""
     return scales_with_load(scene) and not any(scene.excitation.force_mean)
 
 
-def _combine_features(
+def _combine_features_with_slopes(
     measurement: Measurement, feature_sizes: np.ndarray, state_index: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Combine feature sizes (m, k) to a measured quantity.
+    """Combine feature sizes (m, k) to a measured quantity, with its slopes.
 
     Returns the quantity (m,) and its slopes (m, k) by the sizes. A resonance is near the frequency
     with the state's index.

@@ -15,7 +15,7 @@ crack therefore calibrate the plate.
 An inclined crack acts like a straight crack at the height of the crack tip (0.87 to 1.11 times as
 much, for ten edge cracks inclined by 10 degrees). A wider or softer crack acts like a longer or
 shorter sharp crack. Measurements determine this equivalent crack; the real crack has a larger
-standard deviation (:func:`compute_crack_deviations`).
+standard deviation (:func:`compute_deviations_from_equivalent_crack`).
 
 Young's modulus E and density change the elastic part e_j of w_j^2, not the part by rotation:
 
@@ -58,9 +58,9 @@ from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.model.modes import Modes, multiply, solve_modes
 from fenics_crack.monitoring.identification.interpolation import (
     Feature,
-    apply_first_harmonic_logs,
-    compute_ratios_and_poles,
-    list_driving_harmonics,
+    compute_log_factors_by_first_harmonic,
+    compute_ratios_and_pole_factors,
+    list_first_harmonic_features,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.scene.scene import Scene
@@ -69,8 +69,8 @@ from fenics_crack.study.prepare import prepare
 
 CRACK_SIZE_KEYS = ("crack.length", "crack.depth")
 """Keys of a crack's size."""
-FACTOR_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
-"""Numbers in a unit over those in Hz, by unit."""
+FACTOR_FROM_HZ_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+"""Factor from Hz to each unit, by unit."""
 
 
 class UncrackedPlate:
@@ -82,7 +82,7 @@ class UncrackedPlate:
     ----------
     rotor_speed : float [rad/s]
         Speed of the rotor.
-    stiffness_parts : (2, r, r) [1/s^2]
+    elastic_and_rotation_stiffness : (2, r, r) [1/s^2]
         Stiffness at rest, and the addition by rotation at that speed, in r mass-normalised motions.
     clamp_reactions : (r, d)
         Forces and moments at the clamp by these motions, relative to a clamp of uniform compliance;
@@ -120,18 +120,18 @@ class UncrackedPlate:
         orthonormal_basis = mode_shapes @ (
             gram_eigenvectors[:, is_independent] / np.sqrt(gram_eigenvalues[is_independent])
         )
-        rest_stiffness_basis = multiply(modes_at_rest.structure.stiffness, orthonormal_basis)
-        elastic_stiffness = orthonormal_basis.T @ rest_stiffness_basis
+        rest_stiffness_times_basis = multiply(modes_at_rest.structure.stiffness, orthonormal_basis)
+        elastic_stiffness = orthonormal_basis.T @ rest_stiffness_times_basis
         rotation_stiffness = (
             orthonormal_basis.T @ multiply(plate_modes.structure.stiffness, orthonormal_basis)
             - elastic_stiffness
         )
-        rigid_motions_at_clamp, self.n_reaction_forces = _build_clamp_motions(plate_modes)
-        self.stiffness_parts = np.stack([elastic_stiffness, rotation_stiffness])
-        self.clamp_reactions = rest_stiffness_basis.T @ rigid_motions_at_clamp
+        rigid_motions_at_clamp, self.n_reaction_forces = _build_rigid_clamp_motions(plate_modes)
+        self.elastic_and_rotation_stiffness = np.stack([elastic_stiffness, rotation_stiffness])
+        self.clamp_reactions = rest_stiffness_times_basis.T @ rigid_motions_at_clamp
 
     @cached_property
-    def natural_frequencies(self) -> np.ndarray:
+    def natural_frequencies_hz(self) -> np.ndarray:
         """Return natural frequencies (n,) [Hz], with a bonded crack if it cannot be removed."""
         return self.solve_modes_at(1.0)[0] / RAD_PER_TURN
 
@@ -146,7 +146,8 @@ class UncrackedPlate:
         mode_vectors : (r, n)
         """
         squared_omega, mode_vectors = eigh(
-            modulus_ratio * self.stiffness_parts[0] + speed_ratio**2 * self.stiffness_parts[1]
+            modulus_ratio * self.elastic_and_rotation_stiffness[0]
+            + speed_ratio**2 * self.elastic_and_rotation_stiffness[1]
         )
         n_modes = min(N_LOWEST_MODES, len(squared_omega))
         return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
@@ -155,11 +156,13 @@ class UncrackedPlate:
         """Return the elastic fraction of squared frequencies at a relative speed: (n,)."""
         natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
         return np.asarray(
-            np.sum(mode_vectors * (self.stiffness_parts[0] @ mode_vectors), axis=0)
+            np.sum(mode_vectors * (self.elastic_and_rotation_stiffness[0] @ mode_vectors), axis=0)
             / natural_omega**2
         )
 
-    def compute_stiffening_factors(self, speed_ratio: float, modulus_ratio: float) -> np.ndarray:
+    def compute_frequency_factors_by_modulus(
+        self, speed_ratio: float, modulus_ratio: float
+    ) -> np.ndarray:
         """Return factors (n,) of frequencies by a factor of Young's modulus.
 
         The speed is relative to the scene's.
@@ -178,7 +181,7 @@ class UncrackedPlate:
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
 
-        def clamp_reductions(speed_ratio: float) -> np.ndarray:
+        def compute_clamp_reductions(speed_ratio: float) -> np.ndarray:
             natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
             squared_reactions = (self.clamp_reactions.T @ mode_vectors) ** 2 / natural_omega**2
             moment_parts = squared_reactions[self.n_reaction_forces :]
@@ -186,7 +189,10 @@ class UncrackedPlate:
             return np.stack([moment_parts.sum(axis=0), force_parts.sum(axis=0)])
 
         return np.asarray(
-            (clamp_reductions(speed_ratio) / np.hypot(*clamp_reductions(1.0)[:, 0])).T
+            (
+                compute_clamp_reductions(speed_ratio)
+                / np.hypot(*compute_clamp_reductions(1.0)[:, 0])
+            ).T
         )
 
     def compute_prior_sensitivities(self, speed_ratio: float) -> np.ndarray:
@@ -194,7 +200,7 @@ class UncrackedPlate:
 
         They are at a speed relative to the rotor's.
         """
-        young_deviation, density_deviation, _ = self._prior_deviations
+        young_deviation, density_deviation, _ = self._young_density_thickness_deviations
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
         identity_matrix = np.eye(len(elastic_fractions))
         return np.column_stack(
@@ -214,7 +220,7 @@ class UncrackedPlate:
         self,
         features: Sequence[Feature],
         damping_ratios: np.ndarray,
-        scale_and_frequencies: np.ndarray,
+        split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
         """Return relative changes of features by a standard deviation of each prior, (m, f, s).
@@ -227,8 +233,8 @@ class UncrackedPlate:
         features : sequence of Feature
             f features.
         damping_ratios : (m, 1)
-        scale_and_frequencies : (m, f, 1 + 2 n)
-            :attr:`SolvedCases.scale_and_frequencies` at the load of each feature.
+        split_root_and_frequencies : (m, f, 1 + 2 n)
+            :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
         mode_sensitivities : (f, n, s)
             :meth:`compute_prior_sensitivities` at the speed of each feature.
         """
@@ -238,7 +244,7 @@ class UncrackedPlate:
             for attribute_name in ("is_natural_frequency", "is_cracked_frequency")
         )
         mode_numbers = np.array([feature.mode for feature in features])[:, None]
-        slope_shape = len(scale_and_frequencies), len(mode_numbers), n_modes
+        slope_shape = len(split_root_and_frequencies), len(mode_numbers), n_modes
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
@@ -246,28 +252,33 @@ class UncrackedPlate:
         slopes_by_damping = np.zeros((*slope_shape[:2], 1))
         if not is_natural_frequency.all():
             with np.errstate(invalid="ignore"):
-                log_bilinear, log_uncracked = np.split(
-                    np.log(scale_and_frequencies[..., 1:]), 2, axis=2
+                log_bilinear_frequencies, log_uncracked_frequencies = np.split(
+                    np.log(split_root_and_frequencies[..., 1:]), 2, axis=2
                 )
-            log_crack_shifts = np.nan_to_num(log_bilinear - log_uncracked)[..., :n_modes]
-            pole_slopes, damping_slopes = _differentiate_poles(
-                features, damping_ratios, scale_and_frequencies
+            log_frequency_shifts_by_crack = np.nan_to_num(
+                log_bilinear_frequencies - log_uncracked_frequencies
+            )[..., :n_modes]
+            pole_slopes, damping_slopes = _differentiate_harmonic_logs(
+                features, damping_ratios, split_root_and_frequencies
             )
-            first_pole_slopes, first_damping_slopes = _differentiate_poles(
-                list_driving_harmonics(features), damping_ratios, scale_and_frequencies
+            first_pole_slopes, first_damping_slopes = _differentiate_harmonic_logs(
+                list_first_harmonic_features(features), damping_ratios, split_root_and_frequencies
             )
-            pole_slopes = (pole_slopes + apply_first_harmonic_logs(first_pole_slopes, features))[
-                ..., :n_modes
-            ]
+            pole_slopes = (
+                pole_slopes + compute_log_factors_by_first_harmonic(first_pole_slopes, features)
+            )[..., :n_modes]
             slopes_by_mode = np.where(is_natural_frequency, slopes_by_mode, pole_slopes)
             slopes_by_crack = np.where(
-                is_natural_frequency, slopes_by_crack, pole_slopes * log_crack_shifts
+                is_natural_frequency, slopes_by_crack, pole_slopes * log_frequency_shifts_by_crack
             )
             slopes_by_damping = (
-                damping_slopes + apply_first_harmonic_logs(first_damping_slopes, features)
+                damping_slopes
+                + compute_log_factors_by_first_harmonic(first_damping_slopes, features)
             ).sum(axis=2)[..., None]
         harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])  # of harmonics
-        harmonic_size_changes[:3] = np.multiply(self._prior_deviations, (-1.0, 0.0, -1.0))
+        harmonic_size_changes[:3] = np.multiply(
+            self._young_density_thickness_deviations, (-1.0, 0.0, -1.0)
+        )
         independent_crack_deviation = identify_table.crack_deviation * np.sqrt(
             1.0 - identify_table.crack_correlation
         )
@@ -283,7 +294,7 @@ class UncrackedPlate:
         return np.concatenate(sensitivity_blocks, axis=2)
 
     @property
-    def _prior_deviations(self) -> list[float]:
+    def _young_density_thickness_deviations(self) -> list[float]:
         """Return relative standard deviations of Young's modulus, density and thickness.
 
         That of an unknown is 0.
@@ -302,7 +313,9 @@ class UncrackedPlate:
             for key, relative_deviation in keys_and_deviations
         ]
 
-    def compute_baseline_sensitivities(self, speed_ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    def compute_clamp_and_temperature_sensitivities(
+        self, speed_ratio: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return relative changes between the plate before it had a crack and now.
 
         They are at a speed relative to the rotor's, a standard deviation each.
@@ -318,22 +331,22 @@ class UncrackedPlate:
         identify_table = self.identify_table
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
         identity_matrix = np.eye(len(elastic_fractions))
-        clamp_changes = np.column_stack(
+        clamp_sensitivities = np.column_stack(
             [
                 self.compute_clamp_sensitivities(speed_ratio),
                 1.0 - elastic_fractions,
                 identify_table.before_scatter * elastic_fractions * identity_matrix,
             ]
         )
-        change_per_kelvin = 0.5 * identify_table.temperature_coefficient * elastic_fractions
-        rotation_uncertainty = (
+        changes_per_kelvin = 0.5 * identify_table.temperature_coefficient * elastic_fractions
+        rotation_uncertainties = (
             identify_table.stiffening_deviation
             * (1.0 - elastic_fractions)
-            * change_per_kelvin
+            * changes_per_kelvin
             * identity_matrix
         )
-        return identify_table.before_deviation * clamp_changes, np.column_stack(
-            [change_per_kelvin, rotation_uncertainty]
+        return identify_table.before_deviation * clamp_sensitivities, np.column_stack(
+            [changes_per_kelvin, rotation_uncertainties]
         )
 
     def check_units_and_modes(
@@ -351,67 +364,71 @@ class UncrackedPlate:
         nearest to its own mode.
         """
         for row in [row for row in measurements.rows if load_frequencies and not row.natural]:
-            nearest_load = load_frequencies[
+            nearest_load_frequency = load_frequencies[
                 int(np.abs(np.log(np.divide(load_frequencies, row.frequency))).argmin())
             ]
-            if (unit_name := _guess_frequency_unit(row.frequency / nearest_load)) in ("kHz", "mHz"):
+            if (
+                unit_name := _guess_frequency_unit_or_empty(row.frequency / nearest_load_frequency)
+            ) in ("kHz", "mHz"):
                 allowed_text = (
-                    f"in Hz; the scene has {nearest_load:.4g} Hz, "
+                    f"in Hz; the scene has {nearest_load_frequency:.4g} Hz, "
                     f"so that this seems to be in {unit_name}"
                 )
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
-        rows = [row for row in rows if row.mode <= len(self.natural_frequencies)]
+        rows = [row for row in rows if row.mode <= len(self.natural_frequencies_hz)]
         speed_ratios = [
             1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
             for row in rows
         ]
-        frequencies_by_row = [
+        plate_frequencies_of_rows = [
             self.solve_modes_at(speed_ratio)[0] / RAD_PER_TURN for speed_ratio in speed_ratios
         ]
-        rows_and_frequencies = zip(rows, frequencies_by_row, strict=True)
-        unit_names = [
-            _guess_frequency_unit(row.value / plate_frequencies[row.mode - 1])
+        rows_and_frequencies = zip(rows, plate_frequencies_of_rows, strict=True)
+        guessed_unit_names = [
+            _guess_frequency_unit_or_empty(row.value / plate_frequencies[row.mode - 1])
             for row, plate_frequencies in rows_and_frequencies
         ]
-        for unit_name in FACTOR_BY_UNIT:
-            has_unit = [row_unit == unit_name for row_unit in unit_names]
+        for unit_name in FACTOR_FROM_HZ_BY_UNIT:
+            have_unit = [guessed_unit_name == unit_name for guessed_unit_name in guessed_unit_names]
             if rows and (
-                all(has_unit) if may_be_other_plate and unit_name == "rad/s" else any(has_unit)
+                all(have_unit) if may_be_other_plate and unit_name == "rad/s" else any(have_unit)
             ):
-                row = rows[has_unit.index(True)]
-                plate_frequencies = frequencies_by_row[has_unit.index(True)]
-                modes_text = "" if all(has_unit) and len(rows) > 1 else ", or of another mode"
+                row = rows[have_unit.index(True)]
+                plate_frequencies = plate_frequencies_of_rows[have_unit.index(True)]
+                modes_text = "" if all(have_unit) and len(rows) > 1 else ", or of another mode"
                 allowed_text = (
                     f"in Hz; of this plate it is about {plate_frequencies[row.mode - 1]:.4g} "
                     f"Hz, so that this seems to be in {unit_name}{modes_text}"
                 )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
         for row, plate_frequencies in (
-            zip(rows, frequencies_by_row, strict=True) if not may_be_other_plate else ()
+            zip(rows, plate_frequencies_of_rows, strict=True) if not may_be_other_plate else ()
         ):
             nearest_mode = int(np.abs(np.log(row.value / plate_frequencies)).argmin()) + 1
             if row.quantity == "frequency_uncracked" and nearest_mode != row.mode:
                 own_frequency_text, nearest_frequency_text = (
                     f"{plate_frequencies[mode - 1]:.4g} Hz" for mode in (row.mode, nearest_mode)
                 )
-                own_text = f"near {own_frequency_text} of this plate's mode {row.mode}"
-                allowed_text = f"{own_text}; its mode {nearest_mode} has {nearest_frequency_text}"
+                own_mode_text = f"near {own_frequency_text} of this plate's mode {row.mode}"
+                allowed_text = (
+                    f"{own_mode_text}; its mode {nearest_mode} has {nearest_frequency_text}"
+                )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
 
 
-def _guess_frequency_unit(frequency_ratio: float) -> str:
+def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
     """Guess a number's unit by its ratio to the number in Hz.
 
     Empty for Hz or no match.
     """
     # No crack changes a frequency by a factor of exp(0.3).
-    matching_units = (
+    matching_unit_names = (
         unit_name
-        for unit_name, unit_factor in FACTOR_BY_UNIT.items()
+        for unit_name, unit_factor in FACTOR_FROM_HZ_BY_UNIT.items()
         if abs(np.log(frequency_ratio / unit_factor)) < 0.3
     )
-    return next(matching_units, "")
+    return next(matching_unit_names, "")
 
 
 class BaselineChanges:
@@ -421,13 +438,13 @@ class BaselineChanges:
 
     Attributes
     ----------
-    temperature_factors : (q,)
+    temperature_frequency_factors : (q,)
         Factors of predictions by known temperatures.
-    clamp_changes : (q, s)
+    clamp_frequency_changes : (q, s)
         Relative changes by the clamp, a standard deviation each.
-    unknown_temperature_changes : (q, s)
+    unknown_temperature_frequency_changes : (q, s)
         Relative changes by an unknown temperature, in the first column, and its uncertainty.
-    known_temperature_changes : (q, s)
+    temperature_error_frequency_changes : (q, s)
         Relative changes by errors of known temperatures: by the coefficient, the thermometer and
         rotation.
     """
@@ -444,7 +461,7 @@ class BaselineChanges:
         Records before it are at the stated temperature, or at an unknown one.
         """
         identify_table = uncracked_plate.identify_table
-        n_modes = len(uncracked_plate.natural_frequencies)
+        n_modes = len(uncracked_plate.natural_frequencies_hz)
         is_baseline = np.array(
             [measurement.quantity == "frequency_uncracked" for measurement in rows]
         )
@@ -457,50 +474,58 @@ class BaselineChanges:
         has_known_offset = (
             is_baseline & np.isfinite(stated_temperatures) & (len(current_temperatures) > 0)
         )
-        self.temperature_factors = np.ones(len(rows))
-        kelvin_changes = np.zeros((len(rows), 1 + n_modes))
-        self.clamp_changes = np.zeros((len(rows), 3 + n_modes))
-        sensitivities_by_ratio = {
-            speed_ratio: uncracked_plate.compute_baseline_sensitivities(speed_ratio)
+        self.temperature_frequency_factors = np.ones(len(rows))
+        changes_per_kelvin = np.zeros((len(rows), 1 + n_modes))
+        self.clamp_frequency_changes = np.zeros((len(rows), 3 + n_modes))
+        sensitivities_by_speed_ratio = {
+            speed_ratio: uncracked_plate.compute_clamp_and_temperature_sensitivities(speed_ratio)
             for speed_ratio in set(speed_ratios)
         }
         for row_index, (measurement, speed_ratio) in enumerate(
             zip(rows, speed_ratios, strict=True)
         ):
             if measurement.natural and measurement.mode <= n_modes:
-                clamp_sensitivities, kelvin_sensitivities = sensitivities_by_ratio[speed_ratio]
-                self.clamp_changes[row_index] = (
+                clamp_sensitivities, temperature_sensitivities = sensitivities_by_speed_ratio[
+                    speed_ratio
+                ]
+                self.clamp_frequency_changes[row_index] = (
                     is_baseline[row_index] * clamp_sensitivities[measurement.mode - 1]
                 )
-                kelvin_changes[row_index] = kelvin_sensitivities[measurement.mode - 1]
+                changes_per_kelvin[row_index] = temperature_sensitivities[measurement.mode - 1]
                 modulus_ratio = (
                     1.0 + identify_table.temperature_coefficient * temperature_offsets[row_index]
                 )
-                self.temperature_factors[row_index] = uncracked_plate.compute_stiffening_factors(
-                    speed_ratio, modulus_ratio
-                )[measurement.mode - 1]
+                self.temperature_frequency_factors[row_index] = (
+                    uncracked_plate.compute_frequency_factors_by_modulus(
+                        speed_ratio, modulus_ratio
+                    )[measurement.mode - 1]
+                )
         has_unknown_offset = (is_baseline & ~has_known_offset)[:, None]
-        self.unknown_temperature_changes = (
+        self.unknown_temperature_frequency_changes = (
             -identify_table.inference_setting_by_key["temperature_deviation"]
             * has_unknown_offset
-            * kelvin_changes
+            * changes_per_kelvin
         )
-        known_offset_changes = [
+        temperature_error_blocks = [
             identify_table.coefficient_deviation
             * temperature_offsets[:, None]
-            * kelvin_changes[:, :1],
+            * changes_per_kelvin[:, :1],
             identify_table.thermometer_deviation
             * has_known_offset[:, None]
-            * kelvin_changes[:, :1],
-            temperature_offsets[:, None] * kelvin_changes[:, 1:],
+            * changes_per_kelvin[:, :1],
+            temperature_offsets[:, None] * changes_per_kelvin[:, 1:],
         ]
-        self.known_temperature_changes = np.hstack(known_offset_changes)
+        self.temperature_error_frequency_changes = np.hstack(temperature_error_blocks)
 
     @property
-    def all_changes(self) -> np.ndarray:
-        """Return all relative changes: (q, s)."""
+    def frequency_changes(self) -> np.ndarray:
+        """Return all relative changes of frequencies: (q, s)."""
         return np.hstack(
-            [self.unknown_temperature_changes, self.clamp_changes, self.known_temperature_changes]
+            [
+                self.unknown_temperature_frequency_changes,
+                self.clamp_frequency_changes,
+                self.temperature_error_frequency_changes,
+            ]
         )
 
     def with_change_factors(
@@ -508,9 +533,9 @@ class BaselineChanges:
     ) -> BaselineChanges:
         """Return a copy with the changes by clamp and unknown temperature multiplied."""
         scaled_changes = copy(self)
-        scaled_changes.clamp_changes = clamp_factor * self.clamp_changes
-        scaled_changes.unknown_temperature_changes = (
-            temperature_factor * self.unknown_temperature_changes
+        scaled_changes.clamp_frequency_changes = clamp_factor * self.clamp_frequency_changes
+        scaled_changes.unknown_temperature_frequency_changes = (
+            temperature_factor * self.unknown_temperature_frequency_changes
         )
         return scaled_changes
 
@@ -522,7 +547,7 @@ def _solve_plate_modes(scene: Scene) -> Modes:
     return solve_modes(structure, n_modes, lips="tied" if structure.n_pairs else "open")
 
 
-def _build_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
+def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
     """Build rigid motions about the clamp's middle, translations first.
 
     Returns
@@ -543,26 +568,28 @@ def _build_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
         return np.zeros((modes.structure.n_local, 0)), 0
     node_motions = rigid_motions(structure_nodes.points - clamped_points.mean(axis=0))
     motion_columns = np.zeros((modes.structure.n_local, len(node_motions)))
-    dof_numbers = structure_nodes.dofs.ravel()
-    motion_columns[dof_numbers[dof_numbers >= 0]] = node_motions[:, dof_numbers >= 0].T
+    dofs_of_nodes = structure_nodes.dofs.ravel()
+    motion_columns[dofs_of_nodes[dofs_of_nodes >= 0]] = node_motions[:, dofs_of_nodes >= 0].T
     n_translations = structure_nodes.points.shape[1]
     motion_columns[:, :n_translations] *= np.sqrt(np.sum(np.var(clamped_points, axis=0)))
     return motion_columns, n_translations
 
 
-def _differentiate_poles(
-    features: Sequence[Feature], damping_ratios: np.ndarray, scale_and_frequencies: np.ndarray
+def _differentiate_harmonic_logs(
+    features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate logarithms of harmonics through their poles: (m, f, modes) each.
 
     The first slopes are by ln w_j, the second by the logarithm of the damping ratio.
     """
-    r, pole_factors = compute_ratios_and_poles(features, damping_ratios, scale_and_frequencies)
+    r, pole_factors = compute_ratios_and_pole_factors(
+        features, damping_ratios, split_root_and_frequencies
+    )
     damping_slopes = 2j * damping_ratios[..., None] * r / pole_factors
     return damping_slopes - 2.0 * r**2 / pole_factors, -damping_slopes
 
 
-def compute_crack_deviations(
+def compute_deviations_from_equivalent_crack(
     x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
 ) -> np.ndarray:
     """Return standard deviations (m, d) of a crack from the equivalent one.
@@ -570,21 +597,23 @@ def compute_crack_deviations(
     The equivalent crack is straight and sharp. They are for values x (m, d) of the unknowns.
     """
     identify_table = scene.given("identify")
-    crack_deviations = np.zeros_like(x)
-    crack_reaches = np.zeros(len(x))
+    equivalence_deviations = np.zeros_like(x)
+    crack_extents = np.zeros(len(x))
     for size_key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
         crack_sizes = np.full(
             len(x), getattr(scene.crack, size_key.removeprefix("crack."), None) or 0.0
         )
         if size_key in unknown_keys:
             crack_sizes = x[:, unknown_keys.index(size_key)]
-            common_deviation = identify_table.crack_deviation * np.sqrt(
+            common_relative_deviation = identify_table.crack_deviation * np.sqrt(
                 identify_table.crack_correlation
             )
             # Frequencies change with its square.
-            crack_deviations[:, unknown_keys.index(size_key)] = common_deviation / 2.0 * crack_sizes
-        crack_reaches = np.where(crack_sizes > 0.0, crack_sizes, crack_reaches)
+            equivalence_deviations[:, unknown_keys.index(size_key)] = (
+                common_relative_deviation / 2.0 * crack_sizes
+            )
+        crack_extents = np.where(crack_sizes > 0.0, crack_sizes, crack_extents)
     if "crack.height" in unknown_keys:
         tilt_slope = np.tan(np.radians(identify_table.angle_deviation))
-        crack_deviations[:, unknown_keys.index("crack.height")] = tilt_slope * crack_reaches
-    return crack_deviations
+        equivalence_deviations[:, unknown_keys.index("crack.height")] = tilt_slope * crack_extents
+    return equivalence_deviations

@@ -42,9 +42,9 @@ class Options:
     """Maximum number of starts of least squares."""
     refined_half_width: float = 5.0
     """Half width [standard deviations] for the refined grid around an optimum."""
-    allowed_optimum_drop: float = 8.0
+    allowed_optimum_log_drop: float = 8.0
     """Optima further below the maximum of log L are neglected."""
-    allowed_grid_drop: float = 300.0
+    allowed_grid_log_drop: float = 300.0
     """Grid points further below the maximum of log L are not evaluated again."""
     batch_size: int = 500
     """Number of points per evaluation of the likelihood, to bound memory."""

@@ -7,14 +7,14 @@ have a covariance T(x):
 
 Since det V is at least det diag(e^2), both terms are squares, and least squares find the maxima. If
 a crack may breathe or not, L is the sum over both, each with its probability
-(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_states`).
+(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_state_predictions`).
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
 crack. L is convolved on the grid with the distribution of the difference
-(:func:`fenics_crack.monitoring.identification.nuisance.compute_crack_deviations`). Regions hold a
-share of the posterior's mass, the densest parts first. The integral of L over the prior is the
-evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms,
-2003, chapter 28).
+(:func:`fenics_crack.monitoring.identification.nuisance.compute_deviations_from_equivalent_crack`).
+Regions hold a share of the posterior's mass, the densest parts first. The integral of L over the
+prior is the evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning
+Algorithms, 2003, chapter 28).
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from fenics_crack.monitoring.identification.interpolation import UnknownGrid
 from fenics_crack.monitoring.identification.model import MeasurementPrediction, MeasurementPredictor
 from fenics_crack.monitoring.identification.options import OPTIONS
 
-FIRST_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
+FIRST_GRID_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
 """Values per unknown in the first grid, by the number of unknowns; 9 for more."""
-REFINED_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
+REFINED_GRID_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
 """Further values around each optimum, by the number of unknowns; 7 for more."""
 
 
-def add_uniform_prior(fisher_information: np.ndarray) -> np.ndarray:
+def add_uniform_prior_information(fisher_information: np.ndarray) -> np.ndarray:
     """Add the information of a uniform prior to the Fisher information (d, d).
 
     The unknowns are relative to their ranges.
@@ -95,9 +95,9 @@ class Likelihood:
 
     def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at x (d,) in the most probable state of the crack faces."""
-        state_residuals = self._iterate_state_residuals(x[None])
+        states_with_residuals = self._iterate_state_residuals(x[None])
         return min(
-            state_residuals,
+            states_with_residuals,
             key=lambda indices_residuals_prediction: np.sum(indices_residuals_prediction[1] ** 2),
         )[2]
 
@@ -115,7 +115,11 @@ class Likelihood:
         MeasurementPrediction
             Predictions there.
         """
-        for point_indices, probabilities, prediction in self.predictor.iterate_face_states(x):
+        for (
+            point_indices,
+            probabilities,
+            prediction,
+        ) in self.predictor.iterate_face_state_predictions(x):
             cholesky_factor = np.linalg.cholesky(
                 compute_scaled_covariance(
                     prediction, self.measurement_values, self.measurement_deviations
@@ -139,15 +143,15 @@ class Likelihood:
                 prediction,
             )
 
-    def compute_temperature_change(self, x: np.ndarray) -> float:
-        """Return the posterior mean of the unknown temperature change since the baseline.
+    def compute_normalised_temperature_change(self, x: np.ndarray) -> float:
+        """Return the normalised temperature change since the baseline at x (d,).
 
-        The mean is at x (d,), in standard deviations of the prior.
+        It is the posterior mean of the unknown change, in standard deviations of the prior.
         """
         prediction = self.predict_most_probable(x)
         temperature_slopes = (
             prediction.values[0]
-            * self.predictor.baseline_changes.unknown_temperature_changes[:, 0]
+            * self.predictor.baseline_changes.unknown_temperature_frequency_changes[:, 0]
             / self.measurement_deviations
         )
         scaled_differences = (
@@ -161,62 +165,70 @@ class Likelihood:
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
         """Return True for x (m, d) that explain the measurements if chosen before measuring."""
         return np.asarray(
-            self._compute_chi_square(x, 0)[1]
+            self._compute_chi_squares_and_p_values(x, 0)[1]
             >= 1.0 - self.predictor.model.identify_table.confidence
         )
 
-    def compute_misfit(self, x: np.ndarray) -> tuple[float, float]:
+    def compute_chi_square_and_p_value(self, x: np.ndarray) -> tuple[float, float]:
         """Return chi^2 at the best x (d,), and its p-value.
 
         The degrees of freedom are the measurements less the fitted numbers.
         """
-        chi_squares, p_values = self._compute_chi_square(x[None], len(x))
+        chi_squares, p_values = self._compute_chi_squares_and_p_values(x[None], len(x))
         return float(chi_squares[0]), float(p_values[0])
 
-    def _compute_chi_square(self, x: np.ndarray, n_fitted: int) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_chi_squares_and_p_values(
+        self, x: np.ndarray, n_fitted_unknowns: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return chi^2 at x (m, d) and its p-value: (m,) each.
 
-        ``n_fitted`` of the unknowns are fitted.
+        ``n_fitted_unknowns`` of the unknowns are fitted.
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
-            len(self.measurement_values) - n_fitted - self.predictor(x[:1]).load_changes.shape[2]
+            len(self.measurement_values)
+            - n_fitted_unknowns
+            - self.predictor(x[:1]).load_induced_changes.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
-    def without_measurement(self, omitted_row: int) -> Likelihood:
+    def without_measurement(self, omitted_row_index: int) -> Likelihood:
         """Return the likelihood of all measurements but one."""
-        is_kept = np.arange(len(self.measurement_values)) != omitted_row
-        rows = [
+        is_kept = np.arange(len(self.measurement_values)) != omitted_row_index
+        kept_rows = [
             measurement
             for measurement, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
             if is_kept_row
         ]
-        predictor = self.predictor.model.make_predictor(rows)
+        predictor = self.predictor.model.make_predictor(kept_rows)
         return Likelihood(
             self.measurement_values[is_kept], self.measurement_deviations[is_kept], predictor
         )
 
 
 def compute_scaled_covariance(
-    prediction: MeasurementPrediction, values: np.ndarray, deviations: np.ndarray
+    prediction: MeasurementPrediction,
+    measurement_values: np.ndarray,
+    measurement_deviations: np.ndarray,
 ) -> np.ndarray:
     """Return V over the products of standard deviations (q,): (m, q, q).
 
     Measured values (q,) without a prediction get a standard deviation of ten times the value.
     """
-    are_predictable = np.outer(prediction.is_predictable, prediction.is_predictable)
+    is_predictable_pair = np.outer(prediction.is_predictable, prediction.is_predictable)
     prediction_covariance = (
-        prediction.covariance + prediction.load_changes @ prediction.load_changes.transpose(0, 2, 1)
+        prediction.covariance
+        + prediction.load_induced_changes @ prediction.load_induced_changes.transpose(0, 2, 1)
     )
     vague_deviations = np.where(
-        prediction.is_predictable, 0.0, 10.0 * (np.abs(values) + deviations)
+        prediction.is_predictable, 0.0, 10.0 * (np.abs(measurement_values) + measurement_deviations)
     )
-    prediction_covariance = np.where(are_predictable, prediction_covariance, 0.0) + np.diag(
+    prediction_covariance = np.where(is_predictable_pair, prediction_covariance, 0.0) + np.diag(
         vague_deviations**2
     )
     return np.asarray(
-        np.eye(len(values)) + prediction_covariance / np.outer(deviations, deviations)
+        np.eye(len(measurement_values))
+        + prediction_covariance / np.outer(measurement_deviations, measurement_deviations)
     )
 
 
@@ -237,7 +249,7 @@ class Optimum:
     covariance: np.ndarray
 
 
-class Branch:
+class PosteriorBranch:
     """The posterior for a choice of words, on a grid with more points around optima.
 
     Attributes
@@ -262,19 +274,20 @@ class Branch:
             self.prior_masses = np.ones(())
             self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
-        first_axes = _list_first_axes(unknown_grid)
-        first_log_likelihood = _evaluate_log_likelihood(
-            likelihood, _list_grid_points(first_axes)
+        first_axes = _build_first_axes(unknown_grid)
+        first_grid_log_likelihood = _evaluate_log_likelihood(
+            likelihood, _build_grid_points(first_axes)
         ).reshape([len(axis) for axis in first_axes])
-        self.optima = _find_optima(likelihood, first_axes, first_log_likelihood)
-        compute_crack_deviations = likelihood.predictor.model.compute_crack_deviations
+        self.optima = _find_optima(likelihood, first_axes, first_grid_log_likelihood)
+        model = likelihood.predictor.model
         best_optima = self.optima[:3]
-        optimum_reaches = [
+        optimum_half_widths = [
             OPTIONS.refined_half_width * np.sqrt(np.diag(optimum.covariance))
             for optimum in best_optima
         ]
-        crack_reaches = [
-            OPTIONS.refined_half_width * compute_crack_deviations(optimum.x[None])[0]
+        crack_half_widths = [
+            OPTIONS.refined_half_width
+            * model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
             for optimum in best_optima
         ]
         refined_axes = []
@@ -282,15 +295,15 @@ class Branch:
             zip(first_axes, unknown_grid.lower_bounds, unknown_grid.upper_bounds, strict=True)
         ):
             axis_pieces = [axis]
-            for optimum, optimum_reach, crack_reach in zip(
-                best_optima, optimum_reaches, crack_reaches, strict=True
+            for optimum, optimum_half_width, crack_half_width in zip(
+                best_optima, optimum_half_widths, crack_half_widths, strict=True
             ):
                 for half_width in (
-                    optimum_reach[unknown_index],
-                    math.hypot(optimum_reach[unknown_index], crack_reach[unknown_index]),
+                    optimum_half_width[unknown_index],
+                    math.hypot(optimum_half_width[unknown_index], crack_half_width[unknown_index]),
                 ):
                     axis_piece = optimum.x[unknown_index] + half_width * np.linspace(
-                        -1.0, 1.0, REFINED_COUNT_BY_DIMENSION.get(n_unknowns, 7)
+                        -1.0, 1.0, REFINED_GRID_COUNT_BY_DIMENSION.get(n_unknowns, 7)
                     )
                     axis_pieces.append(
                         axis_piece[(axis_piece > lower_bound) & (axis_piece < upper_bound)]
@@ -298,24 +311,24 @@ class Branch:
             refined_axes.append(np.unique(np.concatenate(axis_pieces)))
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in refined_axes]
         self.axes, self.prior_masses = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
-        grid_points = _list_grid_points(refined_axes)
+        grid_points = _build_grid_points(refined_axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
-        neighbourhood_maxima = maximum_filter(first_log_likelihood, size=3, mode="nearest")
-        min_log_likelihood = self.optima[0].log_likelihood - OPTIONS.allowed_grid_drop
+        neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
+        log_likelihood_limit = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
         is_evaluated = (
             RegularGridInterpolator(first_axes, neighbourhood_maxima)(grid_points)
-            > min_log_likelihood
+            > log_likelihood_limit
         )
-        for optimum, optimum_reach in zip(best_optima, optimum_reaches, strict=True):
-            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_reach, axis=1)
-        refined_log_likelihood = RegularGridInterpolator(first_axes, first_log_likelihood)(
+        for optimum, optimum_half_width in zip(best_optima, optimum_half_widths, strict=True):
+            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_half_width, axis=1)
+        refined_log_likelihood = RegularGridInterpolator(first_axes, first_grid_log_likelihood)(
             grid_points
         )
         refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
             likelihood, grid_points[is_evaluated]
         )
-        crack_deviations = compute_crack_deviations(grid_points)
-        self.grid_log_likelihood = _convolve_crack_deviations(
+        crack_deviations = model.compute_deviations_from_equivalent_crack(grid_points)
+        self.grid_log_likelihood = _convolve_with_crack_deviations(
             refined_log_likelihood.reshape(self.prior_masses.shape),
             refined_axes,
             axis_weights,
@@ -327,7 +340,7 @@ class Branch:
         """Return the log of the integral of L over the prior."""
         return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
 
-    def get_value_by_key(self, x: np.ndarray) -> dict[str, Any]:
+    def get_unknown_values_by_key(self, x: np.ndarray) -> dict[str, Any]:
         """Return all unknowns by key, words and numbers x (d,)."""
         model = self.likelihood.predictor.model
         return model.word_by_key | dict(zip(model.unknown_keys, x.tolist(), strict=True))
@@ -343,8 +356,10 @@ class Branch:
         )
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
-    def compute_interpolation_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the share of interpolation in the variance of each measurement.
+    def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return points that explain the measurements, and shares of interpolation.
+
+        A share is that of a measurement's variance.
 
         Returns
         -------
@@ -353,28 +368,28 @@ class Branch:
         (m, d, q)
             Share of the interpolation along each unknown there.
         """
-        likelihood, explaining_points = self.likelihood, [np.zeros((0, len(self.axes)))]
+        likelihood, explaining_point_arrays = self.likelihood, [np.zeros((0, len(self.axes)))]
         share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
         grid_points_and_optima = np.vstack(
             [
-                list_first_grid_points(likelihood.predictor.model.unknown_grid),
+                build_first_grid_points(likelihood.predictor.model.unknown_grid),
                 *(optimum.x for optimum in self.optima),
             ]
         )
-        for point_batch in _split_into_batches(grid_points_and_optima):
+        for point_batch in _split_points_into_batches(grid_points_and_optima):
             if len(x := point_batch[likelihood.explains_measurements(point_batch)]):
-                variances_by_unknown, total_variances = (
-                    likelihood.predictor.compute_interpolation_variances(x)
+                variances_along_unknowns, total_variances = (
+                    likelihood.predictor.compute_interpolation_and_total_variances(x)
                 )
-                explaining_points.append(x)
+                explaining_point_arrays.append(x)
                 share_arrays.append(
-                    variances_by_unknown
+                    variances_along_unknowns
                     / (total_variances + likelihood.measurement_deviations**2)[:, None]
                 )
-        return np.vstack(explaining_points), np.vstack(share_arrays)
+        return np.vstack(explaining_point_arrays), np.vstack(share_arrays)
 
 
-def _convolve_crack_deviations(
+def _convolve_with_crack_deviations(
     log_likelihood: np.ndarray,
     axes: list[np.ndarray],
     axis_weights: list[np.ndarray],
@@ -384,58 +399,60 @@ def _convolve_crack_deviations(
 
     The standard deviations (n, d) describe the crack's difference from the equivalent crack.
     """
-    max_log_likelihood = log_likelihood.max()
-    relative_likelihood = np.exp(log_likelihood - max_log_likelihood)
-    for unknown_index, (axis_values, axis_weight) in enumerate(
+    largest_log_likelihood = log_likelihood.max()
+    relative_likelihood = np.exp(log_likelihood - largest_log_likelihood)
+    for unknown_index, (axis_values, weights_along_axis) in enumerate(
         zip(axes, axis_weights, strict=True)
     ):
-        kernel_width = np.moveaxis(
+        kernel_widths = np.moveaxis(
             crack_deviations[:, unknown_index].reshape(log_likelihood.shape), unknown_index, -1
         )
-        if not kernel_width.any():
+        if not kernel_widths.any():
             continue
-        kernel_width = np.maximum(kernel_width, 0.1 * np.gradient(axis_values))[
+        kernel_widths = np.maximum(kernel_widths, 0.1 * np.gradient(axis_values))[
             ..., None
         ]  # no effect below
-        kernel_matrix = axis_weight * np.exp(
-            -0.5 * ((axis_values - axis_values[:, None]) / kernel_width) ** 2
+        kernel_matrix = weights_along_axis * np.exp(
+            -0.5 * ((axis_values - axis_values[:, None]) / kernel_widths) ** 2
         )
         kernel_matrix /= kernel_matrix.sum(axis=-1, keepdims=True)
-        node_masses = np.moveaxis(relative_likelihood, unknown_index, -1) * axis_weight
+        relative_masses = np.moveaxis(relative_likelihood, unknown_index, -1) * weights_along_axis
         relative_likelihood = np.moveaxis(
-            np.einsum("...j,...ji->...i", node_masses, kernel_matrix) / axis_weight,
+            np.einsum("...j,...ji->...i", relative_masses, kernel_matrix) / weights_along_axis,
             -1,
             unknown_index,
         )
     return np.asarray(
-        np.log(np.maximum(relative_likelihood, np.finfo(float).tiny)) + max_log_likelihood
+        np.log(np.maximum(relative_likelihood, np.finfo(float).tiny)) + largest_log_likelihood
     )
 
 
-def _list_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
+def _build_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
     """Return equally spaced values of each unknown for the first grid."""
-    n_values = FIRST_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
+    n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
     return [
         np.linspace(axis_values[0], axis_values[-1], n_values) for axis_values in unknown_grid.axes
     ]
 
 
-def list_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
+def build_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
     """Return the points of the first grid: (n, d)."""
-    return _list_grid_points(_list_first_axes(unknown_grid))
+    return _build_grid_points(_build_first_axes(unknown_grid))
 
 
-def _list_grid_points(axes: list[np.ndarray]) -> np.ndarray:
+def _build_grid_points(axes: list[np.ndarray]) -> np.ndarray:
     """Return the points of a grid, the last unknown fastest: (n, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
     """Return log L at many points (n, d): (n,)."""
-    return np.concatenate([likelihood(point_batch) for point_batch in _split_into_batches(points)])
+    return np.concatenate(
+        [likelihood(point_batch) for point_batch in _split_points_into_batches(points)]
+    )
 
 
-def _split_into_batches(points: np.ndarray) -> list[np.ndarray]:
+def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
     """Split points (n, d) into batches."""
     return np.array_split(points, -(-len(points) // OPTIONS.batch_size))
 
@@ -447,17 +464,17 @@ def _find_optima(
 
     Duplicates and much worse ones are left out.
     """
-    local_maxima = np.argwhere(
+    local_maximum_indices = np.argwhere(
         log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
     )
-    start_indices = sorted(local_maxima, key=lambda grid_index: -log_likelihood[tuple(grid_index)])[
-        : OPTIONS.max_least_squares_starts
-    ]
+    start_grid_indices = sorted(
+        local_maximum_indices, key=lambda grid_index: -log_likelihood[tuple(grid_index)]
+    )[: OPTIONS.max_least_squares_starts]
     optima: list[Optimum] = []
     unknown_grid = likelihood.predictor.model.unknown_grid
     lower_bounds = unknown_grid.lower_bounds
     unknown_ranges = unknown_grid.upper_bounds - unknown_grid.lower_bounds
-    for grid_index in start_indices:
+    for grid_index in start_grid_indices:
         start_point = np.array(
             [
                 axis_values[axis_index]
@@ -465,12 +482,12 @@ def _find_optima(
             ]
         )
 
-        def fractions_to_residuals(fractions: np.ndarray) -> np.ndarray:
+        def compute_residuals_at_fractions(fractions: np.ndarray) -> np.ndarray:
             return likelihood.compute_residuals((lower_bounds + unknown_ranges * fractions)[None])[
                 0
             ]
 
-        def fractions_to_slopes(fractions: np.ndarray) -> np.ndarray:
+        def compute_slopes_at_fractions(fractions: np.ndarray) -> np.ndarray:
             fraction_steps = np.diag(
                 np.where(fractions < 0.5, 1e-6, -1e-6)
             )  # of the ranges, inwards
@@ -481,15 +498,15 @@ def _find_optima(
 
         fractions = np.clip((start_point - lower_bounds) / unknown_ranges, 1e-6, 1.0 - 1e-6)
         least_squares_fit = least_squares(
-            fractions_to_residuals,
+            compute_residuals_at_fractions,
             fractions,
-            fractions_to_slopes,
+            compute_slopes_at_fractions,
             bounds=(0.0, 1.0),
             x_scale=0.1,
             ftol=1e-5,
         )
         covariance = np.linalg.inv(
-            add_uniform_prior(least_squares_fit.jac.T @ least_squares_fit.jac)
+            add_uniform_prior_information(least_squares_fit.jac.T @ least_squares_fit.jac)
         ) * np.outer(unknown_ranges, unknown_ranges)
         optima.append(
             Optimum(
@@ -501,13 +518,13 @@ def _find_optima(
     optima.sort(key=lambda optimum: -optimum.log_likelihood)
     distinct_optima: list[Optimum] = []
     for optimum in optima:
-        is_near_optimum = (
+        near_optimum_flags = (
             np.all((optimum.x - distinct_optimum.x) ** 2 < np.diag(distinct_optimum.covariance))
             for distinct_optimum in distinct_optima
         )
         if optimum.log_likelihood > optima[
             0
-        ].log_likelihood - OPTIONS.allowed_optimum_drop and not any(is_near_optimum):
+        ].log_likelihood - OPTIONS.allowed_optimum_log_drop and not any(near_optimum_flags):
             distinct_optima.append(optimum)
     return distinct_optima
 
@@ -521,58 +538,57 @@ class Posterior:
         Branches by their values of the unknowns that are words.
     """
 
-    def __init__(self, branch_by_words: Mapping[str, Branch]) -> None:
+    def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
         self.branch_by_words = dict(branch_by_words)
         log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
         self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
         log_evidence_sum = logsumexp(log_evidences)
-        self.mass_by_words = {
-            branch_words: np.exp(branch.grid_log_likelihood - log_evidence_sum)
-            * branch.prior_masses
-            for branch_words, branch in self.branch_by_words.items()
+        self.grid_masses_by_words = {
+            words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
+            for words_text, branch in self.branch_by_words.items()
         }
         """Probability of each grid point; the sum is 1."""
-        self._log_likelihoods = np.concatenate(
+        self._log_likelihood_of_points = np.concatenate(
             [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
         )
-        self._point_masses = np.concatenate(
-            [point_masses.ravel() for point_masses in self.mass_by_words.values()]
+        self._mass_of_points = np.concatenate(
+            [point_masses.ravel() for point_masses in self.grid_masses_by_words.values()]
         )
 
     @property
     def best_words_and_unknowns(self) -> tuple[str, np.ndarray]:
         """Return the words and the unknowns (d,) with the largest L."""
-        branch_words = max(
+        words_text = max(
             self.branch_by_words,
-            key=lambda branch_words: self.branch_by_words[branch_words].optima[0].log_likelihood,
+            key=lambda words_text: self.branch_by_words[words_text].optima[0].log_likelihood,
         )
-        return branch_words, self.branch_by_words[branch_words].optima[0].x
+        return words_text, self.branch_by_words[words_text].optima[0].x
 
     @property
     def _best_likelihood_and_unknowns(self) -> tuple[Likelihood, np.ndarray]:
         """Return the likelihood and the unknowns (d,) with the largest L."""
-        branch_words, x = self.best_words_and_unknowns
-        return self.branch_by_words[branch_words].likelihood, x
+        words_text, x = self.best_words_and_unknowns
+        return self.branch_by_words[words_text].likelihood, x
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
         """Return chi^2 and its p-value at the largest L."""
         likelihood, x = self._best_likelihood_and_unknowns
-        return likelihood.compute_misfit(x)
+        return likelihood.compute_chi_square_and_p_value(x)
 
     @cached_property
-    def misfits_without_measurement(self) -> list[tuple[float, float]]:
+    def misfits_without_each_measurement(self) -> list[tuple[float, float]]:
         """Return chi^2 and its p-value at the same x without each of the measurements."""
         likelihood, x = self._best_likelihood_and_unknowns
         return [
-            likelihood.without_measurement(row_index).compute_misfit(x)
+            likelihood.without_measurement(row_index).compute_chi_square_and_p_value(x)
             for row_index in range(len(likelihood.measurement_values))
         ]
 
-    def compute_misfit_with_changes(
+    def compute_misfit_with_change_factors(
         self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
     ) -> tuple[float, float]:
-        """Return chi^2 and its p-value with larger changes since the baseline.
+        """Return chi^2 and its p-value with other prior changes since the baseline.
 
         They are at the same x. The factors multiply the prior changes by the clamp and by an
         unknown temperature.
@@ -581,16 +597,16 @@ class Posterior:
         predictor = likelihood.predictor.with_change_factors(
             clamp_factor=clamp_factor, temperature_factor=temperature_factor
         )
-        return replace(likelihood, predictor=predictor).compute_misfit(x)
+        return replace(likelihood, predictor=predictor).compute_chi_square_and_p_value(x)
 
     @cached_property
-    def mean_temperature_change(self) -> float:
-        """Return the mean temperature change since the baseline at the largest L.
+    def mean_normalised_temperature_change(self) -> float:
+        """Return the normalised temperature change since the baseline at the largest L.
 
-        The mean is that of the posterior, in standard deviations of the prior.
+        It is the mean of the posterior, in standard deviations of the prior.
         """
         likelihood, x = self._best_likelihood_and_unknowns
-        return likelihood.compute_temperature_change(x)
+        return likelihood.compute_normalised_temperature_change(x)
 
     @cached_property
     def unresolved_probability(self) -> float:
@@ -600,7 +616,7 @@ class Posterior:
         an unknown, as on a thin ridge.
         """
         unresolved_sum = 0.0
-        for branch_words, branch in self.branch_by_words.items():
+        for words_text, branch in self.branch_by_words.items():
             is_unresolved = np.zeros(branch.grid_log_likelihood.shape, dtype=bool)
             for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
                 neighbour_footprint = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
@@ -608,17 +624,17 @@ class Posterior:
                     branch.grid_log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
                 )
                 is_unresolved |= branch.grid_log_likelihood - neighbour_maxima > 2.0
-            unresolved_sum += float(np.sum(self.mass_by_words[branch_words][is_unresolved]))
+            unresolved_sum += float(np.sum(self.grid_masses_by_words[words_text][is_unresolved]))
         return unresolved_sum
 
-    def find_region_level(self, probability: float) -> float:
+    def find_region_border_log_likelihood(self, probability: float) -> float:
         """Return log L at the border of the region with a probability."""
-        descending_order = np.argsort(-self._log_likelihoods)
-        cumulative_masses = np.cumsum(self._point_masses[descending_order])
+        indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
+        cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
         border_index = min(
-            int(np.searchsorted(cumulative_masses, probability)), len(descending_order) - 1
+            int(np.searchsorted(cumulative_masses, probability)), len(indices_most_likely_first) - 1
         )
-        return float(self._log_likelihoods[descending_order[border_index]])
+        return float(self._log_likelihood_of_points[indices_most_likely_first[border_index]])
 
     def iterate_reached_bounds(self, probability: float) -> Iterator[tuple[int, str, float]]:
         """Iterate over bounds that the region with a probability reaches.
@@ -632,7 +648,7 @@ class Posterior:
         float
             The bound.
         """
-        border_log_likelihood = self.find_region_level(probability)
+        border_log_likelihood = self.find_region_border_log_likelihood(probability)
         branches = [*self.branch_by_words.values()]
         for unknown_index, end_index in product(range(len(branches[0].axes)), (0, -1)):
             if any(
@@ -648,21 +664,25 @@ class Posterior:
                     float(branches[0].axes[unknown_index][end_index]),
                 )
 
-    def compute_marginal(self, unknown_index: int) -> tuple[np.ndarray, np.ndarray]:
+    def compute_marginal_values_and_masses(
+        self, unknown_index: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of an unknown and their probabilities: (n,) each."""
         value_arrays, mass_arrays = [], []
-        for branch_words, branch in self.branch_by_words.items():
+        for words_text, branch in self.branch_by_words.items():
             other_axes = tuple(
                 axis_index for axis_index in range(len(branch.axes)) if axis_index != unknown_index
             )
             value_arrays.append(branch.axes[unknown_index])
-            mass_arrays.append(self.mass_by_words[branch_words].sum(axis=other_axes))
-        value_order = np.argsort(np.concatenate(value_arrays), kind="stable")
-        return np.concatenate(value_arrays)[value_order], np.concatenate(mass_arrays)[value_order]
+            mass_arrays.append(self.grid_masses_by_words[words_text].sum(axis=other_axes))
+        sorted_value_indices = np.argsort(np.concatenate(value_arrays), kind="stable")
+        return np.concatenate(value_arrays)[sorted_value_indices], np.concatenate(mass_arrays)[
+            sorted_value_indices
+        ]
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
         """Return the equal-tailed interval of an unknown with a probability."""
-        unknown_values, value_masses = self.compute_marginal(unknown_index)
+        unknown_values, value_masses = self.compute_marginal_values_and_masses(unknown_index)
         cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
         tail_probability = 0.5 * (1.0 - probability)
         lower_quantile, upper_quantile = np.interp(
@@ -677,17 +697,16 @@ class Posterior:
 
         Each part is a tuple of words, middle (d,) and mass. Parts with less mass than
         ``min_probability`` are left out. The middle is the mean or, if a bent part does not hold
-        its mean, the part's
-        nearest point.
+        its mean, the part's nearest point.
         """
-        border_log_likelihood = self.find_region_level(probability)
+        border_log_likelihood = self.find_region_border_log_likelihood(probability)
         region_parts = []
-        for branch_words, branch in self.branch_by_words.items():
+        for words_text, branch in self.branch_by_words.items():
             is_inside = branch.grid_log_likelihood >= border_log_likelihood
             part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
             for part_number in range(1, n_parts + 1):
                 is_part_point = part_numbers == part_number
-                point_masses = self.mass_by_words[branch_words][is_part_point]
+                point_masses = self.grid_masses_by_words[words_text][is_part_point]
                 if point_masses.sum() >= min_probability:
                     grid_indices = np.argwhere(is_part_point)
                     unknown_columns = [
@@ -707,28 +726,28 @@ class Posterior:
                                 np.sum(((part_points - part_middle) / part_widths) ** 2, axis=1)
                             )
                         ]
-                    region_parts.append((branch_words, part_middle, float(point_masses.sum())))
+                    region_parts.append((words_text, part_middle, float(point_masses.sum())))
         return sorted(region_parts, key=lambda part: -part[2])
 
     def compute_deviation(self, unknown_index: int) -> float:
         """Return the standard deviation of an unknown."""
-        unknown_values, value_masses = self.compute_marginal(unknown_index)
+        unknown_values, value_masses = self.compute_marginal_values_and_masses(unknown_index)
         return float(np.sqrt(np.cov(unknown_values, aweights=value_masses, ddof=0)))
 
-    def compute_pair_marginal(
-        self, branch_words: str, first_index: int, second_index: int
+    def compute_pair_mass_and_density(
+        self, words_text: str, first_unknown_index: int, second_unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a branch's mass over two unknowns, and its density: (n_first, n_second) each."""
         mass_and_prior = (
-            self.mass_by_words[branch_words],
-            self.branch_by_words[branch_words].prior_masses,
+            self.grid_masses_by_words[words_text],
+            self.branch_by_words[words_text].prior_masses,
         )
         other_axes = tuple(
             axis_index
             for axis_index in range(mass_and_prior[0].ndim)
-            if axis_index not in (first_index, second_index)
+            if axis_index not in (first_unknown_index, second_unknown_index)
         )
         pair_mass, pair_prior = (point_array.sum(axis=other_axes) for point_array in mass_and_prior)
-        if first_index > second_index:
+        if first_unknown_index > second_unknown_index:
             pair_mass, pair_prior = pair_mass.T, pair_prior.T
         return pair_mass, pair_mass / pair_prior

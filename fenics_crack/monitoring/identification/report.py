@@ -27,9 +27,9 @@ class IdentificationOutput:
 
     KIND: ClassVar[str] = IDENTIFICATION_KIND
     scene: Scene
-    summary: Mapping[str, Any]
+    summary_by_key: Mapping[str, Any]
     """Contents of ``identify.json``."""
-    picture: Path
+    picture_path: Path
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
@@ -40,10 +40,10 @@ class IdentificationOutput:
         """
         picture_path = stored_file.path.with_name("posterior.png")
         with stored_file.yield_checked_datasets() as data_by_name:
-            scene, summary = stored_file.scene(), json.loads(data_by_name["summary"])
+            scene, summary_by_key = stored_file.scene(), json.loads(data_by_name["summary"])
             if scene is None:
                 raise LookupError("scene")
-            if "priors" not in summary:
+            if "priors" not in summary_by_key:
                 raise LookupError("priors")
         picture_bytes = b""
         with suppress(OSError):
@@ -52,7 +52,7 @@ class IdentificationOutput:
             raise InputError(
                 "result", str(stored_file.path), f"with {picture_path.name} in its folder"
             )
-        return cls(scene, summary, picture_path)
+        return cls(scene, summary_by_key, picture_path)
 
 
 def report_of_identification(identify_output: IdentificationOutput) -> Report:
@@ -61,10 +61,10 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
         FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
     )
 
-    summary, estimate_rows = identify_output.summary, []
-    confidence_text = f"{100.0 * summary['priors']['confidence']:g} %"
-    for unknown_key, estimate_value in summary["estimate"].items():
-        interval_ends = summary["intervals"].get(unknown_key)  # of a word there are none
+    summary_by_key, estimate_rows = identify_output.summary_by_key, []
+    confidence_text = f"{100.0 * summary_by_key['priors']['confidence']:g} %"
+    for unknown_key, estimate_value in summary_by_key["estimate"].items():
+        interval_ends = summary_by_key["intervals"].get(unknown_key)  # of a word there are none
         limit_texts = (
             [value_in_words(unknown_key, interval_end) for interval_end in interval_ends]
             if interval_ends
@@ -74,32 +74,32 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
             [key_in_words(unknown_key), value_in_words(unknown_key, estimate_value), *limit_texts]
         )
     estimate_table = Table(("unknown", "estimate", f"{confidence_text} from", "to"), estimate_rows)
-    place_texts = [
+    interval_texts = [
         f"{unknown_key} {estimate_value} ({confidence_text}: {lower_text} to {upper_text})"
         for unknown_key, estimate_value, lower_text, upper_text in estimate_rows
         if lower_text
     ]
-    shown_place_texts = place_texts if summary["verdict"] == "crack" else []
+    shown_interval_texts = interval_texts if summary_by_key["verdict"] == "crack" else []
     priors_text = ", ".join(
-        f"{unknown_key} = {value_in_words(f'identify.{unknown_key}', estimate_value)}"
-        for unknown_key, estimate_value in summary["priors"].items()
+        f"{prior_key} = {value_in_words(f'identify.{prior_key}', prior_value)}"
+        for prior_key, prior_value in summary_by_key["priors"].items()
     )
     return Report(
         estimate_table,
         Conclusion(
-            summary.get("conclusion", summary["verdict"]),
-            further_clauses=[*shown_place_texts, summary["reason"]],
+            summary_by_key.get("conclusion", summary_by_key["verdict"]),
+            further_clauses=[*shown_interval_texts, summary_by_key["reason"]],
         ),
         notes=[
             f"priors: {priors_text}",
-            *(f"next to measure: {advice_text}" for advice_text in summary["advice"]),
+            *(f"next to measure: {advice_text}" for advice_text in summary_by_key["advice"]),
         ],
-        warnings=summary["warnings"],
+        warnings=summary_by_key["warnings"],
         page_tables={
             "Unknowns": estimate_table,
             "Measurements and predictions of the estimate": Table(
-                FIT_COLUMN_NAMES, summary["measurements"]
+                FIT_COLUMN_NAMES, summary_by_key["measurements"]
             ),
         },
-        remarks=summary["remarks"],
+        remarks=summary_by_key["remarks"],
     )

@@ -37,7 +37,7 @@ from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, read_regular_fil
 
 DATASET_BORDER_LINE = b"-1"
 """Line at the beginning and the end of each dataset."""
-NUMPY_TYPE_BY_CODE = {5: "f4", 6: "f8"}
+NUMPY_TYPE_TEXT_BY_CODE = {5: "f4", 6: "f8"}
 """NumPy types for the parts of complex numbers, single and double, by code."""
 FORTRAN_NUMBER_PATTERN = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
 """Number in text; Fortran leaves out the E of an exponent with three digits."""
@@ -71,7 +71,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
         The file cannot be read, contradicts itself, or has none.
     """
     responses = []
-    for heading_lines, number_bytes, byte_order in _iterate_datasets(
+    for heading_lines, number_bytes, byte_order in _iterate_response_datasets(
         BytesIO(read_regular_file(path, MAX_FILE_BYTES))
     ):
         heading_texts = [heading_line.decode("latin-1") for heading_line in heading_lines]
@@ -82,7 +82,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     return responses
 
 
-def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
+def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
     """Iterate over datasets 58 of a file.
 
     Yields
@@ -94,27 +94,34 @@ def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]
     byte_order : str
         "<" or ">"; empty for text.
     """
-    while file_line := file.readline():
+    while file_line := universal_file.readline():
         if file_line.strip() != DATASET_BORDER_LINE:
             continue
-        dataset_line, byte_order, number_bytes = file.readline().rstrip(), "", b""
+        dataset_line, byte_order, number_bytes = universal_file.readline().rstrip(), "", b""
         is_response = dataset_line[:6].strip() == b"58"
-        heading_lines = [dataset_line, *(file.readline().rstrip() for _ in range(11 * is_response))]
+        heading_lines = [
+            dataset_line,
+            *(universal_file.readline().rstrip() for _ in range(11 * is_response)),
+        ]
         if is_response and dataset_line[6:7].lower() == b"b":
             byte_order = {1: "<", 2: ">"}[int(dataset_line[7:13])]
             n_bytes = int(dataset_line[31:43].strip() or 0)
-            if (number_type := int(heading_lines[7][:10])) in NUMPY_TYPE_BY_CODE and int(
+            if (number_type_code := int(heading_lines[7][:10])) in NUMPY_TYPE_TEXT_BY_CODE and int(
                 heading_lines[7][20:30]
             ):
                 # Some programs announce half of their bytes.
-                n_bytes = 2 * int(heading_lines[7][10:20]) * int(NUMPY_TYPE_BY_CODE[number_type][1])
+                n_bytes = (
+                    2
+                    * int(heading_lines[7][10:20])
+                    * int(NUMPY_TYPE_TEXT_BY_CODE[number_type_code][1])
+                )
             if int(dataset_line[13:19]) != 2:
                 raise ValueError("its binary numbers are not those of IEEE 754")
-            number_bytes = file.read(n_bytes)
+            number_bytes = universal_file.read(n_bytes)
             if len(number_bytes) < n_bytes:
                 raise ValueError(f"it ends early: {len(number_bytes)} of {n_bytes} bytes")
         data_lines = []
-        while (file_line := file.readline()).strip() != DATASET_BORDER_LINE:
+        while (file_line := universal_file.readline()).strip() != DATASET_BORDER_LINE:
             if not file_line:
                 if is_response and not byte_order:
                     raise ValueError("it ends early: a dataset 58 has no end")
@@ -124,13 +131,13 @@ def _iterate_datasets(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]
             yield heading_lines, number_bytes or b"".join(data_lines), byte_order
 
 
-def _parse_numbers(number_text: bytes) -> np.ndarray:
+def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
     """Read numbers of fixed width, perhaps without blanks between them."""
-    if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_text).split():
+    if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_bytes).split():
         raise ValueError(f"{invalid_words[0][:20].decode('latin-1')!r} instead of a number")
     number_words = [
         re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", number_word)
-        for number_word in FORTRAN_NUMBER_PATTERN.findall(number_text)
+        for number_word in FORTRAN_NUMBER_PATTERN.findall(number_bytes)
     ]
     return np.array(number_words, dtype=float)
 
@@ -139,7 +146,7 @@ def _parse_response(
     heading_texts: list[str], number_bytes: bytes, byte_order: str
 ) -> FrequencyResponse:
     """Read a frequency response from its heading, the dataset's number first, and its numbers."""
-    number_type, n_lines, is_even = (
+    number_type_code, n_spectral_lines, is_equally_spaced = (
         int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
     )
     first_frequency, frequency_step = (
@@ -147,33 +154,34 @@ def _parse_response(
         for start_column in (30, 43)
     )
     motion_code = int(heading_texts[9][:10])
-    if number_type not in NUMPY_TYPE_BY_CODE:
+    if number_type_code not in NUMPY_TYPE_TEXT_BY_CODE:
         raise ValueError("a frequency response whose numbers are not complex")
     if motion_code not in DERIVATIVE_ORDER_BY_CODE:
         raise ValueError("a frequency response of no displacement, velocity or acceleration")
-    if byte_order and not is_even:
+    if byte_order and not is_equally_spaced:
         raise ValueError("a binary frequency response whose lines are not equally spaced")
     if byte_order:
-        response_values = np.frombuffer(
-            number_bytes, byte_order + NUMPY_TYPE_BY_CODE[number_type]
+        interleaved_values = np.frombuffer(
+            number_bytes, byte_order + NUMPY_TYPE_TEXT_BY_CODE[number_type_code]
         ).astype(float)
     else:
-        response_values = _parse_numbers(number_bytes.upper().replace(b"D", b"E"))
-    if len(response_values) != n_lines * (2 if is_even else 3) or not np.all(
-        np.isfinite(response_values)
+        interleaved_values = _parse_fixed_width_numbers(number_bytes.upper().replace(b"D", b"E"))
+    if len(interleaved_values) != n_spectral_lines * (2 if is_equally_spaced else 3) or not np.all(
+        np.isfinite(interleaved_values)
     ):
         raise ValueError(
-            f"{len(response_values)} finite numbers instead of those of {n_lines} lines"
+            f"{len(interleaved_values)} finite numbers instead of those of {n_spectral_lines} lines"
         )
-    if is_even:
-        frequencies = first_frequency + frequency_step * np.arange(n_lines)
+    if is_equally_spaced:
+        frequencies = first_frequency + frequency_step * np.arange(n_spectral_lines)
     else:
-        frequencies, response_values = response_values[::3], np.delete(response_values, np.s_[::3])
+        frequencies = interleaved_values[::3]
+        interleaved_values = np.delete(interleaved_values, np.s_[::3])
     if np.any(np.diff(frequencies) <= 0.0):
         raise ValueError("a frequency response whose frequencies do not increase")
     return FrequencyResponse(
         frequencies,
-        response_values[::2] + 1j * response_values[1::2],
+        interleaved_values[::2] + 1j * interleaved_values[1::2],
         DERIVATIVE_ORDER_BY_CODE[motion_code],
     )
 
@@ -213,11 +221,11 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         peak_properties["prominences"] > 0.5 * response_power[peak_indices]
     ].tolist():
         wide_fit, narrow_fit = (
-            _fit_mode(
+            _fit_mode_or_none(
                 omega,
                 receptances,
                 peak_index,
-                _lines_around_peak(
+                _find_line_slice_around_peak(
                     response_power, peak_index, power_fraction * response_power[peak_index]
                 ),
             )
@@ -238,7 +246,9 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     return np.array(mode_rows)
 
 
-def _lines_around_peak(response_power: np.ndarray, peak_index: int, min_power: float) -> slice:
+def _find_line_slice_around_peak(
+    response_power: np.ndarray, peak_index: int, min_power: float
+) -> slice:
     """Return the slice of lines around a peak with a minimum power.
 
     Lines with more power than the peak end it, too.
@@ -254,7 +264,7 @@ def _lines_around_peak(response_power: np.ndarray, peak_index: int, min_power: f
     )
 
 
-def _fit_mode(
+def _fit_mode_or_none(
     omega: np.ndarray, receptances: np.ndarray, peak_index: int, line_slice: slice
 ) -> tuple[float, float, float] | None:
     """Fit a mode by ten iterations of Sanathanan and Koerner.
@@ -265,45 +275,52 @@ def _fit_mode(
         Frequency [Hz], its standard deviation [Hz] and damping ratio. None with too few lines or
         without a stable mode.
     """
-    r, fitted_receptances = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
-    n_responses, n_lines = fitted_receptances.shape
-    if 2 * fitted_receptances.size <= 2 + 4 * n_responses:
+    r, receptances_in_slice = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
+    n_responses, n_spectral_lines = receptances_in_slice.shape
+    if 2 * receptances_in_slice.size <= 2 + 4 * n_responses:
         return None
-    residual_columns = np.kron(np.eye(n_responses), np.column_stack([np.ones(n_lines), r - 1.0]))
-    receptance_vector, tiled_r = fitted_receptances.ravel(), np.tile(r, n_responses)
+    residual_term_columns = np.kron(
+        np.eye(n_responses), np.column_stack([np.ones(n_spectral_lines), r - 1.0])
+    )
+    receptance_vector = receptances_in_slice.ravel()
+    tiled_frequency_ratios = np.tile(r, n_responses)
     equation_weights = np.ones(len(receptance_vector))
     for _ in range(10):
         weighted_design_matrix = (
             np.column_stack(
                 [
                     receptance_vector,
-                    1j * tiled_r * receptance_vector,
-                    -residual_columns,
-                    -1j * residual_columns,
+                    1j * tiled_frequency_ratios * receptance_vector,
+                    -residual_term_columns,
+                    -1j * residual_term_columns,
                 ]
             )
             * equation_weights[:, None]
         )
-        weighted_targets = receptance_vector * tiled_r**2 * equation_weights
+        weighted_targets = receptance_vector * tiled_frequency_ratios**2 * equation_weights
         real_design_matrix, real_targets = (
             np.concatenate([complex_array.real, complex_array.imag])
             for complex_array in (weighted_design_matrix, weighted_targets)
         )
         fit_coefficients = np.linalg.lstsq(real_design_matrix, real_targets, rcond=None)[0]
         equation_weights = 1.0 / np.abs(
-            fit_coefficients[0] + 1j * fit_coefficients[1] * tiled_r - tiled_r**2
+            fit_coefficients[0]
+            + 1j * fit_coefficients[1] * tiled_frequency_ratios
+            - tiled_frequency_ratios**2
         )
     if fit_coefficients[0] <= 0.0 or fit_coefficients[1] <= 0.0:
         return None
     equation_residuals = real_targets - real_design_matrix @ fit_coefficients
-    coefficient_variance = (
+    first_coefficient_variance = (
         equation_residuals
         @ equation_residuals
         / (len(real_targets) - len(fit_coefficients))
         * np.linalg.inv(real_design_matrix.T @ real_design_matrix)[0, 0]
     )
     mode_frequency = omega[peak_index] / RAD_PER_TURN * np.sqrt(fit_coefficients[0])
-    frequency_deviation = 0.5 * mode_frequency / fit_coefficients[0] * np.sqrt(coefficient_variance)
+    frequency_deviation = (
+        0.5 * mode_frequency / fit_coefficients[0] * np.sqrt(first_coefficient_variance)
+    )
     return (
         float(mode_frequency),
         float(frequency_deviation),

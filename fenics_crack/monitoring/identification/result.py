@@ -37,10 +37,10 @@ from fenics_crack.monitoring.identification.model import (
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
-    Branch,
     Likelihood,
     Posterior,
-    add_uniform_prior,
+    PosteriorBranch,
+    add_uniform_prior_information,
     compute_scaled_covariance,
 )
 from fenics_crack.scene.scene import Scene, unit_of_key
@@ -98,11 +98,11 @@ class Worth(Tabular):
         return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
 
 
-def rank_measurements(
+def rank_measurements_by_information(
     likelihood: Likelihood,
     x: np.ndarray,
     measurements: Sequence[Measurement] | None,
-    deviations: tuple[float, float],
+    default_relative_deviations: tuple[float, float],
 ) -> Worth:
     """Rank further measurements by their information at an estimate x (d,).
 
@@ -114,7 +114,7 @@ def rank_measurements(
         A standard deviation is not > 0, or a measurement is not one of the forward model.
     """
     argument_names = ("frequency_deviation", "harmonic_deviation")
-    for argument_name, deviation in zip(argument_names, deviations, strict=True):
+    for argument_name, deviation in zip(argument_names, default_relative_deviations, strict=True):
         check_number(argument_name, deviation, 0.0, excludes_bound=True)
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
     candidate_rows = tuple(measurements or ())
@@ -122,20 +122,20 @@ def rank_measurements(
         measurement.check(model.scene)
     if measurements is None:
         candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
-    n_measured = len(measured_rows)
+    n_measured_rows = len(measured_rows)
     predictor = model.make_predictor(measured_rows, candidate_rows)
     predictions = predictor(x[None]).values[0]
     candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     if measurements is None:
-        candidate_deviations = _assume_deviations(
-            candidate_rows, predictions[n_measured:], deviations
+        candidate_deviations = _assume_candidate_deviations(
+            candidate_rows, predictions[n_measured_rows:], default_relative_deviations
         )
-    is_usable = np.isfinite(predictions[n_measured:]) & (candidate_deviations > 0.0)
+    is_usable = np.isfinite(predictions[n_measured_rows:]) & (candidate_deviations > 0.0)
     all_deviations = np.concatenate(
         [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
     )
-    covariance_and_slopes = _compute_covariance_and_slopes(predictor, x, all_deviations)
-    measured_indices = np.arange(n_measured)
+    covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
+    measured_indices = np.arange(n_measured_rows)
     measured_log_determinant, measured_deviation_by_key = _compute_log_determinant_and_deviations(
         model, x, covariance_and_slopes, measured_indices
     )
@@ -144,7 +144,7 @@ def rank_measurements(
             model,
             x,
             covariance_and_slopes,
-            np.append(measured_indices, n_measured + candidate_index),
+            np.append(measured_indices, n_measured_rows + candidate_index),
         )
         for candidate_index in range(len(candidate_rows))
     ]
@@ -162,7 +162,7 @@ def rank_measurements(
         tuple(
             replace(
                 candidate_rows[candidate_index],
-                value=float(predictions[n_measured + candidate_index]),
+                value=float(predictions[n_measured_rows + candidate_index]),
                 deviation=float(candidate_deviations[candidate_index]),
             )
             for candidate_index in ranked_indices
@@ -178,7 +178,7 @@ def rank_measurements(
     )
 
 
-def _assume_deviations(
+def _assume_candidate_deviations(
     candidate_rows: Sequence[Measurement],
     predictions: np.ndarray,
     relative_deviations: tuple[float, float],
@@ -197,22 +197,27 @@ def _assume_deviations(
     return np.where(is_at_probe, own_deviations, row_relative_deviations * predictions)
 
 
-def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
-    """Describe the next measurements in words.
+def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
+    """List advice on the next measurements in words.
 
     They are missing frequencies of the plate before it had a crack, and the most informative
     measurement. Advice that changes no printed digit is left out.
     """
-    model, rows = likelihood.predictor.model, likelihood.predictor.rows
-    measured_modes = {measurement.mode for measurement in rows if measurement.natural} or {1, 2}
+    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
+    measured_modes = {measurement.mode for measurement in measured_rows if measurement.natural} or {
+        1,
+        2,
+    }
     calibrated_modes = {
-        measurement.mode for measurement in rows if measurement.quantity == "frequency_uncracked"
+        measurement.mode
+        for measurement in measured_rows
+        if measurement.quantity == "frequency_uncracked"
     }
     advice_texts, relative_deviation = [], OPTIONS.advised_frequency_deviation
     if model.coarse_cases.uncracked_cases is not None and (
         missing_modes := sorted(measured_modes - calibrated_modes)
     ):
-        missing_rows = [
+        missing_measurements = [
             Measurement(
                 "frequency_uncracked",
                 natural_frequency,
@@ -220,33 +225,39 @@ def list_advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str
                 mode=mode,
             )
             for mode, natural_frequency in enumerate(
-                model.uncracked_plate.natural_frequencies.tolist(), 1
+                model.uncracked_plate.natural_frequencies_hz.tolist(), 1
             )
             if mode in missing_modes
         ]
         modes_text = (
             f"{'ies' if len(missing_modes) > 1 else 'y'} {', '.join(map(str, missing_modes))}"
         )
-        rows_text = f"natural frequenc{modes_text} before there was a crack (frequency_uncracked)"
-        if gain_text := _describe_gain(
-            worth.now, _compute_deviations_with(likelihood, x, missing_rows)
+        missing_frequencies_text = (
+            f"natural frequenc{modes_text} before there was a crack (frequency_uncracked)"
+        )
+        if gain_text := _describe_gain_or_empty(
+            worth.now, _compute_deviation_by_key_with(likelihood, x, missing_measurements)
         ):
-            advice_texts.append(f"{rows_text}, to {relative_deviation:.1%}: {gain_text}")
+            advice_texts.append(
+                f"{missing_frequencies_text}, to {relative_deviation:.1%}: {gain_text}"
+            )
     if worth.measurements:
-        deviation_by_key = {key: float(values[0]) for key, values in worth.deviations.items()}
-        if gain_text := _describe_gain(worth.now, deviation_by_key):
+        deviation_by_key = {
+            key: float(deviations[0]) for key, deviations in worth.deviations.items()
+        }
+        if gain_text := _describe_gain_or_empty(worth.now, deviation_by_key):
             advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
     return advice_texts
 
 
-def _describe_gain(
+def _describe_gain_or_empty(
     current_deviation_by_key: Mapping[str, float], improved_deviation_by_key: Mapping[str, float]
 ) -> str:
     """Describe the gain of a measurement: "crack length to 0.2 mm in place of 1 mm".
 
     Only unknowns with a change in the printed standard deviation are named.
     """
-    printed_deviations = (
+    keys_and_deviation_texts = (
         (
             key,
             value_in_words(key, improved_deviation_by_key[key]),
@@ -256,24 +267,27 @@ def _describe_gain(
     )
     return ", ".join(
         f"{key_in_words(key)} to {improved_text} in place of {current_text}"
-        for key, improved_text, current_text in printed_deviations
+        for key, improved_text, current_text in keys_and_deviation_texts
         if improved_text != current_text
     )
 
 
-def _compute_deviations_with(
-    likelihood: Likelihood, x: np.ndarray, further_rows: Sequence[Measurement]
+def _compute_deviation_by_key_with(
+    likelihood: Likelihood, x: np.ndarray, further_measurements: Sequence[Measurement]
 ) -> dict[str, float]:
     """Return the standard deviation of each unknown with all further measurements."""
     model = likelihood.predictor.model
-    predictor = model.make_predictor(likelihood.predictor.rows, further_rows)
+    predictor = model.make_predictor(likelihood.predictor.rows, further_measurements)
     all_deviations = np.concatenate(
-        [likelihood.measurement_deviations, [measurement.deviation for measurement in further_rows]]
+        [
+            likelihood.measurement_deviations,
+            [measurement.deviation for measurement in further_measurements],
+        ]
     )
     return _compute_log_determinant_and_deviations(
         model,
         x,
-        _compute_covariance_and_slopes(predictor, x, all_deviations),
+        _compute_scaled_covariance_and_slopes(predictor, x, all_deviations),
         np.arange(len(all_deviations)),
     )[1]
 
@@ -290,14 +304,14 @@ def _compute_log_determinant_and_deviations(
     """
     selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
-    fisher_information = add_uniform_prior(
+    fisher_information = add_uniform_prior_information(
         selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
     )
     equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
         model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
     )
     crack_and_fit_deviations = np.hypot(
-        equivalent_deviations, model.compute_crack_deviations(x[None])[0]
+        equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
     )
     information_log_determinant = float(np.linalg.slogdet(fisher_information)[1])
     return information_log_determinant, dict(
@@ -308,15 +322,15 @@ def _compute_log_determinant_and_deviations(
 def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
     """List displacements for a further probe, at 24 phases of the period."""
     phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
-    for probe_group in ProbeDisplacements.group_measurements(measured_rows, ()):
+    for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
         group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
-        deviation = float(np.median([measurement.deviation for measurement in group_rows]))
-        probe_row = replace(group_rows[0], value=0.0, deviation=deviation)
+        median_deviation = float(np.median([measurement.deviation for measurement in group_rows]))
+        probe_row = replace(group_rows[0], value=0.0, deviation=median_deviation)
         candidates += [replace(probe_row, phase=phase) for phase in phases.tolist()]
     return candidates
 
 
-def _compute_covariance_and_slopes(
+def _compute_scaled_covariance_and_slopes(
     predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance of measurements and their slopes by the unknowns at x (d,).
@@ -333,9 +347,9 @@ def _compute_covariance_and_slopes(
     scaled_covariance = compute_scaled_covariance(
         prediction, np.nan_to_num(prediction.values[0]), deviations
     )[0]
-    difference_steps = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
-    upper_points = np.minimum(x + difference_steps, unknown_grid.upper_bounds)
-    lower_points = np.maximum(x - difference_steps, unknown_grid.lower_bounds)
+    difference_step_matrix = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
+    upper_points = np.minimum(x + difference_step_matrix, unknown_grid.upper_bounds)
+    lower_points = np.maximum(x - difference_step_matrix, unknown_grid.lower_bounds)
     relative_distances = np.diag(upper_points - lower_points) / (
         unknown_grid.upper_bounds - unknown_grid.lower_bounds
     )
@@ -381,7 +395,7 @@ class Identification(Tabular):
     @property
     def unknown(self) -> tuple[str, ...]:
         """Return the keys of the unknowns that are numbers."""
-        return self._estimate_branch_and_unknowns[0].likelihood.predictor.model.unknown_keys
+        return self._branch_and_unknowns_of_estimate[0].likelihood.predictor.model.unknown_keys
 
     @property
     def priors(self) -> dict[str, float]:
@@ -403,14 +417,14 @@ class Identification(Tabular):
         )
 
     @cached_property
-    def _estimate_branch_and_unknowns(self) -> tuple[Branch, np.ndarray]:
+    def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
         """Return the branch and the unknowns (d,) of the estimate."""
-        branch_words, x = (
+        words_text, x = (
             self._region_parts[0][:2]
             if self._region_parts
             else self.posterior.best_words_and_unknowns
         )
-        return self.posterior.branch_by_words[branch_words], x
+        return self.posterior.branch_by_words[words_text], x
 
     @property
     def estimate(self) -> dict[str, Any]:
@@ -418,8 +432,8 @@ class Identification(Tabular):
 
         Words have their values there.
         """
-        branch, x = self._estimate_branch_and_unknowns
-        return branch.get_value_by_key(x)
+        branch, x = self._branch_and_unknowns_of_estimate
+        return branch.get_unknown_values_by_key(x)
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
@@ -455,14 +469,14 @@ class Identification(Tabular):
         "No crack" comes with the sizes, upper ends of :attr:`intervals`, up to which a crack may
         exist all the same.
         """
-        upper_ends = [
+        keys_and_upper_ends = [
             (key, upper_end)
             for key, (_, upper_end) in self.intervals.items()
             if key in CRACK_SIZE_KEYS
         ]
         size_texts = [
             f"{value_in_words(key, upper_end)} of {key_in_words(key)}"
-            for key, upper_end in upper_ends
+            for key, upper_end in keys_and_upper_ends
         ]
         above_text = f" above {' or '.join(size_texts)}" if size_texts else " of the scene's size"
         return self.verdict + above_text * (self.verdict == NO_CRACK_VERDICT)
@@ -481,39 +495,46 @@ class Identification(Tabular):
         undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
             return undecided_verdict, "there is no plate without a crack to compare with"
-        min_p_value = 1.0 - prior_by_key["confidence"]
-        min_log_bayes_factor = prior_by_key["log_bayes_factor"]
+        required_p_value = 1.0 - prior_by_key["confidence"]
+        required_log_bayes_factor = prior_by_key["log_bayes_factor"]
         crack_p_value = self.misfit[1]
         uncracked_p_value = self.plain.misfit[1]
         log_bayes_factor = self.log_bayes_factor
-        factor_text = f"log Bayes factor {log_bayes_factor:.3g}, crack over no crack"
-        if max(crack_p_value, uncracked_p_value) < min_p_value:
+        bayes_factor_text = f"log Bayes factor {log_bayes_factor:.3g}, crack over no crack"
+        if max(crack_p_value, uncracked_p_value) < required_p_value:
             reason_text = (
                 "neither a crack of this kind nor a plate without one explains the measurements"
             )
             alternatives_text = (
                 "two cracks, one of another kind or elsewhere, or a wrong measurement might"
             )
-            return undecided_verdict, f"{reason_text}; {alternatives_text} ({factor_text})"
-        if log_bayes_factor > min_log_bayes_factor and uncracked_p_value >= min_p_value:
+            return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
+        if log_bayes_factor > required_log_bayes_factor and uncracked_p_value >= required_p_value:
             reason_text = "a plate without a crack explains the measurements within its priors"
             return (
                 undecided_verdict,
-                f"{reason_text} ({factor_text}){_describe_unchanged_plate_condition(self)}",
+                f"{reason_text} ({bayes_factor_text})"
+                f"{_describe_unchanged_plate_condition_or_empty(self)}",
             )
-        if log_bayes_factor < -min_log_bayes_factor:
+        if log_bayes_factor < -required_log_bayes_factor:
             unseen_crack_text = (
-                f"{factor_text}; an undetected one would be at {_describe_intervals(self)}"
+                f"{bayes_factor_text}; an undetected one would be at {_describe_intervals(self)}"
             )
-            return NO_CRACK_VERDICT, unseen_crack_text + _describe_unchanged_plate_condition(self)
-        conditions_text = _describe_single_crack_condition(
+            return (
+                NO_CRACK_VERDICT,
+                unseen_crack_text + _describe_unchanged_plate_condition_or_empty(self),
+            )
+        conditions_text = _describe_single_crack_condition_or_empty(
             self
-        ) + _describe_unchanged_plate_condition(self)
-        if log_bayes_factor > min_log_bayes_factor:
-            return "crack", factor_text + _describe_warming_condition(self) + conditions_text
+        ) + _describe_unchanged_plate_condition_or_empty(self)
+        if log_bayes_factor > required_log_bayes_factor:
+            return "crack", bayes_factor_text + _describe_warming_condition_or_empty(
+                self
+            ) + conditions_text
         return (
             undecided_verdict,
-            f"{factor_text}; if there is one it is at {_describe_intervals(self)}{conditions_text}",
+            f"{bayes_factor_text}; if there is one it is at {_describe_intervals(self)}"
+            f"{conditions_text}",
         )
 
     @property
@@ -532,8 +553,8 @@ class Identification(Tabular):
         They are missing frequencies of the plate before it had a crack, and the most informative
         measurement.
         """
-        branch, x = self._estimate_branch_and_unknowns
-        return list_advice(branch.likelihood, x, self.where_to_measure())
+        branch, x = self._branch_and_unknowns_of_estimate
+        return list_advice_texts(branch.likelihood, x, self.where_to_measure())
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
@@ -543,8 +564,8 @@ class Identification(Tabular):
         """
         branch_by_words = self.posterior.branch_by_words
         return [
-            (branch_by_words[branch_words].get_value_by_key(part_middle), part_probability)
-            for branch_words, part_middle, part_probability in self._region_parts
+            (branch_by_words[words_text].get_unknown_values_by_key(part_middle), part_probability)
+            for words_text, part_middle, part_probability in self._region_parts
         ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
@@ -566,7 +587,9 @@ class Identification(Tabular):
                 raise InputError("values", dict(values), f"with {', '.join(missing_keys)}")
             if all(values[key] == word for key, word in model.word_by_key.items()):
                 x = np.array([float(values[key]) for key in model.unknown_keys])
-                return branch.interpolate_log_likelihood(x) >= self.posterior.find_region_level(
+                return branch.interpolate_log_likelihood(
+                    x
+                ) >= self.posterior.find_region_border_log_likelihood(
                     share or self._identify_table.confidence
                 )
         return False
@@ -595,8 +618,8 @@ class Identification(Tabular):
             A measurement is not one of the forward model.
         """
         deviations = frequency_deviation, harmonic_deviation
-        branch, x = self._estimate_branch_and_unknowns
-        return rank_measurements(branch.likelihood, x, measurements, deviations)
+        branch, x = self._branch_and_unknowns_of_estimate
+        return rank_measurements_by_information(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
         """Write ``identify.json``, and ``identify.h5`` with it and the posterior (collective).
@@ -607,13 +630,13 @@ class Identification(Tabular):
             A file cannot be written.
         """
         data_by_name: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
-        for branch_number, (branch_words, branch) in enumerate(
+        for branch_number, (words_text, branch) in enumerate(
             self.posterior.branch_by_words.items()
         ):
-            data_by_name[f"words_{branch_number}"] = branch_words
+            data_by_name[f"words_{branch_number}"] = words_text
             data_by_name[f"log_likelihood_{branch_number}"] = branch.grid_log_likelihood
-            data_by_name[f"probability_{branch_number}"] = self.posterior.mass_by_words[
-                branch_words
+            data_by_name[f"probability_{branch_number}"] = self.posterior.grid_masses_by_words[
+                words_text
             ]
             for unknown_key, axis_values in zip(self.unknown, branch.axes, strict=True):
                 data_by_name[f"{unknown_key}_{branch_number}"] = axis_values
@@ -637,10 +660,12 @@ class Identification(Tabular):
             "log_bayes_factor": None if np.isnan(log_bayes_factor) else log_bayes_factor,
             "estimate": self.estimate,
             "priors": self.priors,
-            "intervals": {key: list(ends) for key, ends in self.intervals.items()},
+            "intervals": {
+                key: list(interval_ends) for key, interval_ends in self.intervals.items()
+            },
             "alternatives": [
-                {"values": values, "probability": part_probability}
-                for values, part_probability in self.alternatives
+                {"values": value_by_key, "probability": part_probability}
+                for value_by_key, part_probability in self.alternatives
             ],
             "chi_square": chi_square,
             "probability_of_misfit": p_value,
@@ -670,28 +695,30 @@ class Identification(Tabular):
 
         It has both standard deviations, and the residual over both together.
         """
-        branch, x = self._estimate_branch_and_unknowns
+        branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
         prediction = likelihood.predict_most_probable(x)
         predictions = prediction.values[0]
-        model_deviations = np.where(
+        prediction_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
         residuals = (likelihood.measurement_values - predictions) / np.hypot(
-            likelihood.measurement_deviations, model_deviations
+            likelihood.measurement_deviations, prediction_deviations
         )
         table_columns = (
             likelihood.measurement_values,
             likelihood.measurement_deviations,
             predictions,
-            model_deviations,
+            prediction_deviations,
             residuals,
         )
-        row_names = [table_row.name for table_row in likelihood.predictor.rows]
+        measurement_names = [measurement.name for measurement in likelihood.predictor.rows]
         table_rows = [
             list(table_row)
             for table_row in zip(
-                row_names, *(table_column.tolist() for table_column in table_columns), strict=True
+                measurement_names,
+                *(table_column.tolist() for table_column in table_columns),
+                strict=True,
             )
         ]
         return Table(FIT_COLUMN_NAMES, table_rows)
@@ -703,7 +730,7 @@ class Identification(Tabular):
         Reasons are failed cases, several possible cracks, a misfit, a crack by a single
         measurement, and an interval up to the bounds.
         """
-        warning_texts = [*self.doubts, *_warn_of_small_deviations(self.measurements)]
+        warning_texts = [*self.doubts, *_list_small_deviation_warnings(self.measurements)]
         alternatives = self.alternatives
         if self.verdict == NO_CRACK_VERDICT:
             return warning_texts
@@ -717,7 +744,7 @@ class Identification(Tabular):
                 for value_by_key, part_probability in alternatives
             ]
             warning_texts.append(f"these cracks cannot be distinguished: {'; '.join(crack_texts)}")
-        warning_texts += _warn_of_misfit(self)
+        warning_texts += _list_misfit_warnings(self)
         for unknown_index, side_text, bound_value in self.posterior.iterate_reached_bounds(
             self._identify_table.confidence
         ):
@@ -742,13 +769,17 @@ class Identification(Tabular):
             title_parts.append(f"{unknown_key} = {estimate_text} ± {deviation_text}")
         if len(self.alternatives) > 1:
             title_parts.append("NOT THE ONLY ONE")
-        title_parts += ["IF IT IS ONE CRACK"] * bool(_describe_single_crack_condition(self))
-        has_clamp_condition = self.verdict == "crack" and _describe_unchanged_plate_condition(self)
+        title_parts += ["IF IT IS ONE CRACK"] * bool(
+            _describe_single_crack_condition_or_empty(self)
+        )
+        has_clamp_condition = (
+            self.verdict == "crack" and _describe_unchanged_plate_condition_or_empty(self)
+        )
         return ", ".join(title_parts + ["IF ITS CLAMP HOLDS AS BEFORE"] * bool(has_clamp_condition))
 
 
-def _warn_of_small_deviations(measurements: Measurements) -> list[str]:
-    """Return a warning of a natural frequency with too small a deviation.
+def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
+    """List a warning of a natural frequency with too small a deviation.
 
     It is below the change by 0.1 K.
     """
@@ -765,8 +796,8 @@ def _warn_of_small_deviations(measurements: Measurements) -> list[str]:
     ]
 
 
-def _warn_of_misfit(identification: Identification) -> list[str]:
-    """Return warnings of the fit.
+def _list_misfit_warnings(identification: Identification) -> list[str]:
+    """List warnings of the fit.
 
     One warns if the grid does not resolve the posterior. One warns if no crack explains the
     measurements, and names the worst measurement by chi^2. One warns if single measurements alone
@@ -775,7 +806,7 @@ def _warn_of_misfit(identification: Identification) -> list[str]:
     (chi_square, p_value) = identification.misfit
     rows = identification.measurements.rows
     warning_texts = []
-    min_p_value = 1.0 - identification.priors["confidence"]
+    required_p_value = 1.0 - identification.priors["confidence"]
     if identification.posterior.unresolved_probability > OPTIONS.min_part_probability:
         warning_texts.append(
             "the grid does not resolve "
@@ -784,60 +815,73 @@ def _warn_of_misfit(identification: Identification) -> list[str]:
             "more"
         )
     n_current_rows = sum(measurement.quantity != "frequency_uncracked" for measurement in rows)
-    if p_value < min_p_value:
+    if p_value < required_p_value:
         misfit_text = f"chi^2 = {chi_square:.3g} of {len(rows)}"
         if n_current_rows > 1:
             chi_squares_without_row = [
-                misfit[0] for misfit in identification.posterior.misfits_without_measurement
+                misfit_pair[0]
+                for misfit_pair in identification.posterior.misfits_without_each_measurement
             ]
-            worst_row = int(np.argmin(chi_squares_without_row))
+            worst_row_index = int(np.argmin(chi_squares_without_row))
             misfit_text += (
-                f", {chi_squares_without_row[worst_row]:.3g} without {rows[worst_row].name}"
+                f", {chi_squares_without_row[worst_row_index]:.3g} without "
+                f"{rows[worst_row_index].name}"
             )
         warning_texts.append(f"no crack of this kind explains the measurements: {misfit_text}")
     if (
         n_current_rows > 1
         and identification.plain is not None
-        and identification.plain.misfit[1] < min_p_value
+        and identification.plain.misfit[1] < required_p_value
     ):
-        rows_and_misfits = zip(rows, identification.plain.misfits_without_measurement, strict=True)
-        if row_names := [
+        rows_and_misfits = zip(
+            rows, identification.plain.misfits_without_each_measurement, strict=True
+        )
+        if measurement_names := [
             measurement.name
             for measurement, (_, p_value_without_row) in rows_and_misfits
-            if p_value_without_row >= min_p_value
+            if p_value_without_row >= required_p_value
         ]:
-            rows_pronoun = "these" if len(row_names) > 1 else "that"
-            plate_text = f"a plate without a crack explains all but {' or '.join(row_names)}"
+            rows_pronoun = "these" if len(measurement_names) > 1 else "that"
+            plate_text = (
+                f"a plate without a crack explains all but {' or '.join(measurement_names)}"
+            )
             warning_texts.append(f"{plate_text}: measure {rows_pronoun} again")
     return warning_texts
 
 
-def _describe_single_crack_condition(identification: Identification) -> str:
+def _describe_single_crack_condition_or_empty(identification: Identification) -> str:
     """Return the condition of a single crack in words; else empty.
 
     The condition applies if two cracks have at least as many unknowns as modes were measured: then
     no misfit excludes two cracks.
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
-    number_keys = [
+    number_unknown_keys = [
         unknown_axis.key
         for unknown_axis in identify_table.unknown
         if not isinstance(unknown_axis.values[0], str)
     ]
-    n_numbers = len(identify_table.mesh_axes) + sum(key.startswith("crack.") for key in number_keys)
-    modes = {
+    n_crack_unknowns = len(identify_table.mesh_axes) + sum(
+        key.startswith("crack.") for key in number_unknown_keys
+    )
+    measured_modes = {
         measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
     }
-    if not all(measurement.natural for measurement in rows) or len(modes) > 2 * n_numbers:
+    if (
+        not all(measurement.natural for measurement in rows)
+        or len(measured_modes) > 2 * n_crack_unknowns
+    ):
         return ""
-    frequencies_text = f"may have the same frequencies of {format_count(len(modes), 'mode')}"
+    frequencies_text = (
+        f"may have the same frequencies of {format_count(len(measured_modes), 'mode')}"
+    )
     return (
         "; place and size are those of one crack: two of them, or one elsewhere, "
         f"{frequencies_text}"
     )
 
 
-def _describe_unchanged_plate_condition(identification: Identification) -> str:
+def _describe_unchanged_plate_condition_or_empty(identification: Identification) -> str:
     """Return the condition of an unchanged plate in words; else empty.
 
     The condition applies if a plate without a crack does not explain the measurements, but would
@@ -852,15 +896,16 @@ def _describe_unchanged_plate_condition(identification: Identification) -> str:
         * identify_table.temperature_coefficient
         * identification.priors["temperature_deviation"]
     )
-    min_p_value = 1.0 - identify_table.confidence
-    max_stated_change = max(identify_table.before_deviation, thermal_frequency_change)
+    required_p_value = 1.0 - identify_table.confidence
+    largest_stated_change = max(identify_table.before_deviation, thermal_frequency_change)
     clamp_deviation = identify_table.clamp_deviation
-    if uncracked_posterior is None or not has_baseline or max_stated_change == 0.0:
+    if uncracked_posterior is None or not has_baseline or largest_stated_change == 0.0:
         return ""
-    is_uncracked_explained = uncracked_posterior.misfit[1] >= min_p_value
+    is_uncracked_explained = uncracked_posterior.misfit[1] >= required_p_value
     if (
         is_uncracked_explained
-        and uncracked_posterior.compute_misfit_with_changes(temperature_factor=0.0)[1] < min_p_value
+        and uncracked_posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]
+        < required_p_value
     ):
         return (
             f"; {_describe_modulus_change(identification, uncracked_posterior)}, "
@@ -876,11 +921,11 @@ def _describe_unchanged_plate_condition(identification: Identification) -> str:
         else 1.0
         for stated_change in (identify_table.before_deviation, thermal_frequency_change)
     ]
-    changed_misfit = uncracked_posterior.compute_misfit_with_changes(
+    misfit_with_changes = uncracked_posterior.compute_misfit_with_change_factors(
         clamp_factor=clamp_and_temperature_factors[0],
         temperature_factor=clamp_and_temperature_factors[1],
     )
-    if (changed_misfit[1] >= min_p_value) == is_uncracked_explained:
+    if (misfit_with_changes[1] >= required_p_value) == is_uncracked_explained:
         return ""
     modulus_text = (
         f", or {_describe_modulus_change(identification, uncracked_posterior)},"
@@ -889,20 +934,20 @@ def _describe_unchanged_plate_condition(identification: Identification) -> str:
     )
     return (
         "; a clamp, a temperature or a sensor that has changed frequencies by "
-        f"{max_stated_change if is_uncracked_explained else clamp_deviation:.2g} since before"
+        f"{largest_stated_change if is_uncracked_explained else clamp_deviation:.2g} since before"
         f"{modulus_text} explains the measurements without a crack (identify.before_deviation = "
         f"{identify_table.before_deviation:.2g}): open the clamp, close it, measure again and give "
         "their change there"
     )
 
 
-def _describe_warming_condition(identification: Identification) -> str:
+def _describe_warming_condition_or_empty(identification: Identification) -> str:
     """Return the change of Young's modulus that a crack needs, in words; else empty.
 
     Without the change the crack does not explain the measurements.
     """
     if (
-        identification.posterior.compute_misfit_with_changes(temperature_factor=0.0)[1]
+        identification.posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]
         >= 1.0 - identification.priors["confidence"]
     ):
         return ""
@@ -914,15 +959,16 @@ def _describe_modulus_change(identification: Identification, posterior: Posterio
 
     An example: "a Young's modulus 1 % lower than before, as about 25 K more make it".
     """
-    temperature_change = (
-        identification.priors["temperature_deviation"] * posterior.mean_temperature_change
+    kelvin_change = (
+        identification.priors["temperature_deviation"]
+        * posterior.mean_normalised_temperature_change
     )
-    relative_change = identification.priors["temperature_coefficient"] * temperature_change
-    direction_text = "lower" if relative_change < 0.0 else "higher"
-    kelvin_text = (
-        f"{abs(temperature_change):.2g} K {'more' if temperature_change > 0.0 else 'less'}"
+    relative_modulus_change = identification.priors["temperature_coefficient"] * kelvin_change
+    direction_text = "lower" if relative_modulus_change < 0.0 else "higher"
+    kelvin_text = f"{abs(kelvin_change):.2g} K {'more' if kelvin_change > 0.0 else 'less'}"
+    modulus_text = (
+        f"a Young's modulus {abs(relative_modulus_change):.2%} {direction_text} than before"
     )
-    modulus_text = f"a Young's modulus {abs(relative_change):.2%} {direction_text} than before"
     return f"{modulus_text}, as about {kelvin_text} make it"
 
 
@@ -938,9 +984,9 @@ def _describe_intervals(identification: Identification) -> str:
         lower_text, upper_text = (
             value_in_words(key, interval_end) for interval_end in interval_ends
         )
-        shorter_text = (
+        below_bound_text = (
             f", or below {value_in_words(key, lower_bound)}, outside the bounds of the search"
         )
         interval_text = f"{key_in_words(key)} {lower_text} to {upper_text}"
-        interval_texts.append(interval_text + shorter_text * (key in CRACK_SIZE_KEYS))
+        interval_texts.append(interval_text + below_bound_text * (key in CRACK_SIZE_KEYS))
     return "; ".join(interval_texts)

@@ -24,17 +24,24 @@ from test_identify import PROBES, SPINNING, command_of_one_unknown
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.monitoring.identification.identify import list_measurement_remarks
+from fenics_crack.monitoring.identification.identify import list_measurement_limit_remarks
 from fenics_crack.monitoring.identification.interpolation import (
     Interpolation,
     UnknownGrid,
     compute_leave_one_out_errors,
 )
 from fenics_crack.monitoring.identification.model import MeasurementPrediction, ProbeDisplacements
-from fenics_crack.monitoring.identification.nuisance import UncrackedPlate, compute_crack_deviations
-from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
-from fenics_crack.monitoring.identification.result import Worth, list_advice, rank_measurements
-from fenics_crack.monitoring.scene_timing import describe_passage, match_mode
+from fenics_crack.monitoring.identification.nuisance import (
+    UncrackedPlate,
+    compute_deviations_from_equivalent_crack,
+)
+from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
+from fenics_crack.monitoring.identification.result import (
+    Worth,
+    list_advice_texts,
+    rank_measurements_by_information,
+)
+from fenics_crack.monitoring.scene_timing import describe_passage, match_mode_or_give_reason
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -89,13 +96,13 @@ def test_stated_error_of_the_interpolation() -> None:
     ).random((200, 2))
     predicted, deviation = (
         found.interpolate(x),
-        np.sqrt(np.sum(found.compute_weighted_errors(x) ** 2, axis=1)),
+        np.sqrt(np.sum(found.list_weighted_node_errors(x) ** 2, axis=1)),
     )
     exact = np.column_stack([np.sin(2.0 * x[:, 0]) * x[:, 1], x.sum(axis=1)])
     assert np.mean(np.abs(predicted - exact)[:, 0] < 3.0 * deviation[:, 0]) > 0.9
     np.testing.assert_allclose(predicted[:, 1], exact[:, 1], atol=1e-9)
     too_few = Interpolation(SQUARE, np.where(np.arange(42)[:, None] < 3, 1.0, np.nan))
-    assert found.has_enough_nodes.all() and not too_few.has_enough_nodes.any()
+    assert found.has_enough_known_nodes.all() and not too_few.has_enough_known_nodes.any()
 
 
 def test_what_failed_between_others() -> None:
@@ -107,24 +114,25 @@ def test_what_failed_between_others() -> None:
         interpolation = Interpolation(
             cube, np.where(np.arange(8)[:, None] == lost_node, np.nan, values)
         )
-        assert interpolation.has_enough_nodes.all() and interpolation.is_between_known.all() == (
-            0 < lost_node < 7
+        assert (
+            interpolation.has_enough_known_nodes.all()
+            and interpolation.has_only_inner_gaps.all() == (0 < lost_node < 7)
         )
         node = cube.nodes[[lost_node]]
         true_error = abs(interpolation.interpolate(node) - values[lost_node]).item()
-        stated_error = np.sqrt(np.sum(interpolation.compute_weighted_errors(node) ** 2)).item()
-        assert true_error < 3.0 * stated_error or not interpolation.is_between_known.all()
+        stated_error = np.sqrt(np.sum(interpolation.list_weighted_node_errors(node) ** 2)).item()
+        assert true_error < 3.0 * stated_error or not interpolation.has_only_inner_gaps.all()
     for count in (20, 21):
         node_values = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(SQUARE, node_values).has_enough_nodes.all() == (count == 21)
+        assert Interpolation(SQUARE, node_values).has_enough_known_nodes.all() == (count == 21)
     four = UnknownGrid((np.linspace(0.0, 3.0, 4),))
     for count in (3, 4):
         case_values = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
-        assert Interpolation(four, case_values).has_enough_nodes.all() == (count == 4)
+        assert Interpolation(four, case_values).has_enough_known_nodes.all() == (count == 4)
     holes = np.ones((42, 3))
     holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
     np.testing.assert_array_equal(
-        Interpolation(SQUARE, holes).is_between_known, [False, True, True]
+        Interpolation(SQUARE, holes).has_only_inner_gaps, [False, True, True]
     )
 
 
@@ -147,7 +155,7 @@ class Linear:
     def scene(self) -> fc.Scene:
         return fc.Scene.from_text(identification.SCENE)
 
-    def compute_crack_deviations(self, x: np.ndarray) -> np.ndarray:
+    def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
     def make_predictor(self, rows: Any, more_rows: Any = ()) -> Any:
@@ -157,7 +165,7 @@ class Linear:
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         return exact(x @ self.matrix.T + self.offset)
 
-    def iterate_face_states(
+    def iterate_face_state_predictions(
         self, x: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """One alone."""
@@ -178,7 +186,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
     for deviation, is_resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
         model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
         likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
-        posterior = Posterior({"": Branch(likelihood)})
+        posterior = Posterior({"": PosteriorBranch(likelihood)})
         assert (posterior.unresolved_probability < 0.01) == is_resolved
         assert (posterior.unresolved_probability > 0.3) != is_resolved
         # Of that posterior: along the ridge both are uniform.
@@ -186,7 +194,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
         x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
         is_inside = (x > 0.0) & (x < 10.0)
         heights = likelihood(np.column_stack([x, y])[is_inside])
-        held_share = np.mean(heights >= posterior.find_region_level(0.95))
+        held_share = np.mean(heights >= posterior.find_region_border_log_likelihood(0.95))
         assert (abs(held_share - 0.95) < 0.03) == is_resolved
 
 
@@ -200,7 +208,7 @@ def test_linear_model() -> None:
         deviations,
         Linear(matrix, np.full(3, 5.0), cube, rows=(None,) * 3),  # type: ignore[arg-type]
     )
-    posterior = Posterior({"": Branch(likelihood)})
+    posterior = Posterior({"": PosteriorBranch(likelihood)})
     weights = matrix / deviations[:, None]
     covariance = np.linalg.inv(weights.T @ weights)
     np.testing.assert_allclose(posterior.best_words_and_unknowns[1], truth, atol=1e-6)
@@ -211,12 +219,16 @@ def test_linear_model() -> None:
         assert high == pytest.approx(truth[place] + 1.96 * sigma, abs=0.05 * sigma)
         assert posterior.compute_deviation(place) == pytest.approx(sigma, rel=0.02)
     # Of two unknowns: chi^2 < 5.991 holds 95 %.
-    assert posterior.find_region_level(0.95) == pytest.approx(-0.5 * 5.991, rel=0.05)
+    assert posterior.find_region_border_log_likelihood(0.95) == pytest.approx(
+        -0.5 * 5.991, rel=0.05
+    )
     volume = 2.0 * math.pi * math.sqrt(np.linalg.det(covariance))
     assert posterior.log_evidence == pytest.approx(math.log(volume / 200.0), abs=0.02)
     assert [round(part[2], 2) for part in posterior.find_region_parts(0.95, 0.03)] == [0.95]
     repeated_measurement = fc.Measurement("harmonic_1", 1.0, 0.1, frequency=10.0)
-    worth = rank_measurements(likelihood, truth, [repeated_measurement], (1e-3, 0.05))
+    worth = rank_measurements_by_information(
+        likelihood, truth, [repeated_measurement], (1e-3, 0.05)
+    )
     later_covariance = np.linalg.inv(
         weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
     )
@@ -240,12 +252,12 @@ def test_misfit_of_what_is_fitted() -> None:
         values = matrix @ [3.0, 8.0] + 0.1 * rng.normal(size=4)
         likelihood = Likelihood(values, np.full(4, 0.1), linear)  # type: ignore[arg-type]
         x = np.linalg.lstsq(matrix, values, rcond=None)[0]
-        total, chance = likelihood.compute_misfit(x)
+        total, chance = likelihood.compute_chi_square_and_p_value(x)
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
-    posterior = Posterior({"": Branch(likelihood)})
+    posterior = Posterior({"": PosteriorBranch(likelihood)})
     remaining_misfits = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
-    assert [misfit[0] for misfit in posterior.misfits_without_measurement] == pytest.approx(
+    assert [misfit[0] for misfit in posterior.misfits_without_each_measurement] == pytest.approx(
         remaining_misfits, rel=1e-3
     )
 
@@ -256,7 +268,7 @@ def test_picture_of_one_unknown() -> None:
     cube = UnknownGrid((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
     linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
     likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
-    posterior = Posterior({"": Branch(likelihood)})
+    posterior = Posterior({"": PosteriorBranch(likelihood)})
     keys = ("crack.length", "crack.height")
     found: Any = type("Identification", (SimpleNamespace,), {})(
         unknown=keys,
@@ -289,7 +301,7 @@ class Advised(Linear):
 
     @property
     def uncracked_plate(self) -> Any:
-        return SimpleNamespace(natural_frequencies=np.array([100.0]))
+        return SimpleNamespace(natural_frequencies_hz=np.array([100.0]))
 
 
 @pytest.mark.parametrize("slope", [0.0, 1000.0])
@@ -302,15 +314,17 @@ def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     model = Advised(matrix, offset, cube, rows=rows)
     likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
     more_measurement, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
-    advice_text = list_advice(
-        likelihood, x, rank_measurements(likelihood, x, [more_measurement], (1e-3, 0.05))
+    advice_text = list_advice_texts(
+        likelihood,
+        x,
+        rank_measurements_by_information(likelihood, x, [more_measurement], (1e-3, 0.05)),
     )
     assert len(advice_text) == (2 if slope else 0)
     for text in advice_text:
         assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
     now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
     left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
-    [*_, text] = list_advice(likelihood, x, Worth((more_measurement,), np.ones(1), left, now))
+    [*_, text] = list_advice_texts(likelihood, x, Worth((more_measurement,), np.ones(1), left, now))
     assert text == "frequency_tied of mode 1: height of the crack to 1 mm in place of 2 mm"
 
 
@@ -334,7 +348,7 @@ def test_two_that_cannot_be_told_apart() -> None:
     cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     even_likelihood = Even(np.zeros((2, 2)), np.zeros(2), cube)
     likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even_likelihood)  # type: ignore[arg-type]
-    parts = Posterior({"": Branch(likelihood)}).find_region_parts(0.95, 0.03)
+    parts = Posterior({"": PosteriorBranch(likelihood)}).find_region_parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
 
@@ -353,7 +367,7 @@ def test_soft_clamps() -> None:
     table = scene.given("identify")
     frequency_deviations = UncrackedPlate(
         scene.replace(changes | {"identify": None}), table
-    ).compute_baseline_sensitivities(1.0)[0]
+    ).compute_clamp_and_temperature_sensitivities(1.0)[0]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
@@ -378,7 +392,7 @@ def test_units_at_other_speeds() -> None:
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
     whole_model, fast = UncrackedPlate(plain_scene, scene.given("identify")), hertz(rpm=9000.0)
-    assert fast > 1.3 * whole_model.natural_frequencies[0]
+    assert fast > 1.3 * whole_model.natural_frequencies_hz[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
     whole_model.check_units_and_modes(fc.Measurements((row,)), [], may_be_other_plate=False)
     with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
@@ -398,10 +412,10 @@ def test_units_at_other_speeds() -> None:
         {"material.young": 0.98 * plain_scene.material.young, "rotation.rpm": 9000.0}
     )
     changed = fc.solve_modes(fc.build_structure(softer), 1).omega[0] / (2.0 * np.pi * fast) - 1.0
-    assert whole_model.compute_stiffening_factors(3.0, 0.98)[0] - 1.0 == pytest.approx(
+    assert whole_model.compute_frequency_factors_by_modulus(3.0, 0.98)[0] - 1.0 == pytest.approx(
         changed, rel=0.01
     )
-    assert whole_model.compute_stiffening_factors(0.0, 0.98)[0] == pytest.approx(
+    assert whole_model.compute_frequency_factors_by_modulus(0.0, 0.98)[0] == pytest.approx(
         np.sqrt(0.98), rel=1e-9
     )
 
@@ -437,7 +451,7 @@ def test_modes_of_resonances(
     fit = replace(PASSED, **changes)
     frequencies = 1500.0 * np.array([opened, tied])
     diagram: Any = SimpleNamespace(between=lambda speed: frequencies)
-    mode, said = match_mode(fit, diagram)
+    mode, said = match_mode_or_give_reason(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
     words = describe_passage(fit, mode, said)
     message_text = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
@@ -495,7 +509,7 @@ def test_displacements_whatever_the_load_is() -> None:
     made = displaced(phases, motion(wave, 1.7, 2.5) + 3e-6)
     passages = ProbeDisplacements(range(12), made, [])
     both = np.stack([wave, wave * [1, 2, 1, 1, 1, 1]])
-    values, turns, free, _ = passages.fit_harmonics(both)
+    values, turns, free, _ = passages.fit_load_to_displacements(both)
     errors = np.abs(values - [row.value for row in made])
     assert errors[0].max() < 1e-9 and errors[1].max() > 1e-6
     steps = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
@@ -687,13 +701,13 @@ def test_remark_on_the_size_of_the_load() -> None:
     """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
     scene = fc.Scene.from_text(identification.SCENE)
     row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
-    assert list_measurement_remarks(scene, fc.Measurements((row,))) == ()
+    assert list_measurement_limit_remarks(scene, fc.Measurements((row,))) == ()
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
         changed_scene = scene.replace({key: value})
-        [remark] = list_measurement_remarks(changed_scene, fc.Measurements((row,)))
+        [remark] = list_measurement_limit_remarks(changed_scene, fc.Measurements((row,)))
         assert remark.startswith("a clearance or a steady load")
         assert (
-            list_measurement_remarks(
+            list_measurement_limit_remarks(
                 changed_scene, fc.Measurements((replace(row, quantity="harmonic_1"),))
             )
             == ()
@@ -722,7 +736,7 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
         log_changes.append((side * tilted, side * straight))
     tilted, straight = np.sum(log_changes, axis=0)
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    deviations = compute_crack_deviations(
+    deviations = compute_deviations_from_equivalent_crack(
         np.array([[length, height]]), ("crack.length", "crack.height"), scene
     )
     assert deviations[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
