@@ -107,6 +107,27 @@ def refusal(call: Callable[[], object], words: str | None = None) -> fc.InputErr
     return caught.value
 
 
+def catch_error(
+    call: Callable[[], object],
+    key: str | None = None,
+    value: object = ...,
+    *,
+    names: str | None = None,
+    kind: type[BaseException] = fc.InputError,
+) -> Any:
+    """Return the error of a call after checks of its kind, key and value.
+
+    ``names`` is a pattern of numbers, names and commands in its text, whose sentences are free.
+    """
+    with pytest.raises(kind, match=names) as caught:
+        call()
+    error = caught.value
+    np.testing.assert_equal([type(error), getattr(error, "key", None)], [kind, key])
+    if value is not ...:
+        np.testing.assert_equal(getattr(error, "value", None), value)
+    return error
+
+
 def wrap(patch: pytest.MonkeyPatch, name: str, around: Callable[..., Any]) -> None:
     """Let calls of a function of the package, by its dotted name, be ``around(function, ...)``."""
     function = pkgutil.resolve_name(name)
