@@ -100,13 +100,6 @@ def changed(path: Path) -> Iterator[h5py.File]:
         file.attrs["digest"] = content_digest(attribute_texts(file), parts)
 
 
-def refusal(call: Callable[[], object], words: str | None = None) -> fc.InputError:
-    """Return the error by which a call refuses its input, in some words."""
-    with pytest.raises(fc.InputError, match=words) as caught:
-        call()
-    return caught.value
-
-
 def catch_error(
     call: Callable[[], object],
     key: str | None = None,
