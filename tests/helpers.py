@@ -100,11 +100,25 @@ def changed(path: Path) -> Iterator[h5py.File]:
         file.attrs["digest"] = content_digest(attribute_texts(file), parts)
 
 
-def refusal(call: Callable[[], object], words: str | None = None) -> fc.InputError:
-    """Return the error by which a call refuses its input, in some words."""
-    with pytest.raises(fc.InputError, match=words) as caught:
+def catch_error(
+    call: Callable[[], object],
+    key: str | None = None,
+    value: object = ...,
+    *,
+    names: str | None = None,
+    kind: type[BaseException] = fc.InputError,
+) -> Any:
+    """Return the error of a call after checks of its kind, key and value.
+
+    ``names`` is a pattern of numbers, names and commands in its text, whose sentences are free.
+    """
+    with pytest.raises(kind, match=names) as caught:
         call()
-    return caught.value
+    error = caught.value
+    np.testing.assert_equal([type(error), getattr(error, "key", None)], [kind, key])
+    if value is not ...:
+        np.testing.assert_equal(getattr(error, "value", None), value)
+    return error
 
 
 def wrap(patch: pytest.MonkeyPatch, name: str, around: Callable[..., Any]) -> None:

@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from helpers import ROOT
+from helpers import ROOT, catch_error
 
 import fenics_crack as fc
 
@@ -331,8 +331,9 @@ def test_face(name: str) -> None:
 
 def test_unknown_name_is_no_attribute() -> None:
     """As of any module."""
-    with pytest.raises(AttributeError, match="no attribute 'solve_everything'"):
-        fc.solve_everything  # noqa: B018
+    catch_error(
+        lambda: fc.solve_everything, names="no attribute 'solve_everything'", kind=AttributeError
+    )
 
 
 def test_mpi_is_imported_before_petsc() -> None:

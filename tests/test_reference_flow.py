@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.integrate
-from helpers import DEMOS, OMEGA_0, chain, oscillator, relative
+from helpers import DEMOS, OMEGA_0, catch_error, chain, oscillator, relative
 from reference_flow import NoOrbit, ReferenceFlow, predicted
 
 import fenics_crack as fc
@@ -117,5 +117,4 @@ def test_one_mass() -> None:
     state = np.array([1.0, 0.0])
     passage = flow.advance(state, 1.0, 0.0, 2.0 * np.pi / OMEGA_0)
     assert relative(passage.state, state) < 1e-12 and len(passage.pieces) == 3
-    with pytest.raises(NoOrbit):
-        ReferenceFlow(oscillator(), fc.UnilateralConstraint())
+    catch_error(lambda: ReferenceFlow(oscillator(), fc.UnilateralConstraint()), kind=NoOrbit)

@@ -5,6 +5,7 @@ from functools import cache
 import judged
 import numpy as np
 import pytest
+from helpers import catch_error
 
 import fenics_crack as fc
 
@@ -78,8 +79,7 @@ def test_no_branch_where_none_begins() -> None:
         judged.two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=15
     )
     fold = next(bifurcation for bifurcation in curve.bifurcations if bifurcation.kind == "fold")
-    with pytest.raises(fc.InputError, match="bifurcation"):
-        fc.follow_branch(curve, fold)
+    catch_error(lambda: fc.follow_branch(curve, fold), "bifurcation", "fold")
 
 
 def test_equal_masses_part_at_a_branch_point() -> None:

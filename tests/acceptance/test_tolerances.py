@@ -3,6 +3,7 @@
 import judged
 import numpy as np
 import pytest
+from helpers import catch_error
 
 import fenics_crack as fc
 
@@ -67,8 +68,11 @@ def test_what_cannot_be_reached_says_so() -> None:
     """A reduction that leaves more out: an error with the figure, or with throw=False the best
     solution found."""
     law = fc.UnilateralPenalty(1e9)
-    with pytest.raises(fc.ConvergenceError, match="1e-05 % was asked; what helps: modes"):
-        fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7)
+    catch_error(
+        lambda: fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7),
+        names="1e-05 % was asked; what helps: modes",
+        kind=fc.ConvergenceError,
+    )
     solution = fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7, throw=False)
     assert solution.status.startswith("solved; error") and solution.report.total > 1e-7
     assert judged.true_error(solution) < 3.0 * solution.report.total

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.stats
-from helpers import amplitudes, passing_angles, period_two_orbit
+from helpers import amplitudes, catch_error, passing_angles, period_two_orbit
 
 import fenics_crack as fc
 
@@ -133,8 +134,7 @@ def test_a_breathing_crack_has_a_second_harmonic(
     assert fit.ratio(3)[0] == pytest.approx(
         true_amplitudes[2] / true_amplitudes[0], abs=3.0 * error + folded_ratio
     )
-    with pytest.raises(fc.InputError, match="multiple"):
-        fit.ratio(4)
+    catch_error(lambda: fit.ratio(4), "multiple", 4)
     value, error = fc.fit_order(simulate_arrivals(sine, **options), [6], harmonics=3).ratio()
     assert value < 4.0 * error < 0.01
     # Without its second harmonic the fit is known not to fit, and its errors hold what is folded.
@@ -178,8 +178,11 @@ def test_equally_spaced_probes_alias(sine: fc.PeriodicSolution) -> None:
     assert np.all(np.isinf(fit.candidates.conditions[fit.candidates.hidden]))
     # Those that a Campbell diagram leaves may be told apart.
     assert fc.fit_order(simulate_arrivals(sine, order=6, probes=probes), [5, 6, 7, 8]).order == 6
-    with pytest.raises(fc.InputError, match="probes"):
-        fc.fit_order(simulate_arrivals(sine, order=6, probes=probes), [5, 10])
+    catch_error(
+        lambda: fc.fit_order(simulate_arrivals(sine, order=6, probes=probes), [5, 10]),
+        "probes",
+        names="3 unknowns",
+    )
 
 
 def test_as_many_unknowns_as_probes_fit_anything(breathing_solution: fc.PeriodicSolution) -> None:
@@ -188,10 +191,16 @@ def test_as_many_unknowns_as_probes_fit_anything(breathing_solution: fc.Periodic
     arrivals = simulate_arrivals(breathing_solution, order=6, probes=probes)
     fit = fc.fit_order(arrivals, [4, 5, 6, 9, 10], harmonics=3)
     assert len(fit.ambiguous) == 4 and np.isnan(fit.misfit)
-    with pytest.raises(fc.InputError, match=r"^probes = .*7 probes"):
-        fc.fit_order(arrivals, [6], harmonics=4)
-    with pytest.raises(fc.InputError, match=r"^probes = .*arrivals that scatter less"):
-        fc.fit_order(simulate_arrivals(breathing_solution, 0.3, order=40, probes=probes), [40])
+    catch_error(
+        lambda: fc.fit_order(arrivals, [6], harmonics=4), "probes", names="7 probes.* 9 unk"
+    )
+    catch_error(
+        lambda: fc.fit_order(
+            simulate_arrivals(breathing_solution, 0.3, order=40, probes=probes), [40]
+        ),
+        "probes",
+        names="7 probes.* 3 unknowns",
+    )
 
 
 def test_as_many_arrivals_as_unknowns(sine: fc.PeriodicSolution) -> None:
@@ -214,17 +223,28 @@ def test_angles_of_probes_that_are_not_known(sine: fc.PeriodicSolution) -> None:
         assert abs(fit.amplitudes[1] - size) <= max(3.0 * fit.amplitude_errors[1], 1e-9)
         track = fc.track_order(record, 5, revolutions=2, angle_deviation=1e-3)
         assert np.allclose(track.amplitudes, size, atol=1e-9)
-    five_probes = simulate_arrivals(sine, order=5, probes=(*FOUR, 4.0))
-    with pytest.raises(fc.InputError, match="arrivals = '5 arrivals': must be more than 8"):
-        fc.fit_frequency(five_probes.between(3, 4), 900.0, 1100.0, angle_deviation=1e-4)
+    catch_error(
+        lambda: fc.fit_frequency(
+            simulate_arrivals(sine, order=5, probes=(*FOUR, 4.0)).between(3, 4),
+            900.0,
+            1100.0,
+            angle_deviation=1e-4,
+        ),
+        "arrivals",
+        "5 arrivals",
+        names=" 8$",
+    )
 
 
 def test_arrivals_that_are_the_marks() -> None:
     """A clock as coarse as a revolution sees all arrivals at one angle: they are refused."""
     marks, probes = 0.005 * np.arange(4), np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
     arrivals = fc.ArrivalTimes(np.tile(marks[:-1, None], 7), marks, probes, 0.5)
-    with pytest.raises(ValueError, match=r"at 0 degrees is passed where that at 63 .*too coarse"):
-        fc.fit_order(arrivals, harmonics=2)
+    catch_error(
+        lambda: fc.fit_order(arrivals, harmonics=2),
+        "probes",
+        "the one at 0 degrees is passed where that at 63 degrees is",
+    )
 
 
 def test_missing_arrivals(sine: fc.PeriodicSolution) -> None:
@@ -327,11 +347,13 @@ def test_aliases_of_a_frequency(
 def test_one_probe_sees_no_whole_order(noise: float, sine: fc.PeriodicSolution) -> None:
     """Arrivals at one probe do not vary with an order, and are refused, in ten tries; between
     orders a vibration of twice the noise is found; two probes see the order."""
-    message = r"^probes = 'one at 22.9183 degrees, .* two or more"
     for seed in range(10):
         arrivals = simulate_arrivals(sine, noise, order=6, probes=[0.4], revolutions=100, seed=seed)
-        with pytest.raises(fc.InputError, match=message):
-            fc.fit_frequency(arrivals, 900.0, 1090.0)
+        catch_error(
+            partial(fc.fit_frequency, arrivals, 900.0, 1090.0),
+            "probes",
+            "one at 22.9183 degrees, whose arrivals do not vary",
+        )
         asynchronous_arrivals = simulate_arrivals(
             sine, 5e-4, speed=193.7, probes=[0.4], revolutions=100, seed=seed
         )
@@ -433,22 +455,18 @@ def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
     swapped_times, late_times = arrivals.time.copy(), arrivals.time.copy()
     swapped_times[:, [1, 4]] = swapped_times[:, [4, 1]]
     late_times[1:, 2], late_times[0, 2] = late_times[:-1, 2], np.nan
-    swap_message = (
-        r"^probes = 'the one at 20 degrees is passed where that at 88 degrees is'.*swapped"
-    )
-    row_message = (
-        r"^time = 'those at 41 degrees are of the revolutions before': must be in the rows"
-    )
     calls: list[Callable[[fc.ArrivalTimes], Any]] = [
         fc.fit_order,
         lambda record: fc.track_order(record, 5),
         lambda record: fc.fit_frequency(record, 900.0, 1100.0),
         lambda record: fc.Measurements.from_arrivals(record, 5),
     ]
-    for time, message in ((swapped_times, swap_message), (late_times, row_message)):
+    for time, key, value in (
+        (swapped_times, "probes", "the one at 20 degrees is passed where that at 88 degrees is"),
+        (late_times, "time", "those at 41 degrees are of the revolutions before"),
+    ):
         for call in calls:
-            with pytest.raises(fc.InputError, match=message):
-                call(replace(arrivals, time=time))
+            catch_error(partial(call, replace(arrivals, time=time)), key, value)
     lean = np.radians(15.0) / arrivals.speed[0]
     assert fc.fit_order(replace(arrivals, time=arrivals.time + lean)).order == 5
 
@@ -601,26 +619,18 @@ def test_tables(sine: fc.PeriodicSolution, tmp_path: Any) -> None:
 def test_bad_input(sine: fc.PeriodicSolution) -> None:
     """One line that names the key."""
     arrivals = simulate_arrivals(sine, order=6)
-    for orders, options, words in (
-        ([], {}, "orders"),
-        ([0], {}, "orders"),
-        (["x"], {}, "orders"),
-        ([6], {"harmonics": 0}, "harmonics"),
-        ([6], {"subharmonic": 0}, "subharmonic"),
+    for call, key, value in (
+        (partial(fc.fit_order, arrivals, []), "orders", []),
+        (partial(fc.fit_order, arrivals, [0]), "orders", 0),
+        (partial(fc.fit_order, arrivals, ["x"]), "orders", "x"),
+        (partial(fc.fit_order, arrivals, [6], harmonics=0), "harmonics", 0),
+        (partial(fc.fit_order, arrivals, [6], subharmonic=0), "subharmonic", 0),
+        (partial(fc.track_order, arrivals, 6, revolutions=0), "revolutions", 0),
+        (partial(fc.track_order, arrivals, 6, revolutions=51), "revolutions", 51),
+        (partial(fc.fit_frequency, arrivals, 0.0, 1.0), "low", 0.0),
+        (partial(fc.fit_frequency, arrivals, 2.0, 1.0), "high", 1.0),
+        (partial(fc.fit_frequency, arrivals, 1.0, 1e12), "high - low", 1e12 - 1.0),
+        (partial(fc.fit_frequency, arrivals.between(0, 1), 1.0, 1e3), "arrivals", "4 arrivals"),
+        (partial(arrivals.between, -1, 2), "begin", -1),
     ):
-        with pytest.raises(fc.InputError, match=f"^{words}"):
-            fc.fit_order(arrivals, orders, **options)
-    for revolutions in (0, 51):
-        with pytest.raises(fc.InputError, match=r"^revolutions"):
-            fc.track_order(arrivals, 6, revolutions=revolutions)
-    for lower_end, upper_end, words in (
-        (0.0, 1.0, "low"),
-        (2.0, 1.0, "high"),
-        (1.0, 1e12, "high - low"),
-    ):
-        with pytest.raises(fc.InputError, match=f"^{words}"):
-            fc.fit_frequency(arrivals, lower_end, upper_end)
-    with pytest.raises(fc.InputError, match="arrivals"):
-        fc.fit_frequency(arrivals.between(0, 1), 1.0, 1000.0)
-    with pytest.raises(fc.InputError, match="begin"):
-        arrivals.between(-1, 2)
+        catch_error(call, key, value)

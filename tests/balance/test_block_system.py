@@ -8,12 +8,13 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, SOLID, chain, oscillator
+from helpers import DEMOS, SOLID, catch_error, chain, oscillator
 from mpi4py import MPI
 from surroundings import ROOT, main
 
@@ -182,23 +183,23 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
         np.eye(2), 2.0 * np.eye(2), gap=[1.0, 0.0], tangential=[0.0, 1.0], force_cos=[1.0, 1.0]
     )
     reduced_structure = fc.reduce_structure(rubs, modes=1, method="massless")
-    cases: list[tuple[fc.Structure, Any, dict[str, Any], str]] = [
-        (
-            chain_of_10,
-            fc.UnilateralConstraint(1.0),
-            {},
-            "form = 'block': .* of crack faces with mass",
-        ),
-        (reduced_structure, fc.CoulombFriction(law, 0.3), {}, "form = 'block': .* with friction"),
-        (chain_of_10, law, {"tolerance": 0.1}, "tolerance = 0.1: not allowed with form = 'block'"),
-        (chain_of_10, law, {"form": "full"}, "form = 'full': must be one of 'condensed', 'block'"),
+    cases: list[tuple[fc.Structure, Any, dict[str, Any]]] = [
+        (chain_of_10, fc.UnilateralConstraint(1.0), {"form": "block"}),
+        (reduced_structure, fc.CoulombFriction(law, 0.3), {"form": "block"}),
+        (chain_of_10, law, {"tolerance": 0.1, "form": "block"}),
+        (chain_of_10, law, {"form": "full"}),
     ]
-    for structure, contact, options, words in cases:
-        with pytest.raises(fc.InputError, match=words):
-            fc.solve_harmonic_balance(structure, 0.7, contact, **{"form": "block"} | options)
+    for structure, contact, options in cases:
+        key, value = next(iter(options.items()))
+        call = partial(fc.solve_harmonic_balance, structure, 0.7, contact, **options)
+        catch_error(call, key, value, names="'condensed'|form = 'block'")
     monkeypatch.setattr(block_system, "machine_memory", lambda: 1e3)
-    with pytest.raises(fc.InputError, match="harmonics = 5: must be fewer, or form = 'condensed'"):
-        fc.solve_harmonic_balance(oscillator(), 0.7, law, form="block")
+    catch_error(
+        lambda: fc.solve_harmonic_balance(oscillator(), 0.7, law, form="block"),
+        "harmonics",
+        5,
+        names="form = 'condensed'",
+    )
 
 
 @pytest.mark.drawn(1)

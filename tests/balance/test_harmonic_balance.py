@@ -2,16 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from helpers import (
     Cubic,
     block_system,
+    catch_error,
     chain,
     dense_matrices,
     oscillator,
-    refusal,
     relative,
     two_masses,
 )
@@ -138,8 +139,7 @@ def test_response_with_lips_open_and_tied(
         ]
         amplitudes = fc.linear_response(model, dof, omega, lips=lips)
         np.testing.assert_allclose(amplitudes, np.hypot(*np.transpose(rows)), rtol=5e-3)
-    with pytest.raises(fc.InputError, match="lips = 'closed'"):
-        fc.linear_response(model, dof, omega, lips="closed")
+    catch_error(lambda: fc.linear_response(model, dof, omega, lips="closed"), "lips", "closed")
     assert fc.linear_response(oscillator(damping=0.0), 0, np.array([1.0]))[0] == np.inf
 
 
@@ -192,9 +192,12 @@ def test_continues_from_a_given_solution() -> None:
 def test_failure_is_an_error_with_its_history() -> None:
     """A tolerance below rounding cannot be met: an error, or a solution marked as not converged."""
     law, options = fc.UnilateralPenalty(10.0), {"residual_tolerance": 1e-25, "harmonics": 20}
-    with pytest.raises(fc.ConvergenceError, match="full Newton steps: failed") as caught:
-        fc.solve_harmonic_balance(oscillator(), 0.7, law, **options)
-    assert len(caught.value.history) > 3
+    error = catch_error(
+        lambda: fc.solve_harmonic_balance(oscillator(), 0.7, law, **options),
+        names="full Newton steps: failed",
+        kind=fc.ConvergenceError,
+    )
+    assert len(error.history) > 3
     solution = fc.solve_harmonic_balance(oscillator(), 0.7, law, **options, throw=False)
     assert not solution.converged
     assert "failed" in solution.status
@@ -231,10 +234,7 @@ def test_bad_arguments_are_named(key: str, arguments: dict[str, object]) -> None
         "omega": 1.0,
         "contact": fc.UnilateralPenalty(1.0),
     } | arguments
-    error = refusal(
-        lambda: fc.solve_harmonic_balance(oscillator(), **call_arguments), f"^{key} (= |is missing)"
-    )
-    assert error.key == key and error.allowed
+    catch_error(lambda: fc.solve_harmonic_balance(oscillator(), **call_arguments), key)
 
 
 def test_initial_of_another_structure_is_refused() -> None:
@@ -249,10 +249,17 @@ def test_initial_of_another_structure_is_refused() -> None:
         (replace(linear[0], subharmonic=2), 1),
         (replace(linear[0], subharmonic=2), 3),
     ):
-        with pytest.raises(fc.InputError, match=r"^initial = "):
-            fc.solve_harmonic_balance(
-                oscillator(), 1.0, law, initial=foreign_solution, subharmonic=subharmonic
-            )
+        catch_error(
+            partial(
+                fc.solve_harmonic_balance,
+                oscillator(),
+                1.0,
+                law,
+                initial=foreign_solution,
+                subharmonic=subharmonic,
+            ),
+            "initial",
+        )
 
 
 @pytest.mark.parametrize(
@@ -319,8 +326,12 @@ def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
         load = fc.Structure.from_matrices(
             unit, unit, gap=unit, force_cos=[force], damping=0.05 * unit
         )
-        with pytest.raises(fc.InputError, match=r"tangent\(gap\) is the slope of its force"):
-            fc.solve_harmonic_balance(load, 1.5, Steep(100.0), harmonics=9, throw=throw)
+        catch_error(
+            partial(fc.solve_harmonic_balance, load, 1.5, Steep(100.0), harmonics=9, throw=throw),
+            "contact",
+            "Steep",
+            names=r"tangent\(gap\)",
+        )
         solutions[force] = fc.solve_harmonic_balance(
             load, 1.5, Cubic(100.0), harmonics=9, throw=False
         )

@@ -2,13 +2,14 @@
 
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import pyvista
-from helpers import DEMOS, ROOT, period_two_orbit
+from helpers import DEMOS, ROOT, catch_error, period_two_orbit
 from mpi4py import MPI
 from PIL import Image
 from scipy.spatial import cKDTree
@@ -112,13 +113,13 @@ def test_animation_of_twice_the_period_without_a_crack(
 def test_animation_refuses(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
     """Files other than GIF, and structures without a mesh."""
     for name in ("crack.mp4", "crack"):
-        with pytest.raises(fc.InputError, match=r"path.*\.gif"):
-            fc.animate_period(breathing, tmp_path / name)
+        catch_error(partial(fc.animate_period, breathing, tmp_path / name), "path", names=r"\.gif")
+    path = tmp_path / "crack.gif"
     for key, value in (("frames", 1.5), ("magnification", 0.0), ("material", 2e9)):
-        with pytest.raises(fc.InputError, match=key):
-            fc.animate_period(breathing, tmp_path / "crack.gif", **{key: value})  # type: ignore[arg-type]
-    with pytest.raises(fc.InputError, match="structure"):
-        fc.animate_period(period_two_orbit(3), tmp_path / "crack.gif")
+        catch_error(partial(fc.animate_period, breathing, path, **{key: value}), key, value)
+    catch_error(
+        lambda: fc.animate_period(period_two_orbit(3), path), "structure", "made from matrices"
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -156,8 +157,7 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     contact = pixels(tmp_path / "dof orbit.png")
     assert share(contact, ORANGE) > 10.0 * share(pixels(tmp_path / "free orbit.png"), ORANGE)
     for draw in (fc.draw_spectrum, fc.draw_orbits):
-        with pytest.raises(fc.InputError, match="dof"):
-            draw(free_linear_solution)
+        catch_error(partial(draw, free_linear_solution), "dof", None)
 
 
 def test_rigid_lips_do_not_pass_through_each_other() -> None:
@@ -200,19 +200,20 @@ def test_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "change"),
+    ("key", "array", "value"),
     [
-        ("x", {"x": np.array([1.0, 1.0, 2.0])}),
-        ("y", {"y": np.array([1.0])}),
-        ("values", {"values": np.ones((3, 2))}),
-        ("values", {"values": np.full((2, 3), np.nan)}),
+        ("x", np.array([1.0, 1.0, 2.0]), np.array([1.0, 1.0, 2.0])),
+        ("y", np.array([1.0]), np.array([1.0])),
+        ("values", np.ones((3, 2)), (3, 2)),
+        ("values", np.full((2, 3), np.nan), "nan"),
     ],
 )
-def test_map_refuses(key: str, change: dict[str, np.ndarray]) -> None:
+def test_map_refuses(key: str, array: np.ndarray, value: Any) -> None:
     """Axes that do not rise, other shapes, and nothing but nan."""
-    map_arguments = {"x": np.arange(3.0), "y": np.arange(2.0), "values": np.ones((2, 3))} | change
-    with pytest.raises(fc.InputError, match=key):
-        fc.draw_map(**map_arguments, x_label="x", y_label="y", value_label="v")
+    arrays = {"x": np.arange(3.0), "y": np.arange(2.0), "values": np.ones((2, 3))} | {key: array}
+    catch_error(
+        lambda: fc.draw_map(**arrays, x_label="x", y_label="y", value_label="v"), key, value
+    )
 
 
 # --- several ranks --------------------------------------------------------------------------------

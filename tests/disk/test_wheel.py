@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import catch_error
 from wheels import RING, SOLID, ring, wheel_of
 
 import fenics_crack as fc
@@ -168,9 +169,11 @@ def test_varied_wheel(mistuned: Wheel) -> None:
     )  # fmt: skip
     assert second == pytest.approx(first_rows, rel=1e-12, abs=1e-12 * np.abs(first_rows).max())
     assert fc.reduce_wheel(mistuned.varied(clearance=1e-6), 1).clearance == pytest.approx(1e-6)
-    force = np.ones(mistuned.n_dofs)
-    with pytest.raises(fc.InputError, match=r"excitation\.harmonics"):
-        mistuned.with_harmonics({3: (force, None)})
+    catch_error(
+        lambda: mistuned.with_harmonics({3: (np.ones(mistuned.n_dofs), None)}),
+        "structure",
+        names=r"excitation\.harmonics",
+    )
 
 
 def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
@@ -213,13 +216,11 @@ def test_names_of_dofs(mistuned: Wheel) -> None:
     _, base_dof = mistuned.blade_of(mistuned.watched_dof)
     assert mistuned.dof_name(mistuned.dof_of(3, base_dof)).endswith("of blade 3")
     assert mistuned.blade_of(mistuned.dof_of(3, base_dof)) == (3, base_dof)
-    for call, words in (
-        (lambda: mistuned.dof_of(9, base_dof), "blade = 9: must be a whole number from 1 to 8"),
-        (lambda: mistuned.mistuned([0.0, 0.1]), "mistuning"),
-        (lambda: fc.reduce_wheel(WheelInFewCoordinates(mistuned, 2)), "wheel"),
-    ):
-        with pytest.raises(fc.InputError, match=words):
-            call()
+    catch_error(lambda: mistuned.dof_of(9, base_dof), "blade", 9, names="1 to 8")
+    catch_error(lambda: mistuned.mistuned([0.0, 0.1]), "mistuning", [0.0, 0.1], names="8 sectors")
+    catch_error(
+        lambda: fc.reduce_wheel(WheelInFewCoordinates(mistuned, 2)), "wheel", "WheelStructure"
+    )
 
 
 def _ranks(path: str, comm: Any) -> list[float]:

@@ -11,7 +11,7 @@ from typing import Any
 import gmsh
 import numpy as np
 import pytest
-from helpers import gmsh_model
+from helpers import catch_error, gmsh_model
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
@@ -273,28 +273,39 @@ def test_shapes_that_are_not_solved(swept: SimpleNamespace) -> None:
     )
     assert len(found.solved) == 21
     swept.flattest = 0.15
-    with pytest.raises(fc.ConvergenceError, match=r"deep and .* long: too flat"):
-        fc.grow(scene(), comm=MPI.COMM_SELF)
+    catch_error(
+        lambda: fc.grow(scene(), comm=MPI.COMM_SELF),
+        names=r"deep and .* long: too flat",
+        kind=fc.ConvergenceError,
+    )
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("key", "value", "changes", "names"),
     [
-        ({"crack.front": "straight"}, "crack.front = 'straight'.*'elliptical' with .growth."),
-        ({"growth.until": 0.001}, "growth.until = 0.001.*between crack.depth = 0.0015"),
-        ({"growth.until": 0.007}, "growth.until = 0.007.*geometry.thickness = 0.006"),
-        ({"crack.length": 0.028}, "crack.length = 0.028.*below 0.027"),
+        ("crack.front", "straight", {}, "'elliptical'"),
+        ("growth.until", 0.001, {}, r"crack\.depth = 0\.0015"),
+        ("growth.until", 0.007, {}, r"geometry\.thickness = 0\.006"),
+        ("crack.length", 0.028, {}, r"below 0\.027"),
         (
+            "growth.drive",
+            "spectrum",
             {"growth.drive": "spectrum", "growth.frequencies": [9.0], "growth.cycles": [1.0]},
-            "growth.drive = 'spectrum'.*crack.front = 'elliptical'",
+            r"crack\.front = 'elliptical'",
         ),
-        ({"crack.front": None, "crack.depth": None}, "crack = .*one crack from an edge"),
+        ("crack", "several tips", {"crack.front": None, "crack.depth": None}, None),
     ],
 )
-def test_other_fronts_are_refused(changes: dict[str, Any], told: str) -> None:
+def test_other_fronts_are_refused(
+    key: str, value: Any, changes: dict[str, Any], names: str | None
+) -> None:
     """Each by its key, before anything is solved."""
-    with pytest.raises(fc.InputError, match=told):
-        fc.grow(scene(**changes), comm=MPI.COMM_SELF)
+    catch_error(
+        lambda: fc.grow(scene(**changes or {key: value}), comm=MPI.COMM_SELF),
+        key,
+        value,
+        names=names,
+    )
 
 
 def lives(comm: MPI.Comm) -> list[float]:
@@ -328,9 +339,12 @@ def test_the_nearer_side_limits_the_length(form: str, tmp_path: Path) -> None:
             model.occ.addBox(0, 0, 0, 30, 90, 6)
             model.occ.synchronize()
             gmsh.write(changes["geometry.file"])
-    near_side = scene(**changes)
-    with pytest.raises(fc.InputError, match=r"crack\.length = 0\.00725: .*below 0\.0072:"):
-        fc.grow(near_side, comm=MPI.COMM_SELF)
+    catch_error(
+        lambda: fc.grow(scene(**changes), comm=MPI.COMM_SELF),
+        "crack.length",
+        0.00725,
+        names=r"below 0\.0072:",
+    )
     if form != "center":
         edge_scene = near_side.replace({"crack.point": [0.0, 0.03, 0.006]})
         with pytest.raises(fc.InputError, match=r"^crack\.point = .*inside a face"):

@@ -15,12 +15,12 @@ from typing import Any
 import gmsh
 import numpy as np
 import pytest
-from helpers import gmsh_model
+from helpers import catch_error, gmsh_model
 from mpi4py import MPI
 from surroundings import MPI_ENVIRONMENT, ROOT, RunCommand
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 from fenics_crack.fem.solid_mesher import (
     STRAIGHT_CELL_DISTANCE_IN_ELEMENTS,
     TETRAHEDRON_EDGES,
@@ -198,55 +198,52 @@ def test_cracks_in_the_order_of_the_scene(parts: Path) -> None:
     assert structure.force[1].sum() == pytest.approx(BOX[0] * BOX[2], rel=1e-9)
 
 
-REFUSED = [
-    ("geometry.file", {"geometry.file": "part.stl"}, "path of a .step, .stp or .brep file"),
-    ("geometry.file", {"geometry.file": "words.step"}, "does not begin as such a file"),
-    ("geometry.file", {"geometry.file": "missing.step"}, "No such file"),
-    ("geometry.file", {"geometry.file": "cut.step"}, "readable by gmsh|one solid|gmsh reads"),
-    ("geometry.file", {"geometry.file": "two.step"}, "one solid: it has 2"),
-    ("geometry.file", {"geometry.file": "flat.step"}, "one solid: it has none"),
-    ("geometry.unit", {"geometry.file": "box.brep"}, "given: 'mm', 'm' or 'inch'"),
-    ("geometry.unit", {"geometry.unit": "mm"}, "not allowed with a STEP file"),
-    ("geometry.faces", {"geometry.faces": {}}, "one of them clamp"),
-    ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, 0.0]]}}, "lists of points"),
+REFUSED: list[tuple[str, dict[str, Any], str | None]] = [
+    ("geometry.file", {"geometry.file": "part.stl"}, r"\.step, \.stp or \.brep"),
+    ("geometry.file", {"geometry.file": "words.step"}, None),
+    ("geometry.file", {"geometry.file": "missing.step"}, None),
+    ("geometry.file", {"geometry.file": "cut.step"}, None),
+    ("geometry.file", {"geometry.file": "two.step"}, "2$"),
+    ("geometry.file", {"geometry.file": "flat.step"}, "none$"),
+    ("geometry.unit", {"geometry.unit": None, "geometry.file": "box.brep"}, "'mm', 'm' or 'inch'"),
+    ("geometry.unit", {"geometry.unit": "mm"}, "STEP"),
+    ("geometry.faces", {"geometry.faces": {}}, "clamp"),
+    ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, 0.0]]}}, None),
     ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, -0.02, 0.0]]}},
-     r"\(0, -0.02, 0\) of clamp is 20 mm away from the nearest"),
-    ("geometry.width", {"geometry.width": 1.0}, "not allowed with geometry.file"),
-    ("mesh.size", {"mesh.size": 1e-5}, "cells"),
-    ("mesh.lip_elements", {"mesh.lip_elements": 5000}, "cells"),
-    ("crack.point", {"crack.point": None}, "given with geometry.file"),
-    ("crack.point", {"crack.point": [0.0, 0.2, 0.0]}, "misses the part"),
+     r"\(0, -0\.02, 0\) of clamp is 20 mm"),
+    ("geometry.width", {"geometry.width": 1.0}, r"geometry\.file"),
+    ("mesh.size", {"mesh.size": 1e-5}, r"2e\+06 cells"),
+    ("mesh.lip_elements", {"mesh.lip_elements": 5000}, r"2e\+06 cells"),
+    ("crack.point", {"crack.point": None}, r"geometry\.file"),
+    ("crack.point", {"crack.point": [0.0, 0.2, 0.0]}, None),
     ("crack.point", {"crack.point": [15.0, 30.0, 6.0]},
-     r"from \(0, 0, 0\) to \(0.03, 0.09, 0.006\) m; in mm"),
-    ("crack.radii", {"crack.radii": [0.1, 0.1]}, "cut the part in two"),
-    ("crack.point", {"crack.point": [0.015, 0.0, 0.006]}, "lies in a face"),
+     r"\(0, 0, 0\) to \(0\.03, 0\.09, 0\.006\) m; in mm"),
+    ("crack.radii", {"crack.radii": [0.1, 0.1]}, None),
+    ("crack.point", {"crack.point": [0.015, 0.0, 0.006]}, None),
     ("crack.point", {"geometry.file": "holed.step", "crack.point": [0.015, 0.045, 0.0],
-                     "crack.normal": [0.0, 0.0, 1.0], "crack.radii": [0.012, 0.06]},
-     "lies in a face"),
-    ("crack.point", {"crack.point": [0.0148, 0.03, 0.003], "crack.radii": [0.003, 0.003]},
-     "farther from the surface"),
-    ("crack.point", {"crack.radii": [0.008, 0.00599]}, "farther from the surface"),
+                     "crack.normal": [0.0, 0.0, 1.0], "crack.radii": [0.012, 0.06]}, None),
+    ("crack.point", {"crack.point": [0.0148, 0.03, 0.003], "crack.radii": [0.003, 0.003]}, None),
+    ("crack.point", {"crack.radii": [0.008, 0.00599]}, None),
     ("cracks.1.point", {"cracks.1.point": [0.015, 0.03, 0.006], "cracks.1.normal": [1.0, 1.0, 0.0],
                         "cracks.1.direction": [0.0, 0.0, 1.0], "cracks.1.radii": [0.003, 0.003]},
-     "crosses and touches no other"),
-    ("crack.normal", {"crack.normal": [0.0, 0.0, 0.0]}, "not zero"),
-    ("crack.direction", {"crack.direction": [0.0, 1.0, 0.0]}, "across crack.normal"),
-    ("crack.direction", {"crack.direction": None}, "of the first radius"),
-    ("crack.radii", {"crack.radii": None}, "or front = 'through'"),
-    ("crack.radii", {"crack.front": "through"}, "not allowed with front = 'through'"),
-    ("crack.height", {"crack.height": 0.03}, "not allowed with crack.point"),
+     None),
+    ("crack.normal", {"crack.normal": [0.0, 0.0, 0.0]}, None),
+    ("crack.direction", {"crack.direction": [0.0, 1.0, 0.0]}, r"crack\.normal"),
+    ("crack.direction", {"crack.direction": None}, None),
+    ("crack.radii", {"crack.radii": None}, "front = 'through'"),
+    ("crack.radii", {"crack.front": "through"}, "front = 'through'"),
+    ("crack.height", {"crack.height": 0.03}, r"crack\.point"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("key", "changes", "words"), REFUSED)
-def test_refused(parts: Path, key: str, changes: dict[str, Any], words: str) -> None:
+@pytest.mark.parametrize(("key", "changes", "names"), REFUSED)
+def test_refused(parts: Path, key: str, changes: dict[str, Any], names: str | None) -> None:
     """One line with the key, before the part is meshed."""
-    changes = dict(changes)
     if "geometry.file" in changes:
-        changes["geometry.file"] = str(parts / changes["geometry.file"])
-    with pytest.raises(InputError, match=words) as caught:
-        fc.build_structure(part(parts).replace(changes), MPI.COMM_SELF)
-    assert caught.value.key == key
+        changes = changes | {"geometry.file": str(parts / changes["geometry.file"])}
+    catch_error(
+        lambda: fc.build_structure(part(parts).replace(changes), MPI.COMM_SELF), key, names=names
+    )
 
 
 def test_a_rounded_point(parts: Path) -> None:
@@ -275,9 +272,11 @@ def test_a_load_near_the_surface(parts: Path) -> None:
         "the force acts on the nearest one, at (0, 0.09, 0.003)" in remark for remark in remarks
     )
     assert np.count_nonzero(structure.force[2]) == 1
-    with pytest.raises(InputError, match="on the mesh") as caught:
-        fc.build_structure(scene.replace({"excitation.point": [0.0, 0.12, 0.003]}))
-    assert caught.value.key == "excitation.point"
+    catch_error(
+        lambda: fc.build_structure(scene.replace({"excitation.point": [0.0, 0.12, 0.003]})),
+        "excitation.point",
+        (0.0, 0.12, 0.003),
+    )
     scene = scene.replace({"excitation.point": [0.001, 0.0895, 0.003]})
     structure = fc.build_structure(scene, MPI.COMM_SELF)
     assert not any("nearest" in str(remark) for remark in remarks_on_scene(scene, structure))

@@ -6,17 +6,18 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gmsh
 import numpy as np
 import pytest
-from helpers import ROOT, gmsh_model, refusal
+from helpers import ROOT, catch_error, gmsh_model
 from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
-from fenics_crack import InputError, build_structure, solve_modes
+from fenics_crack import build_structure, solve_modes
 from fenics_crack.fem.msh_file import (
     check_cells,
     check_parts_are_clamped,
@@ -191,8 +192,12 @@ def test_several_cracks_of_the_plugin(plugin: Callable[..., Path]) -> None:
     structure = build_structure(scene)
     exact_clearance = np.where(structure.pairs.cracks == 0, 1e-6, 2e-6)
     np.testing.assert_array_equal(structure.clearance, exact_clearance)
-    with pytest.raises(InputError, match="each of the 2 cracks of the mesh file"):
-        build_structure(scene.replace({"cracks.2.clearance": 0.0}))
+    catch_error(
+        lambda: build_structure(scene.replace({"cracks.2.clearance": 0.0})),
+        "cracks",
+        "3 tables with [crack]",
+        names="the 2 cracks",
+    )
 
 
 @pytest.mark.drawn(3)
@@ -222,15 +227,15 @@ def test_curves_that_are_no_cracks() -> None:
     cells, places, clamp = grid()
     ring = [node(2, 2), node(3, 2), node(3, 3), node(2, 3), node(2, 2)]
     line, crossing_line = [node(x, 3) for x in range(1, 6)], [node(3, y) for y in range(3, 6)]
-    for curve, words in (
-        (clamp, "6 of the 6 edges of cracks not between cells"),
-        (edges(line) + edges(crossing_line), "neither branch nor cross"),
-        (edges(line) + edges([node(3, y) for y in range(1, 6)]), "neither branch nor cross"),
-        (edges(line[:2]), "all nodes of a crack on its front"),
-        (edges(ring), "a closed curve"),
+    full_line = [node(3, y) for y in range(1, 6)]
+    for curve, key, value in (
+        (clamp, "mesh", "6 of the 6 edges of cracks not between cells"),
+        (edges(line) + edges(crossing_line), "mesh", "more than two sides of a crack meeting"),
+        (edges(line) + edges(full_line), "mesh", "more than two sides of a crack meeting"),
+        (edges(line[:2]), "mesh", "all nodes of a crack on its front"),
+        (edges(ring), "lips", "a closed curve"),
     ):
-        with pytest.raises(InputError, match=words):
-            put_lips(cells, places, clamp, crack=curve)
+        catch_error(partial(put_lips, cells, places, clamp, crack=curve), key, value)
 
 
 def test_a_mouth_that_is_closed() -> None:
@@ -241,8 +246,12 @@ def test_a_mouth_that_is_closed() -> None:
     lower_edges, upper_edges = (
         edges([line[0], *inner_nodes, line[3]]) for inner_nodes in (lower_nodes, upper_nodes)
     )
-    with pytest.raises(InputError, match=r"a mouth at \(0, 3\) that is closed.*named 'crack'"):
-        put_lips(cells, places, clamp, lower_lip=lower_edges, upper_lip=upper_edges)
+    catch_error(
+        lambda: put_lips(cells, places, clamp, lower_lip=lower_edges, upper_lip=upper_edges),
+        "lips",
+        "a mouth at (0, 3) that is closed",
+        names="'crack'",
+    )
     [lip] = put_lips(cells, places, clamp, crack=upper_edges)
     assert lip.has_mouth and lip.points.tolist() == [[x, 3.0] for x in range(4)]
 
@@ -295,12 +304,10 @@ def test_a_load_is_one_point(tmp_path: Path) -> None:
         _name(model, 0, [3, 4], 3, "load")
         model.mesh.generate(2)
         gmsh.write(str(path))
-    assert (
-        refusal(
-            lambda: build_mesh(file_plate(path, contact=None, crack=None), MPI.COMM_SELF),
-            "2 points in the group 'load'",
-        ).key
-        == "mesh.file"
+    catch_error(
+        lambda: build_mesh(file_plate(path, contact=None, crack=None), MPI.COMM_SELF),
+        "mesh.file",
+        names="2 points in the group 'load'",
     )
 
 
@@ -316,8 +323,9 @@ def test_a_force_without_a_place(tmp_path: Path) -> None:
         gmsh.write(str(path))
     loads = {"loads.1.edge": "end", "loads.1.pressure_sin": 1.0}
     scene = file_plate(path, contact=None, crack=None, **loads)
-    with pytest.raises(InputError, match=r"point is .*given with excitation.force_sin, or a"):
-        build_structure(scene)
+    catch_error(
+        lambda: build_structure(scene), "excitation.point", None, names=r"excitation\.force_sin"
+    )
     assert build_structure(scene.replace({"excitation.force_sin": [0.0, 0.0]})).n_dofs > 0
 
 
@@ -340,14 +348,8 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
 
 
 def refused(words: str, *mesh: Any, **curves: Any) -> np.ndarray:
-    """The place of a refusal in the words given."""
-    with pytest.raises(InputError, match=words) as caught:
-        check(*mesh, **curves)
-    return place_of(caught.value)
-
-
-def place_of(error: InputError) -> np.ndarray:
-    assert error.key == "mesh"
+    """Return the place that the value of a refusal names, in these words."""
+    error = catch_error(lambda: check(*mesh, **curves), "mesh", names=words)
     return np.array(re.findall(r"[-\d.e]+(?=[,)])", str(error.value)), dtype=float)
 
 
@@ -374,17 +376,26 @@ def test_a_file_is_checked(tmp_path: Path) -> None:
     read(cells, places, clamp)
     thrown = places.copy()
     thrown[node(3, 3)] = 4.4, 3.2
-    with pytest.raises(InputError, match=r"^mesh.file = '.*cells.msh \(cells that overlap at "):
-        read(cells, thrown, clamp)
+    catch_error(
+        lambda: read(cells, thrown, clamp),
+        "mesh.file",
+        names=r"cells\.msh \(cells that overlap at ",
+    )
     further_cells, further_places, _ = grid(2, 2, (8.0, 1.0))
-    with pytest.raises(InputError, match=r"a part without a clamp at \(9, 2\)"):
-        read(
+    catch_error(
+        lambda: read(
             np.concatenate([cells, further_cells + 49]),
             np.concatenate([places, further_places]),
             clamp,
-        )
-    with pytest.raises(InputError, match=r"touch .* at \(.\.5, 3\)"):
-        read(*doubled(cells, places, [node(3, 3)])[:2], clamp)
+        ),
+        "mesh.file",
+        names=r"at \(9, 2\)",
+    )
+    catch_error(
+        lambda: read(*doubled(cells, places, [node(3, 3)])[:2], clamp),
+        "mesh.file",
+        names=r"at \(.\.5, 3\)",
+    )
 
 
 def grid(
@@ -467,7 +478,7 @@ def test_a_node_doubled_by_accident() -> None:
     """An unnamed slit is refused; the same with names is a crack inside."""
     cells, places, clamp = grid()
     cells, places, lower_nodes, upper_nodes = doubled(cells, places, [node(3, 3)])
-    place = refused("touch .* at .* share their nodes", cells, places, clamp=clamp)
+    place = refused("touch without a node of both", cells, places, clamp=clamp)
     assert tuple(place) in ((2.5, 3.0), (3.5, 3.0))
     ends = node(2, 3), node(4, 3)
     lips = {
@@ -566,7 +577,7 @@ def test_quadrilaterals_are_convex() -> None:
     places = np.array([(0.0, 0.0), (1.0, 0.0), (0.5, 0.5), (0.0, 1.0)])
     check([(0, 1, 2, 3)], places, QUADRILATERAL, clamp=[(0, 1)])
     places[2] = 0.3, 0.3
-    words = "a folded cell at .* convex"
+    words = "a folded cell at"
     place = refused(words, [(0, 1, 2, 3)], places, QUADRILATERAL, clamp=[(0, 1)])
     np.testing.assert_allclose(place, 0.325)
 

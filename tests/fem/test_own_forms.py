@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sparse
 import ufl
+from helpers import catch_error
 from mpi4py import MPI
 from surroundings import DEMOS
 from test_solids import of_file, write_box, write_hexahedra
@@ -248,9 +249,12 @@ def test_functions_of_scenes(on_ranks: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize("index", [2, -1, 0.0, None])
 def test_modes_that_there_are_not(index: Any) -> None:
-    modes = fc.solve_modes(fc.build_structure(PLATE), 2)
-    with pytest.raises(fc.InputError, match=r"^index .*: must be a whole number from 0 to 1$"):
-        modes.function(index)
+    catch_error(
+        lambda: fc.solve_modes(fc.build_structure(PLATE), 2).function(index),
+        "index",
+        index,
+        names="0 to 1",
+    )
 
 
 def test_a_free_plate_without_a_crack() -> None:
@@ -266,10 +270,8 @@ def test_functions_need_a_mesh() -> None:
     unit = np.ones((1, 1))
     mass = fc.Structure.from_matrices(unit, unit, gap=unit, force_cos=[1.0], damping=0.1 * unit)
     solution = fc.solve_linear(mass, 0.5)
-    with pytest.raises(fc.InputError, match=r"structure = .*made from a mesh of DOLFINx"):
-        solution.function(0.0)
-    with pytest.raises(fc.InputError, match="time = 'now'"):
-        solution.function("now")
+    catch_error(lambda: solution.function(0.0), "structure")
+    catch_error(lambda: solution.function("now"), "time", "now")
 
 
 # --- what is refused ------------------------------------------------------------------------------
@@ -293,57 +295,52 @@ def test_refused() -> None:
     points = dolfinx.mesh.meshtags(mesh, 0, np.arange(9, dtype=np.int32), np.ones(9, np.int32))
     elsewhere = given(PLATE, MPI.COMM_SELF)[1]["crack"]
     valid_forms = {"stiffness": stiffness, "mass": mass}
-    cases: list[tuple[str, dict[str, Any], str]] = [
+    cases: list[tuple[str, dict[str, Any], str | None]] = [
         ("space", {"space": 3}, "'int'.*Lagrange"),
         ("space", {"space": vectors(mesh, 3)}, "order 1 or 2"),
         ("space", {"space": compat.function_space(mesh, 1, vectors=False)}, "order 1 or 2"),
         ("space", {"space": space.sub(0)}, "order 1 or 2"),
-        ("stiffness", {"space": vectors(solid, 1)}, "it has 2 arguments, 0 of them"),
-        ("stiffness", {"stiffness": 1.0}, "'float': must be a bilinear form"),
-        ("stiffness", {"stiffness": x}, "it has 1 arguments, 1 of them"),
+        ("stiffness", {"space": vectors(solid, 1)}, "2 arguments, 0 of them"),
+        ("stiffness", {"stiffness": 1.0}, "= 'float'"),
+        ("stiffness", {"stiffness": x}, "1 arguments, 1 of them"),
         ("stiffness", {"stiffness": -1.0 * stiffness}, "negative eigenvalue"),
         ("mass", {"mass": ufl.inner(ufl.TrialFunction(other_space), test) * ufl.dx}, "0 of them"),
         ("mass", {"mass": mass + ufl.TrialFunction(space)[1] * test_x * ufl.dx}, "asymmetric"),
-        ("mass", {"mass": 0.0 * mass}, "must be"),
-        ("damping", {"damping": 0.1}, "'float': must be a bilinear form"),
+        ("mass", {"mass": 0.0 * mass}, "0 arguments, 0 of them"),
+        ("damping", {"damping": 0.1}, "= 'float'"),
         ("bcs", {"bcs": 3}, "'int'"),
         ("bcs", {"bcs": ["clamp"]}, "Dirichlet"),
-        ("bcs", {"bcs": [dirichlet(rest, clamp_dofs, other_space)]}, "of another space"),
-        (
-            "bcs",
-            {"bcs": [dirichlet(np.array([0.0, 1e-9]), nodes, space)]},
-            "another value than zero",
-        ),
-        (
-            "bcs",
-            {"bcs": [dirichlet(np.array([0.0, np.nan]), nodes, space)]},
-            "another value than zero",
-        ),
+        ("bcs", {"bcs": [dirichlet(rest, clamp_dofs, other_space)]}, None),
+        ("bcs", {"bcs": [dirichlet(np.array([0.0, 1e-9]), nodes, space)]}, None),
+        ("bcs", {"bcs": [dirichlet(np.array([0.0, np.nan]), nodes, space)]}, None),
         ("mass", {"bcs": [dirichlet(rest, all_dofs, space)]}, r"\(0, 0\)"),
         ("loads", {"loads": x}, "mean, sin, cos"),
         ("loads", {"loads": (x,)}, "mean, sin, cos"),
-        ("loads.sin", {"loads": (None, mass, None)}, "linear form"),
+        ("loads.sin", {"loads": (None, mass, None)}, "2 arguments, 2 of them"),
         ("crack", {"crack": 3}, "facet_tags, lower, upper"),
         ("crack", {"crack": (tags, lower, lower)}, "facet_tags, lower, upper"),
         ("crack", {"crack": (tags, lower, 4.5)}, "facet_tags, lower, upper"),
-        ("crack", {"crack": (points, 1, 2)}, "other entities"),
-        ("crack", {"crack": elsewhere}, "another mesh"),
+        ("crack", {"crack": (points, 1, 2)}, "facet_tags, lower, upper"),
+        ("crack", {"crack": elsewhere}, "facet_tags, lower, upper"),
         ("crack", {"crack": (tags, lower, 99)}, "0 facets of tag 99"),
         (
             "crack",
             {"crack": (marks, 9, 8)},
             f"{len(facets)} facets of tag 9, {len(facets)} of them",
         ),
-        ("crack", {"crack": (tags, lower, plate.tags_by_group["top"][0])}, "from the lower|meshed"),
+        (
+            "crack",
+            {"crack": (tags, lower, plate.tags_by_group["top"][0])},
+            r"'\d lower and \d upper nodes'",
+        ),
         ("thickness", {"thickness": 0.0}, "> 0"),
-        ("clearance", {"clearance": [1.0]}, "one finite number"),
+        ("clearance", {"clearance": [1.0]}, " 4$"),
     ]
-    for key, change, words in cases:
+    for key, change, names in cases:
         arguments = {"space": space} | valid_forms | options | change
         three = [arguments.pop(name) for name in ("space", "stiffness", "mass")]
-        with pytest.raises(fc.InputError, match=words) as caught:
-            fc.structure_from_forms(*three, **arguments)
-        assert caught.value.key == key and "\n" not in str(caught.value), change
+        error = catch_error(partial(fc.structure_from_forms, *three, **arguments), key, names=names)
+        assert "\n" not in str(error), change
 
 
 def refused_on_ranks(comm: MPI.Comm) -> list[str]:
@@ -357,9 +354,8 @@ def refused_on_ranks(comm: MPI.Comm) -> list[str]:
     )  # fmt: skip
     messages = []
     for change in ({"bcs": [nonzero_condition]}, {"crack": (marks, 9, 8)}):
-        with pytest.raises(fc.InputError) as caught:
-            fc.structure_from_forms(space, *forms, **options | change)
-        messages += comm.allgather(str(caught.value))
+        call = partial(fc.structure_from_forms, space, *forms, **options | change)
+        messages += comm.allgather(str(catch_error(call, *change)))
     return messages
 
 

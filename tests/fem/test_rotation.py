@@ -6,18 +6,20 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
+from helpers import catch_error
 from mpi4py import MPI
 from numpy.polynomial import Polynomial
 from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 
 PUBLISHED = {
     (0, 0): (3.5160, 22.0345), (0, 1): (3.6816, 22.1810), (0, 2): (4.1373, 22.6149),
@@ -185,20 +187,24 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
     rotation = fc.build_structure(strip(0, 1.0)).rotation
     softening_matrix = rotation.at_rest.mass.copy()
     softening_matrix.scale(-1.0)
-    with pytest.raises(InputError, match=r"rotation.speed.*lower"):
-        replace(rotation, rotation_stiffness=softening_matrix).at(4.0 * UNIT)
+    catch_error(
+        lambda: replace(rotation, rotation_stiffness=softening_matrix).at(4.0 * UNIT),
+        "rotation.speed",
+    )
     plate = fc.prepare(cracked(100.0))
     for structure in (plate.structure, plate.structure.whole):
-        with pytest.raises(InputError, match="load"):
-            structure.varied(load=2.0)
+        catch_error(partial(structure.varied, load=2.0), "load", 2.0)
         assert np.array_equal(structure.varied(damping=2.0).force, structure.force)
         varied_structure = structure.varied(damping=2.0, clearance=1e-6).whole
         for speed in (0.0, 100.0):
             turning_structure = varied_structure.rotation.at(speed)
             assert np.array_equal(turning_structure.clearance, varied_structure.clearance)
             assert turning_structure.damping == varied_structure.damping != structure.whole.damping
-    with pytest.raises(InputError, match="parameter"):
-        fc.continue_parameter(plate.structure, 3000.0, plate.contact, "load", 0.5, 1.0)
+    catch_error(
+        lambda: fc.continue_parameter(plate.structure, 3000.0, plate.contact, "load", 0.5, 1.0),
+        "parameter",
+        "load",
+    )
 
 
 def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
@@ -232,8 +238,7 @@ def test_lumped_and_tied_blades_rotate_still() -> None:
     full_structure = fc.build_structure(cracked(600.0), MPI.COMM_SELF)
     for make_variant in (full_structure.lumped, lambda: full_structure.tied(1e12)):
         variant = make_variant()
-        with pytest.raises(InputError, match="centrifugal"):
-            variant.varied(load=2.0)
+        catch_error(partial(variant.varied, load=2.0), "load", 2.0)
         rotor = fc.run_up_structure(variant, 500.0, 700.0, 3)
         omegas = fc.solve_modes(variant.rotation.at(650.0), 3).omega
         assert rotor.at_speed(650.0).omega == pytest.approx(omegas, rel=1e-7)

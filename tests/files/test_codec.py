@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from helpers import changed
+from helpers import catch_error, changed
 from rotating import cracked
 from surroundings import DEMOS, main
 
@@ -138,7 +139,7 @@ def test_forged_results_are_refused(tmp_path: Path) -> None:
         with changed(forged_path) as file:
             del file[name]
             file[name] = value
-        with pytest.raises(fc.InputError, match="written by save"):
-            fc.Timing.load(forged_path)
-    with pytest.raises(fc.InputError, match="a file with a crack growth; in this one is a tip"):
-        fc.Growth.load(tmp_path / "timing.h5")
+        catch_error(partial(fc.Timing.load, forged_path), "path", str(forged_path))
+    catch_error(
+        lambda: fc.Growth.load(tmp_path / "timing.h5"), "path", names="crack growth.*tip timing"
+    )

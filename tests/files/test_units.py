@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from helpers import chain, evaluate, oscillator
+from helpers import catch_error, chain, evaluate, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -135,5 +136,4 @@ def test_a_law_of_ones_own_is_known_by_its_forces(tmp_path: Path) -> None:
         fc.save(result, path)
         result_of_file: Any = fc.load(path, structure, Hardening(1.0))
         assert np.array_equal(result_of_file.gap_coefficients, result.gap_coefficients)
-        with pytest.raises(fc.InputError, match="its forces are others"):
-            fc.load(path, structure, Hardening(0.5))
+        catch_error(partial(fc.load, path, structure, Hardening(0.5)), "contact")

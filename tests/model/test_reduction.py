@@ -5,7 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DAMPINGS, ROOT, chain, dense_matrices, log_slope, relative, true_error, wrap
+from helpers import (
+    DAMPINGS,
+    ROOT,
+    catch_error,
+    chain,
+    dense_matrices,
+    log_slope,
+    relative,
+    true_error,
+    wrap,
+)
 from mpi4py import MPI
 from reference_flow import size_of_motion
 
@@ -182,8 +192,7 @@ def test_reduced_solution_speaks_of_the_whole_structure(wide_plate: fc.Structure
     ):
         assert reduced_array.shape == full_array.shape
         assert relative(reduced_array, full_array) < 1e-4
-    with pytest.raises(fc.InputError, match="dofs"):
-        reduced_solution.coefficients_at([wide_plate.n_dofs])
+    catch_error(lambda: reduced_solution.coefficients_at([wide_plate.n_dofs]), "dofs")
 
 
 def test_basis_is_orthonormal_and_diagonal(wide_plate: fc.Structure) -> None:
@@ -227,9 +236,11 @@ def test_damped_reduction(wide_plate: fc.Structure) -> None:
 
 def test_changed_reduction_has_no_positions(wide_plate: fc.Structure) -> None:
     """Its coordinates are no longer dofs of the plate, and it says so."""
-    bonded_model = fc.reduce_structure(wide_plate, modes=5).tied(1.0)
-    with pytest.raises(fc.InputError, match="point"):
-        bonded_model.find_dof((0.1, 0.1), "x")
+    catch_error(
+        lambda: fc.reduce_structure(wide_plate, modes=5).tied(1.0).find_dof((0.1, 0.1), "x"),
+        "point",
+        (0.1, 0.1),
+    )
 
 
 # --- arguments ------------------------------------------------------------------------------------
@@ -295,8 +306,12 @@ def test_a_ratio_for_each_of_too_many_modes(
 ) -> None:
     """They would all have to be computed: refused at once, with what is allowed."""
     damped_plate = fine_plate.damped(fc.ModalDamping(np.linspace(0.01, 0.02, fine_plate.n_dofs)))
-    with pytest.raises(fc.InputError, match=r"^damping ratio = '1652 .* 600 dofs"):
-        fc.reduce_structure(damped_plate, modes=modes)
+    catch_error(
+        lambda: fc.reduce_structure(damped_plate, modes=modes),
+        "damping ratio",
+        "1652 ratios for all 1652 modes",
+        names=" 600 dofs",
+    )
     assert counts == []
     plate_of_8_ratios = fine_plate.damped(fc.ModalDamping(np.linspace(0.01, 0.02, 8), 8))
     assert fc.reduce_structure(plate_of_8_ratios, modes=modes).n_dofs < 16
@@ -315,17 +330,17 @@ def test_what_reduces_by_itself(fine_plate: fc.Structure, counts: list[int]) -> 
 @pytest.mark.parametrize("modes", [0, -1, 51, 2.5, True, "all", np.inf])
 def test_bad_number_of_modes_is_named(soft_plate: fc.Structure, modes: object) -> None:
     """Between 1 and the number of dofs."""
-    with pytest.raises(fc.InputError, match=r"^modes = ") as caught:
-        fc.reduce_structure(soft_plate, modes=modes)  # type: ignore[arg-type]
-    is_whole = isinstance(modes, int) and not isinstance(modes, bool)
-    assert caught.value.key == "modes"
-    assert ("50" if is_whole else "whole number") in caught.value.allowed
+    catch_error(
+        lambda: fc.reduce_structure(soft_plate, modes=modes),
+        "modes",
+        modes,
+        names="50" if type(modes) is int else None,
+    )
 
 
 def test_bad_method_is_named(soft_plate: fc.Structure) -> None:
     """One of three."""
-    with pytest.raises(fc.InputError, match=r"^method = 'guyan'"):
-        fc.reduce_structure(soft_plate, method="guyan")
+    catch_error(lambda: fc.reduce_structure(soft_plate, method="guyan"), "method", "guyan")
 
 
 def test_numpy_counts_are_counts(soft_plate: fc.Structure) -> None:

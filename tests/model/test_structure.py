@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
-from helpers import dense, refusal
+from helpers import catch_error, dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
@@ -61,8 +62,9 @@ def test_matrices_in_the_order_mass_damping_stiffness() -> None:
     mass, damping, stiffness = np.eye(2), 0.1 * np.eye(2), np.diag([1.0, 2.0])
     message = r"too many .*; its arguments are mass, stiffness, gap=\.\.\., .*damping=\.\.\.,"
     for third in (stiffness, [1.0, 0.0]):
-        with pytest.raises(TypeError, match=message):
-            Structure.from_matrices(mass, damping, third)  # type: ignore[call-arg, misc]
+        catch_error(
+            partial(Structure.from_matrices, mass, damping, third), names=message, kind=TypeError
+        )
 
 
 # --- from_matrices --------------------------------------------------------------------------------
@@ -221,7 +223,7 @@ SKEW = np.triu(np.ones((N, N)), 1)
 )
 def test_wrong_argument_is_named(name: str, value: Any) -> None:
     """One wrong argument of from_matrices gives one InputError with that argument's name."""
-    assert refusal(lambda: Structure.from_matrices(**(good() | {name: value}))).key == name
+    catch_error(lambda: Structure.from_matrices(**(good() | {name: value})), name)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +241,7 @@ def test_bad_matrix_market_file(content: str, tmp_path: Path) -> None:
     """A Matrix Market file that is cut off, broken or complex is refused."""
     path = tmp_path / "mass.mtx"
     path.write_text(content)
-    assert refusal(lambda: Structure.from_matrices(**(good() | {"mass": path}))).key == "mass"
+    catch_error(lambda: Structure.from_matrices(**(good() | {"mass": path})), "mass")
 
 
 @pytest.mark.parametrize(
@@ -263,7 +265,7 @@ def test_bad_matrix_market_file(content: str, tmp_path: Path) -> None:
 )
 def test_wrong_modal_damping(key: str, arguments: tuple[Any, ...]) -> None:
     """Ratios must be finite and not negative, the number of modes a whole number from 1 on."""
-    assert refusal(lambda: ModalDamping(*arguments)).key == key
+    catch_error(lambda: ModalDamping(*arguments), key)
 
 
 ANY_ARRAY = arrays(
@@ -314,15 +316,15 @@ def test_find_dof(paper_structure: Structure) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "point", "component", "words"),
+    ("key", "point", "component", "names"),
     [
         ("point", (0.03, 0.05), 0, "0 found"),
         ("point", (0.0, 0.05), 1, "2 found"),
-        ("point", (0.05, 0.0), 0, "clamped"),
-        ("point", (0.1, 0.1, 0.0), 0, "two finite numbers"),
-        ("point", (np.nan, 0.1), 0, "two finite numbers"),
-        ("point", "corner", 0, "two finite numbers"),
-        ("point", None, 0, "two finite numbers"),
+        ("point", (0.05, 0.0), 0, None),
+        ("point", (0.1, 0.1, 0.0), 0, None),
+        ("point", (np.nan, 0.1), 0, None),
+        ("point", "corner", 0, None),
+        ("point", None, 0, None),
         ("component", (0.1, 0.1), 2, "'x' or 'y'"),
         ("component", (0.1, 0.1), "z", "'x' or 'y'"),
         ("component", (0.1, 0.1), [0], "'x' or 'y'"),
@@ -330,18 +332,15 @@ def test_find_dof(paper_structure: Structure) -> None:
     ],
 )
 def test_find_dof_refuses(
-    paper_structure: Structure, key: str, point: Any, component: Any, words: str
+    paper_structure: Structure, key: str, point: Any, component: Any, names: str | None
 ) -> None:
     """No node, two nodes, a clamped one, or something that is no point or no component."""
-    assert refusal(lambda: paper_structure.find_dof(point, component), words).key == key
+    catch_error(lambda: paper_structure.find_dof(point, component), key, names=names)
 
 
 def test_find_dof_needs_a_mesh() -> None:
     """A structure made from matrices knows no positions."""
-    assert (
-        refusal(lambda: Structure.from_matrices(**good()).find_dof((0.0, 0.0), 0), "mesh").key
-        == "point"
-    )
+    catch_error(lambda: Structure.from_matrices(**good()).find_dof((0.0, 0.0), 0), "point")
 
 
 def test_values_at() -> None:
@@ -358,8 +357,7 @@ def test_values_at() -> None:
 @pytest.mark.parametrize("dofs", [[N], [-1], [0, 99], [0.5], [np.nan], "x", None])
 def test_values_at_refuses(dofs: Any) -> None:
     """A dof that does not exist is refused, negative ones too."""
-    structure = Structure.from_matrices(**good())
-    assert refusal(lambda: structure.values_at(np.zeros((1, N)), dofs)).key == "dofs"
+    catch_error(lambda: Structure.from_matrices(**good()).values_at(np.zeros((1, N)), dofs), "dofs")
 
 
 # --- related structures ---------------------------------------------------------------------------
@@ -390,10 +388,10 @@ def test_tied_plate(paper_structure: Structure) -> None:
     )
 
 
-@pytest.mark.parametrize("stiffness", [np.nan, [1.0, 2.0, 3.0], "hard", np.inf])
+@pytest.mark.parametrize("stiffness", [-1.0, np.nan, [1.0, 2.0, 3.0], "hard", np.inf])
 def test_tied_refuses(stiffness: Any) -> None:
-    """The stiffness is one finite number, or one for each pair."""
-    assert refusal(lambda: Structure.from_matrices(**good()).tied(stiffness)).key == "stiffness"
+    """The stiffness is one finite number, or one for each pair; no springs push apart."""
+    catch_error(lambda: Structure.from_matrices(**good()).tied(stiffness), "stiffness")
 
 
 def test_damped() -> None:
@@ -427,8 +425,9 @@ def test_lumped(paper_scene: Scene, cells: str, order: int) -> None:
 def test_lumped_refuses_six_node_triangles(paper_scene: Scene, columns: int, rows: int) -> None:
     """The corners of quadratic triangles have no mass in the row sums: refused."""
     changes = {"mesh.cells": "triangle", "mesh.order": 2, "mesh.columns": columns}
-    structure = build_structure(paper_scene.replace(changes | {"mesh.rows": rows}))
-    assert refusal(lambda: structure.lumped(), "row sum").key == "mass"
+    catch_error(
+        lambda: build_structure(paper_scene.replace(changes | {"mesh.rows": rows})).lumped(), "mass"
+    )
 
 
 @pytest.mark.parametrize("free", [(), (0,), (0, 1), tuple(range(N))])
@@ -452,8 +451,7 @@ def test_duplicate_entries_are_added() -> None:
 
 def test_damped_refuses_what_is_no_rule() -> None:
     """A damping matrix needs a new structure."""
-    with pytest.raises(InputError, match="damping"):
-        Structure.from_matrices(**good()).damped("much")  # type: ignore[arg-type]
+    catch_error(lambda: Structure.from_matrices(**good()).damped("much"), "damping", "much")  # type: ignore[arg-type]
 
 
 # --- a structure never changes --------------------------------------------------------------------
@@ -480,8 +478,11 @@ def test_no_attribute_can_be_set(paper_scene: Scene) -> None:
         }
         assert field_names <= set(names)
         for name in [*names, "another"]:
-            with pytest.raises(AttributeError, match=rf"^{name}: .* varied\(\)"):
-                setattr(structure, name, 0.0)
+            catch_error(
+                partial(setattr, structure, name, 0.0),
+                names=rf"^{name}: .* varied\(\)",
+                kind=AttributeError,
+            )
 
 
 def test_arrays_are_read_only(paper_scene: Scene) -> None:
@@ -626,8 +627,7 @@ def test_a_reduction_is_in_one_setting(paper_scene: Scene) -> None:
 )
 def test_varied_refuses(key: str, value: Any) -> None:
     """What is not finite, of another shape, or a negative damping."""
-    structure = Structure.from_matrices(**good())
-    assert refusal(lambda: structure.varied(**{key: value})).key == key
+    catch_error(lambda: Structure.from_matrices(**good()).varied(**{key: value}), key)
 
 
 def test_printed_in_one_line(paper_scene: Scene) -> None:

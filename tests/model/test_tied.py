@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import chain, chain_stiffness, dense, oscillator
+from helpers import catch_error, chain, chain_stiffness, dense, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -157,8 +157,7 @@ def test_massless_oscillator_held_by_its_pair() -> None:
     reduced_structure = fc.reduce_structure(
         oscillator(), modes=1, method="massless", reference=False
     )
-    with pytest.raises(fc.InputError, match="a whole number from 1 to the number of bonded modes"):
-        fc.solve_modes(reduced_structure, 1, lips="tied")
+    catch_error(lambda: fc.solve_modes(reduced_structure, 1, lips="tied"), "count", 1, names="= 0$")
 
 
 # --- two ranks, bad input -------------------------------------------------------------------------
@@ -181,9 +180,14 @@ def test_same_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) 
 def test_unknown_lips(lips: Any) -> None:
     """Open or tied, nothing else."""
     stiffness, gap = held_chain()
-    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
-    with pytest.raises(fc.InputError, match=r"lips.*: must be one of 'open', 'tied'"):
-        fc.solve_modes(structure, 1, lips=lips)
+    catch_error(
+        lambda: fc.solve_modes(
+            fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap), 1, lips=lips
+        ),
+        "lips",
+        lips,
+        names="'open', 'tied'",
+    )
 
 
 @pytest.mark.parametrize("count", [0, 13, 2.5])
@@ -191,10 +195,12 @@ def test_as_many_modes_as_are_left(count: Any) -> None:
     """Each pair takes one."""
     stiffness, gap = held_chain()
     structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
-    is_whole = isinstance(count, int)
-    allowed_text = "from 1 to the number of bonded modes = 12" if is_whole else "a whole number"
-    with pytest.raises(fc.InputError, match=allowed_text):
-        fc.solve_modes(structure, count, lips="tied")
+    catch_error(
+        lambda: fc.solve_modes(structure, count, lips="tied"),
+        "count",
+        count,
+        names="= 12$" if isinstance(count, int) else None,
+    )
 
 
 # --- between open and tied ------------------------------------------------------------------------
@@ -280,11 +286,3 @@ def test_rigid_body_has_no_bilinear_frequency() -> None:
         fc.Structure.from_matrices(np.eye(2), free_stiffness, gap=[1.0, -1.0])
     )
     np.testing.assert_allclose(frequencies.omega_bilinear[0], 0.0, atol=1e-7)
-
-
-def test_springs_that_push_apart_are_refused() -> None:
-    """Modes of what they made were looked for over minutes."""
-    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), gap=np.array([1.0, -1.0]))
-    assert structure.tied(0.0).n_pairs == 0
-    with pytest.raises(fc.InputError, match=r"stiffness = -1\.0: must be >= 0"):
-        structure.tied(-1.0)

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, chain, oscillator, period_two_orbit
+from helpers import DEMOS, catch_error, chain, oscillator, period_two_orbit
 from scipy.optimize import brentq
 
 import fenics_crack as fc
@@ -193,8 +194,11 @@ def test_run_up_jumps_before_a_fold_that_is_not_stable(verdict: str) -> None:
         early_arrivals.time[is_below_jump], stable_arrivals.time[is_below_jump]
     )
     if verdict == "unstable":
-        with pytest.raises(fc.InputError, match="unstable at"):
-            fc.tip_timing(with_verdict(range(fold - 12, fold + 1)), 0, **options)
+        catch_error(
+            lambda: fc.tip_timing(with_verdict(range(fold - 12, fold + 1)), 0, **options),
+            "result",
+            names="unstable at",
+        )
 
 
 # --- noise, clock, limits -------------------------------------------------------------------------
@@ -236,15 +240,19 @@ def test_a_tip_that_moves_backwards_is_refused() -> None:
         0.3 / speed,
     )
     assert np.abs(arrivals.time - roots).max() < 1e-12
-    with pytest.raises(fc.InputError, match=r"tip_radius = .* 1\.02 of the speed"):
-        fc.tip_timing(linear, 0, tip_radius=0.98 * limit, **options)
+    catch_error(
+        lambda: fc.tip_timing(linear, 0, tip_radius=0.98 * limit, **options),
+        "tip_radius",
+        0.98 * limit,
+        names=r" 1\.02 ",
+    )
 
 
 ARGUMENTS: dict[str, Any] = {"probes": [0.0, 1.0], "tip_radius": 0.5, "order": 6}
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "key"),
     [
         ({"probes": [1.0, 0.0]}, "probes"),
         ({"probes": [0.0, 7.0]}, "probes"),
@@ -264,31 +272,31 @@ ARGUMENTS: dict[str, Any] = {"probes": [0.0, 1.0], "tip_radius": 0.5, "order": 6
         ({"tip": {}}, "tip"),
         ({"tip": [0]}, "tip"),
         ({"tip": {"x": 1.0}}, "dofs"),
-        ({"tip": {0: "x"}}, "tip"),
+        ({"tip": {0: "x"}}, "tip[0]"),
     ],
     ids=str,
 )
-def test_bad_input(change: dict[str, Any], words: str, orbit: fc.PeriodicSolution) -> None:
+def test_bad_input(change: dict[str, Any], key: str, orbit: fc.PeriodicSolution) -> None:
     """Name the key in one line."""
-    with pytest.raises(fc.InputError, match=f"^{words}"):
-        fc.tip_timing(orbit, **({"tip": 0} | ARGUMENTS | change))
+    catch_error(lambda: fc.tip_timing(orbit, **({"tip": 0} | ARGUMENTS | change)), key)
 
 
 def test_curves_that_are_no_run_up() -> None:
     """Refuse a curve over the load, and a curve with unstable points."""
     over_load = fc.continue_parameter(blade(), 1000.0, LAW, "load", 1.0, 2.0, harmonics=3)
-    with pytest.raises(fc.InputError, match="one over the load frequency"):
-        fc.tip_timing(over_load, 0, **ARGUMENTS)
+    catch_error(lambda: fc.tip_timing(over_load, 0, **ARGUMENTS), "result", "a curve over load")
     curve = fc.continue_frequency(
         oscillator(), 1.0, 2.6, fc.UnilateralPenalty(1.0), harmonics=7, stability=True
     )
     assert not np.all(curve.stable)
     arguments: dict[str, Any] = {"probes": [0.0], "tip_radius": 1e3}
-    for changes, words in (
-        (ARGUMENTS | {"tip_radius": 1e3}, "unstable at"), ({}, "^order"), ({"speed": 1.0}, "^speed")
-    ):  # fmt: skip
-        with pytest.raises(fc.InputError, match=words):
-            fc.tip_timing(curve, 0, **(arguments | changes))
+    catch_error(
+        lambda: fc.tip_timing(curve, 0, **ARGUMENTS | {"tip_radius": 1e3}),
+        "result",
+        names="unstable at [1-2]",
+    )
+    catch_error(lambda: fc.tip_timing(curve, 0, **arguments), "order", None)
+    catch_error(lambda: fc.tip_timing(curve, 0, **arguments, speed=1.0), "speed", 1.0)
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -340,8 +348,11 @@ def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
     ) and not file_arrivals.steady
     file_arrivals.to_csv(tmp_path / "two.csv")
     assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
-    with pytest.raises(fc.InputError, match=r"tip_radius \[m\] = .* 0.5, as given"):
-        fc.ArrivalTimes.from_csv(tmp_path / "one.csv", tip_radius=0.5)
+    catch_error(
+        lambda: fc.ArrivalTimes.from_csv(tmp_path / "one.csv", tip_radius=0.5),
+        "path",
+        names=r"tip_radius \[m\] = .* 0\.5, ",
+    )
 
 
 MANY_PROBES = "".join(f"\n{n},1,{n / 4000.0},{n},{n + 1},1e-3,1,1,0.5" for n in range(4000))
@@ -349,55 +360,72 @@ MANY_PROBES = "".join(f"\n{n},1,{n / 4000.0},{n},{n + 1},1e-3,1,1,0.5" for n in 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "place", "names"),
     [
-        (lambda text: text.replace(",0.5\n", ",0.6\n", 1), r"tip_radius \[m\] = .* 0.5, as given"),
-        (lambda text: text.replace("arrival [s]", "arrival [ms]"), "column 'arrival"),
-        (lambda text: text.replace("\n1,", "\n1.5,"), r"csv, line 4': .*whole revolution"),
-        (lambda text: text.replace("\n1,", "\n7,"), "without gaps"),
-        (lambda text: text.replace("\n1,", "\n100000000000,", 1), "without gaps"),
-        (lambda text: text.replace("\n1,", "\n1e300,"), r"csv, line 4': .*whole revolution"),
-        (lambda text: text.splitlines()[0] + MANY_PROBES, "4000 revolutions, 4000 probes.*1e.07"),
-        (lambda text: text.replace("\n0,2,", "\n1,2,"), "one mark"),
-        (lambda text: text + "1,2\n", r"csv, line 8': must be a row of 9 cells.*not of 2"),
-        (lambda text: text.splitlines()[0], "rows of numbers"),
-        (lambda text: text.splitlines()[0] + "\n\n", "rows of numbers"),
-        (lambda text: "", "column 'revolution.*it is empty"),
+        (
+            lambda text: text.replace(",0.5\n", ",0.6\n", 1),
+            ", tip_radius [m] = [0.5, 0.6]",
+            r" 0\.5, ",
+        ),
+        (lambda text: text.replace("arrival [s]", "arrival [ms]"), "", r"'arrival \[s\]'"),
+        (lambda text: text.replace("\n1,", "\n1.5,"), ", line 4", None),
+        (lambda text: text.replace("\n1,", "\n7,"), "", None),
+        (lambda text: text.replace("\n1,", "\n100000000000,", 1), "", None),
+        (lambda text: text.replace("\n1,", "\n1e300,"), ", line 4", None),
+        (
+            lambda text: text.splitlines()[0] + MANY_PROBES,
+            ": 4000 revolutions, 4000 probes",
+            r"1e\+07 ",
+        ),
+        (lambda text: text.replace("\n0,2,", "\n1,2,"), "", "next_mark"),
+        (lambda text: text + "1,2\n", ", line 8", "9 cells.* 2$"),
+        (lambda text: text.splitlines()[0], "", None),
+        (lambda text: text.splitlines()[0] + "\n\n", "", None),
+        (lambda text: "", "", "'revolution'"),
     ],
 )
 def test_bad_files(
-    change: Callable[[str], str], words: str, orbit: fc.PeriodicSolution, tmp_path: Any
+    change: Callable[[str], str],
+    place: str,
+    names: str | None,
+    orbit: fc.PeriodicSolution,
+    tmp_path: Any,
 ) -> None:
     """Say in one line what is wrong with a file."""
     path = tmp_path / "arrivals.csv"
     fc.tip_timing(orbit, 0, revolutions=3, **ARGUMENTS).to_csv(path)
     path.write_text(change(path.read_text()))
-    with pytest.raises(fc.InputError, match=words):
-        fc.ArrivalTimes.from_csv(path, tip_radius=0.5)
-    with pytest.raises(fc.InputError, match="readable"):
-        fc.ArrivalTimes.from_csv(tmp_path / "none.csv", tip_radius=0.5)
+    catch_error(
+        partial(fc.ArrivalTimes.from_csv, path, tip_radius=0.5),
+        "path",
+        f"{path}{place}",
+        names=names,
+    )
+    catch_error(
+        lambda: fc.ArrivalTimes.from_csv(tmp_path / "none.csv", tip_radius=0.5),
+        "path",
+        str(tmp_path / "none.csv"),
+    )
     fc.tip_timing(orbit, 0, revolutions=3, **ARGUMENTS).to_csv(path)
     path.write_text(path.read_text().replace("tip_radius", "radius"))
-    with pytest.raises(fc.InputError, match=r"^tip_radius is missing: must be .*no column"):
-        fc.ArrivalTimes.from_csv(path)
+    catch_error(lambda: fc.ArrivalTimes.from_csv(path), "tip_radius", None)
 
 
 def test_bad_arrivals() -> None:
     """Refuse arrays that do not fit, by name."""
     time, marks = np.ones((2, 1)), np.arange(3.0)
-    for change, words in (
-        ({"time": np.ones((2, 2))}, "time"),
-        ({"time": np.full((2, 1), np.nan)}, "time"),
-        ({"time": np.array([[1.0], [1e300]])}, "time"),
-        ({"time": np.array([[-1.1], [1.0]])}, "time"),
-        ({"marks": np.array([0.0, 1.0, -2.0])}, "marks = '-2 s after 1 s': must be increasing"),
-        ({"marks": np.zeros((3, 1))}, "marks = 'of shape "),
-        ({"probes": np.array([-1.0])}, "probes"),
-        ({"tip_radius": -1.0}, "tip_radius"),
+    for key, wrong_array, value in (
+        ("time", np.ones((2, 2)), "of shape (2, 2)"),
+        ("time", np.full((2, 1), np.nan), "no finite number"),
+        ("time", np.array([[1.0], [1e300]]), 1e300),
+        ("time", np.array([[-1.1], [1.0]]), -1.1),
+        ("marks", np.array([0.0, 1.0, -2.0]), "-2 s after 1 s"),
+        ("marks", np.zeros((3, 1)), "of shape (3, 1)"),
+        ("probes", np.array([-1.0]), np.array([-1.0])),
+        ("tip_radius", -1.0, -1.0),
     ):
-        fields = {"time": time, "marks": marks, "probes": np.zeros(1), "tip_radius": 1.0} | change
-        with pytest.raises(fc.InputError, match=f"^{words}"):
-            fc.ArrivalTimes(**fields)
+        fields = {"time": time, "marks": marks, "probes": np.zeros(1), "tip_radius": 1.0}
+        catch_error(partial(fc.ArrivalTimes, **fields | {key: wrong_array}), key, value)
 
 
 @pytest.mark.parametrize("turn", [0, 1, 4])
@@ -409,8 +437,11 @@ def test_revolutions_that_are_cut_short(turn: int) -> None:
     turns = np.ones(5)
     turns[turn] = 0.5
     marks = np.concatenate([[0.0], np.cumsum(turns)])
-    with pytest.raises(fc.InputError, match=f"^marks = 'revolution {turn} takes 0.5 times as"):
-        fc.ArrivalTimes(marks[:-1, None] + 0.1, marks, np.zeros(1), 1.0)
+    catch_error(
+        lambda: fc.ArrivalTimes(marks[:-1, None] + 0.1, marks, np.zeros(1), 1.0),
+        "marks",
+        names=f"revolution {turn} takes 0.5 times",
+    )
 
 
 def test_only_dofs_that_exist_are_asked_for() -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 import scipy.integrate
-from helpers import chain_stiffness, relative
+from helpers import catch_error, chain_stiffness, relative
 
 import fenics_crack as fc
 
@@ -105,8 +107,12 @@ def test_harmonic_balance_within_its_stated_error() -> None:
             solution.gap(exact.period_samples.time) - exact.period_samples.gap + gap, gap
         )
         assert error <= 2.0 * solution.report.total + 1e-6
-    with pytest.raises(fc.InputError, match=r"harmonics = 4: must be .*5"):
-        fc.solve_harmonic_balance(structure, omega, LAW, harmonics=4)
+    catch_error(
+        lambda: fc.solve_harmonic_balance(structure, omega, LAW, harmonics=4),
+        "harmonics",
+        4,
+        names=" 5$",
+    )
 
 
 def test_integrators_converge_to_the_orbit() -> None:
@@ -186,12 +192,15 @@ def test_table_of_unequal_times() -> None:
      ([0.0, 1.0], [1.0, 2.0, 3.0], "values"), ([0.0, 1.0], [1.0, np.nan], "values")],
 )  # fmt: skip
 def test_bad_tables(time: list[float], values: list[float], key: str) -> None:
-    with pytest.raises(fc.InputError, match=key):
-        fc.load_harmonics(time, values, 3)
+    catch_error(lambda: fc.load_harmonics(time, values, 3), key)
 
 
 def test_bad_harmonics() -> None:
     structure = fc.Structure.from_matrices(np.eye(3), np.eye(3), gap=None)
-    for harmonics in ({0: (None, None)}, {2: (np.zeros(2), None)}, {2: 1.0}, [1]):
-        with pytest.raises(fc.InputError, match="harmonics"):
-            structure.with_harmonics(harmonics)  # type: ignore[arg-type]
+    for harmonics, key, value in (
+        ({0: (None, None)}, "order in harmonics", 0),
+        ({2: (np.zeros(2), None)}, "harmonics[2]", (2,)),
+        ({2: 1.0}, "harmonics[2]", 1.0),
+        ([1], "harmonics", [1]),
+    ):
+        catch_error(partial(structure.with_harmonics, harmonics), key, value)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 
 import pytest
-from helpers import DEMOS, refusal
+from helpers import DEMOS, catch_error
 
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 
 
 @pytest.mark.parametrize(
@@ -26,9 +27,11 @@ from fenics_crack import InputError, Scene
 def test_converted(text: str, unit: str, value: float | None) -> None:
     """Asked in the unit of the key, or nothing where that is not sure."""
     paired = unit in ("N", "m/s^2")  # components of a vector
-    with pytest.raises(InputError) as caught:
-        Scene.from_text(PLATE).replace({KEYS[unit]: [text, 0.0] if paired else text})
-    suggested_keys = re.findall(r"did you mean \[?([^],?]+).*\?$", caught.value.allowed)
+    key, wrong_value = KEYS[unit], [text, 0.0] if paired else text
+    error = catch_error(
+        lambda: Scene.from_text(PLATE).replace({key: wrong_value}), key, wrong_value
+    )
+    suggested_keys = re.findall(r"did you mean \[?([^],?]+).*\?$", error.allowed)
     assert [float(suggestion) for suggestion in suggested_keys] == pytest.approx(
         [] if value is None else [value]
     )
@@ -44,26 +47,28 @@ KEYS = {
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "question"),
+    ("old", "new", "suggestion"),
     [
-        ("young = 2e9", "young = 210 GPa", "did you mean young = 2.1e+11?"),
-        ("young = 2e9", "young = 210,5 GPa # x", "did you mean young = 2.105e+11?"),
-        ("poisson = 0.3", "poisson = 0,3", "did you mean poisson = 0.3?"),
-        ('edge = "left"', "edge = left", 'did you mean edge = "left"?'),
+        ("young = 2e9", "young = 210 GPa", r"young = 2\.1e\+11"),
+        ("young = 2e9", "young = 210,5 GPa # x", r"young = 2\.105e\+11"),
+        ("poisson = 0.3", "poisson = 0,3", r"poisson = 0\.3"),
+        ('edge = "left"', "edge = left", 'edge = "left"'),
     ],
 )
-def test_in_a_file_that_is_no_toml(old: str, new: str, question: str) -> None:
+def test_in_a_file_that_is_no_toml(old: str, new: str, suggestion: str) -> None:
     """TOML itself refuses it: the line is shown as it should be."""
     assert old in PLATE
-    error = refusal(lambda: Scene.from_text(PLATE.replace(old, new)))
-    assert question in error.allowed and "line" in error.allowed
+    names = rf"line.*did you mean {suggestion}\?"
+    catch_error(
+        partial(Scene.from_text, PLATE.replace(old, new)), "scene", "given as text", names=names
+    )
 
 
 def test_what_is_not_understood_is_not_guessed() -> None:
     """No question after another mistake, or where the number would not do either."""
-    with pytest.raises(InputError) as caught:
-        Scene.from_text(PLATE.replace("poisson = 0.3", "poisson 0.3"))
-    assert "did you mean" not in str(caught.value)
-    assert "did you mean" not in str(
-        refusal(lambda: Scene.from_text(PLATE).replace({"crack.length": "-30 mm"}))
-    )
+    text, change = PLATE.replace("poisson = 0.3", "poisson 0.3"), {"crack.length": "-30 mm"}
+    errors = [
+        catch_error(lambda: Scene.from_text(text), "scene", "given as text"),
+        catch_error(lambda: Scene.from_text(PLATE).replace(change), "crack.length", "-30 mm"),
+    ]
+    assert "did you mean" not in str(errors)

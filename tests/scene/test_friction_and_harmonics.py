@@ -3,11 +3,13 @@ they make."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, catch_error
 
 import fenics_crack as fc
 
@@ -20,48 +22,48 @@ def plate(**changes: object) -> fc.Scene:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("key", "value", "changes", "names"),
     [
-        ({"contact.friction": -0.1}, r"contact.friction = -0.1: must be a finite number >= 0"),
-        ({"contact.tangential_stiffness_per_area": 1e12}, r"not allowed with contact.friction = 0"),
+        ("contact.friction", -0.1, {}, ">= 0"),
+        ("contact.tangential_stiffness_per_area", 1e12, {}, r"contact\.friction = 0"),
         (
-            {"contact.friction": 0.3, "contact.law": "smoothed", "contact.sharpness": 1e9},
-            r"contact.friction = 0.3: must be 0, or left out, with law = 'smoothed'",
+            "contact.friction",
+            0.3,
+            {"contact.law": "smoothed", "contact.sharpness": 1e9},
+            "law = 'smoothed'",
         ),
         (
+            "output.quantities",
+            "slip_share",
             {"output.quantities": ["slip_share"]},
-            r"slip_share.*not allowed without contact.friction",
+            r"contact\.friction",
         ),
-        ({"excitation.wave_harmonics": 5}, r"not allowed with no excitation.wave"),
-        ({"excitation.harmonics": [{"order": 2}]}, r"excitation.harmonics = .*list of tables"),
+        ("excitation.wave_harmonics", 5, {}, r"excitation\.wave$"),
+        ("excitation.harmonics", [{"order": 2}], {}, None),
+        ("excitation.harmonics", [{"order": 2, "cos": [1.0, 0.0], "phase": 3.0}], {}, None),
         (
-            {"excitation.harmonics": [{"order": 2, "cos": [1.0, 0.0], "phase": 3.0}]},
-            r"excitation.harmonics = .*list of tables",
-        ),
-        (
-            {
-                "excitation.harmonics": [{"order": 7, "cos": [1.0, 0.0]}],
-                "harmonic_balance.harmonics": 5,
-            },
-            r"harmonic_balance.harmonics = 5: must be a whole number >= 7, the highest order",
+            "harmonic_balance.harmonics",
+            5,
+            {"excitation.harmonics": [{"order": 7, "cos": [1.0, 0.0]}]},
+            ">= 7, ",
         ),
     ],
 )
-def test_refused_keys(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(fc.InputError, match=message):
-        plate(**changes)
+def test_refused_keys(key: str, value: Any, changes: dict[str, Any], names: str | None) -> None:
+    catch_error(lambda: plate(**{key: value} | changes), key, value, names=names)
 
 
 def test_friction_needs_faces_that_give() -> None:
     heavy_settings = RUBBING | {"reduction.method": "free_interface", "reduction.modes": 8}
     stiff_settings = {"contact.friction": 0.3, "reduction.method": "off"}
-    for changes, words in (
-        (heavy_settings, r"contact.law = 'unilateral': must be 'penalty' with"),
-        (stiff_settings, r"contact.tangential_stiffness_per_area is missing"),
-        (RUBBING | {"output.quantities": ["K_max"]}, "K_max.*stress intensities leave out what"),
+    for changes, key, value in (
+        (heavy_settings, "contact.law", "unilateral"),
+        (stiff_settings, "contact.tangential_stiffness_per_area", None),
     ):
-        with pytest.raises(fc.InputError, match=words):
-            fc.prepare(plate(**changes))
+        catch_error(partial(fc.prepare, plate(**changes)), key, value)
+    catch_error(
+        lambda: plate(**RUBBING | {"output.quantities": ["K_max"]}), "output.quantities", "K_max"
+    )
 
 
 def test_law_of_a_scene() -> None:

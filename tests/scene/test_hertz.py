@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, refusal
+from helpers import DEMOS, catch_error
 from test_scene import GONE, GOOD, GRADED, changed
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 
 TURN = 2.0 * math.pi
 IN_HERTZ = {"excitation.omega": GONE, "excitation.frequency": 318.25}
@@ -49,8 +51,7 @@ def test_a_frequency_in_hertz_is_one_in_radians() -> None:
 )
 def test_both_twins_are_refused(key: str, twin: str, changes: dict[str, Any]) -> None:
     """The error names both keys, even where the numbers agree."""
-    error = refusal(lambda: Scene.from_mapping(changed(changes)))
-    assert error.key == key and twin in error.allowed
+    catch_error(lambda: Scene.from_mapping(changed(changes)), key, names=re.escape(twin))
 
 
 @pytest.mark.parametrize(
@@ -67,7 +68,7 @@ def test_both_twins_are_refused(key: str, twin: str, changes: dict[str, Any]) ->
 )
 def test_bad_frequencies_are_named(key: str, changes: dict[str, Any]) -> None:
     """As their twins are."""
-    assert refusal(lambda: Scene.from_mapping(changed(changes))).key == key
+    catch_error(lambda: Scene.from_mapping(changed(changes)), key)
 
 
 def test_a_frequency_replaces_its_twin() -> None:
@@ -81,10 +82,12 @@ def test_a_frequency_replaces_its_twin() -> None:
     assert turned_scene.is_frequency_in_hertz and not scene.is_frequency_in_hertz
     assert turned_scene.replace({"excitation.omega": 2000.0}) == scene
     for key in ("excitation.omega", "excitation.frequency"):
-        with pytest.raises(InputError, match=r"excitation\.omega is missing"):
-            turned_scene.replace({key: None})
-    with pytest.raises(InputError, match=r"excitation\.frequency = 1"):
-        scene.replace({"excitation.omega": 1.0, "excitation.frequency": 1.0})
+        catch_error(partial(turned_scene.replace, {key: None}), "excitation.omega", None)
+    catch_error(
+        lambda: scene.replace({"excitation.omega": 1.0, "excitation.frequency": 1.0}),
+        "excitation.frequency",
+        1.0,
+    )
     cracked_scene = Scene.from_mapping(
         changed(GRADED | {"crack.length": GONE, "crack.first_frequency": 366.0})
     )
@@ -111,10 +114,10 @@ def test_sweeps_in_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(built) == 1  # frequencies share one geometry
     over = {"excitation.omega": [1.0, 2.0], "excitation.frequency": [1.0, 2.0]}
     for axes in (over, dict(reversed(over.items()))):
-        with pytest.raises(InputError) as caught:
-            scene.replace({"sweep.over": axes})
-        message = f"{caught.value.value} {caught.value.allowed}"
-        assert all(key in message for key in over)
+        first_key, second_key = axes
+        catch_error(
+            partial(scene.replace, {"sweep.over": axes}), "sweep.over", second_key, names=first_key
+        )
 
 
 def test_a_curve_in_hertz() -> None:
@@ -135,7 +138,5 @@ def test_a_curve_in_hertz() -> None:
     assert panel.get_xlabel() == "load frequency [Hz]"
     assert 290.0 < panel.get_xlim()[0] < panel.get_xlim()[1] < 340.0
     assert fc.draw_curve(found, 0).axes[0].get_xlabel() == "load frequency [rad/s]"
-    for name in ("start", "stop"):
-        with pytest.raises(InputError) as caught:
-            turned_scene.replace({f"curve.{name}": -1.0})
-        assert caught.value.key == f"curve.{name}"
+    for key in ("curve.start", "curve.stop"):
+        catch_error(partial(turned_scene.replace, {key: -1.0}), key, -1.0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import dense
+from helpers import catch_error, dense
 from rotating import CRACKED, UNIT, cracked, strip
 from scipy.optimize import nnls
 from scipy.sparse import csc_matrix
@@ -17,7 +18,7 @@ from scipy.sparse.linalg import eigsh, splu
 from surroundings import DEMOS, RunCommand
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 
 
 def test_frequencies_are_those_of_each_speed() -> None:
@@ -243,17 +244,13 @@ def test_bad_input() -> None:
     """Each error names what is wrong."""
     scene = strip(0, 1.0)
     diagram = fc.campbell(scene, [0.0, UNIT], 1)
-    for key, call in (
-        ("rotation", lambda: fc.campbell(Scene.from_mapping(CRACKED), [0.0, 1.0])),
-        ("speeds", lambda: fc.campbell(scene, [1.0, 0.0])),
-        ("count", lambda: fc.campbell(scene, [0.0, 1.0], 0)),
-        ("count", lambda: fc.campbell(scene, [0.0, 1.0], 10**6)),
-        ("order", lambda: diagram.crossings(0)),
-        ("kind", lambda: diagram.crossings(1, "closed")),
-        ("orders", lambda: fc.draw_campbell(diagram, [0])),
-    ):
-        with pytest.raises(InputError, match=rf"^{key}( =| is)"):
-            call()
+    catch_error(lambda: fc.campbell(Scene.from_mapping(CRACKED), [0.0, 1.0]), "rotation", None)
+    catch_error(lambda: fc.campbell(scene, [1.0, 0.0]), "speeds", [1.0, 0.0])
+    catch_error(lambda: fc.campbell(scene, [0.0, 1.0], 0), "count", 0)
+    catch_error(lambda: fc.campbell(scene, [0.0, 1.0], 10**6), "count", 10**6)
+    catch_error(lambda: diagram.crossings(0), "order", 0)
+    catch_error(lambda: diagram.crossings(1, "closed"), "kind", "closed")
+    catch_error(lambda: fc.draw_campbell(diagram, [0]), "orders", 0)
 
 
 def test_speeds_that_are_too_fast() -> None:
@@ -262,9 +259,10 @@ def test_speeds_that_are_too_fast() -> None:
     for fastest in (1e5, 1e8):
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            with pytest.raises(InputError, match="the plate is unstable at") as caught:
-                fc.campbell(scene, [0.0, 0.5 * fastest, fastest], 2)
-        assert caught.value.key == "rotation.speed" and caught.value.value > 0.0
+            error = catch_error(
+                partial(fc.campbell, scene, [0.0, 0.5 * fastest, fastest], 2), "rotation.speed"
+            )
+        assert error.value > 0.0
 
 
 def test_picture_reaches_as_far_as_the_orders() -> None:
@@ -317,5 +315,4 @@ def test_a_blade_of_few_modes_has_all_of_them() -> None:
     scene = strip(0.0, 1.0, mesh=mesh)
     assert fc.campbell(scene, [200.0, 300.0], few=10).omega_open.shape == (2, 8)
     assert fc.campbell(scene, [200.0, 300.0]).omega_open.shape == (2, 4)
-    with pytest.raises(fc.InputError, match="count = 10: must be a whole number from 1 to 8"):
-        fc.campbell(scene, [200.0, 300.0], 10)
+    catch_error(lambda: fc.campbell(scene, [200.0, 300.0], 10), "count", 10, names="1 to 8")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import relative, scene_of_matrices
+from helpers import catch_error, relative, scene_of_matrices
 from mpi4py import MPI
 from surroundings import main
 
@@ -135,6 +136,10 @@ def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
     """One error names the key, of a file before anything is built."""
     fc.modes(scene, 1, MPI.COMM_SELF).save(tmp_path / "modes.h5")
     fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
+
+    def integrate(changes: dict[str, Any]) -> fc.Run:
+        return fc.integrate(scene.replace(changes), MPI.COMM_SELF)
+
     wrong_tables: list[tuple[str, dict[str, Any]]] = [
         ("initial", {"initial": str(tmp_path / "none.h5")}),
         ("initial", {"initial": str(tmp_path / "modes.h5")}),
@@ -143,11 +148,15 @@ def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
         ("free", {"free": 1}),
     ]
     for key, table in wrong_tables:
-        with pytest.raises(fc.InputError, match=rf"^integration\.{key}( =| is)"):
-            changes = {f"integration.{name}": value for name, value in table.items()}
-            fc.integrate(scene.replace(changes), MPI.COMM_SELF)
-    with pytest.raises(fc.InputError, match=r"^integration\.free( =| is)"):
-        scene.replace({"integration.free": True, "rotation.rpm": 60.0, "rotation.hub_radius": 0.1})
-    other_settings = {"mesh.columns": 4, "integration.initial": str(tmp_path / "solution.h5")}
-    with pytest.raises(fc.InputError, match=r"^integration\.initial( =| is)"):
-        fc.integrate(scene.replace(other_settings), MPI.COMM_SELF)
+        changes = {f"integration.{name}": value for name, value in table.items()}
+        catch_error(partial(integrate, changes), f"integration.{key}", table[key])
+    rotation_settings = {"rotation.rpm": 60.0, "rotation.hub_radius": 0.1}
+    catch_error(
+        lambda: integrate(rotation_settings | {"integration.free": True}), "integration.free", True
+    )
+    path = str(tmp_path / "solution.h5")
+    catch_error(
+        lambda: integrate({"mesh.columns": 4, "integration.initial": path}),
+        "integration.initial",
+        path,
+    )

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sparse
-from helpers import DEMOS, ROOT, chain_stiffness, gmsh_model
+from helpers import DEMOS, ROOT, catch_error, chain_stiffness, gmsh_model
 from mpi4py import MPI
 from petsc4py import PETSc
 from test_verify import plate
@@ -324,12 +324,15 @@ def test_what_does_not_fit_is_refused(
     """Before it is reduced, with what it needs; and before it is meshed."""
     scene = paper_scene.replace({"mesh.columns": 8, "mesh.rows": 8})
     monkeypatch.setattr(prepare, "machine_memory", lambda: 1e7)
-    with pytest.raises(fc.InputError, match=r"^mesh.columns = 8: .* coarser .* GiB"):
-        prepare.prepare(scene, MPI.COMM_SELF)
+    catch_error(
+        lambda: prepare.prepare(scene, MPI.COMM_SELF),
+        "mesh.columns",
+        8,
+        names="152 degrees of freedom",
+    )
     assert prepare.prepare(scene, MPI.COMM_SELF, whole=True).structure.n_dofs == 152
     monkeypatch.setattr(blocks, "machine_memory", lambda: 1e5)
-    with pytest.raises(fc.InputError, match=r"^mesh.columns = 8: .* fewer cells: .* GiB"):
-        fc.build_structure(scene, MPI.COMM_SELF)
+    catch_error(lambda: fc.build_structure(scene, MPI.COMM_SELF), "mesh.columns", 8, names=" 64 ")
 
 
 def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
@@ -373,8 +376,7 @@ def test_memory_that_is_freed_does_not_count(
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (needed_memory + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
-    with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
-        prepare.estimate_and_check_memory(paper_scene, wide_plate)
+    catch_error(lambda: prepare.estimate_checked_memory(paper_scene, wide_plate), "mesh.columns", 2)
     pieces[:-1] = []  # the last one holds the others' memory for the process
     assert prepare.estimate_and_check_memory(paper_scene, wide_plate) < needed_memory + 1e7
 
@@ -451,8 +453,9 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     verification = fc.verify(scene)
     assert "harmonics" in verification.unknown and "harmonics" not in verification.parts
     bad.add(5)
-    with pytest.raises(fc.ConvergenceError, match="the scene's own choice: lost"):
-        fc.verify(scene)
+    catch_error(
+        lambda: fc.verify(scene), names="the scene's own choice: lost", kind=fc.ConvergenceError
+    )
 
 
 def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:

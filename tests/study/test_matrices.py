@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
-from helpers import DEMOS, csr, relative, scene_of_matrices
+from helpers import DEMOS, catch_error, csr, relative, scene_of_matrices
 from mpi4py import MPI
 from surroundings import RunCommand
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene, run_sweep
+from fenics_crack import Scene, run_sweep
 
 LOAD = {"contact.stiffness": 1e9, "damping.ratio": 0.02, "harmonic_balance.harmonics": 5}
 CURVE = {"curve.start": 2000.0, "curve.stop": 2050.0, "curve.stability": False}
@@ -103,8 +103,7 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(modes.shapes, runs["modes"].result.shapes)  # type: ignore[union-attr]
     with open(tmp_path / "gap.mtx", "a") as file:
         file.write("% changed\n")
-    with pytest.raises(InputError, match=r"^structure\.gap( =| is)"):
-        fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
+    catch_error(lambda: fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF), "structure.gap")
 
 
 def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
@@ -165,8 +164,7 @@ def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> N
     assert time_history.indicators(0).amplitude == pytest.approx(
         orbit_solution.amplitude(0), rel=1e-3
     )
-    with pytest.raises(InputError, match=r"crack\.first_omega"):
-        fc.find_crack_length(scene, MPI.COMM_SELF)
+    catch_error(lambda: fc.find_crack_length(scene, MPI.COMM_SELF), "crack.first_omega", None)
 
 
 def test_the_example_meets_its_stop() -> None:
@@ -194,7 +192,10 @@ def test_the_example_meets_its_stop() -> None:
         ({"structure.clearance": "force_sin.mtx"}, "structure.clearance"),
         ({"structure.force_sin": None}, "structure.force_sin"),
         ({"contact": None}, "contact"),
-        ({"contact.stiffness": None, "contact.stiffness_per_area": 1e9}, "contact.stiffness_per"),
+        (
+            {"contact.stiffness": None, "contact.stiffness_per_area": 1e9},
+            "contact.stiffness_per_area",
+        ),
         ({"contact.pairs": "mouth"}, "contact.pairs"),
         ({"excitation.force_sin": [1.0, 0.0]}, "excitation.force_sin"),
         ({"excitation.point": [1.0, 0.0]}, "excitation.point"),
@@ -211,17 +212,16 @@ def test_bad_matrices_are_named(
 ) -> None:
     """By the key of the scene."""
     settings = {k: str(tmp_path / v) if str(v).endswith("mtx") else v for k, v in changes.items()}
-    with pytest.raises(InputError) as caught:
-        fc.build_structure(scene.replace(settings), MPI.COMM_SELF)
-    assert caught.value.key.startswith(key)
+    catch_error(lambda: fc.build_structure(scene.replace(settings), MPI.COMM_SELF), key)
 
 
-def refused(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
-    """What each rank is told where the last one does not see one of the files (collective)."""
+def refused_values(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
+    """Return the value that each rank is told if the last one does not see a file (collective)."""
     missing_settings = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
-    with pytest.raises(InputError) as caught:
-        fc.build_structure(scene.replace(missing_settings), comm)
-    return comm.allgather(caught.value.key)
+    error = catch_error(
+        lambda: fc.build_structure(scene.replace(missing_settings), comm), f"structure.{name}"
+    )
+    return comm.allgather(error.value)
 
 
 @pytest.mark.mpi
@@ -229,7 +229,7 @@ def refused(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
 def test_a_file_that_one_rank_does_not_see(on_ranks: Callable[..., Any], name: str) -> None:
     """It is refused on every rank; none waits for the other."""
     scene = Scene.load(DEMOS / "chain.toml")
-    assert on_ranks(refused, scene, name) == [f"structure.{name}"] * 2
+    assert all("missing.mtx" in value for value in on_ranks(refused_values, scene, name))
 
 
 def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:

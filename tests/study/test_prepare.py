@@ -83,12 +83,6 @@ def test_default_reduction_of_few_dofs(paper_scene: fc.Scene) -> None:
         )
 
 
-def test_more_modes_than_there_are_dofs_are_refused(scene: fc.Scene) -> None:
-    """With their number."""
-    with pytest.raises(fc.InputError, match=r"^modes = 100000: .*from 1 to n_dofs"):
-        fc.prepare(scene.replace({"reduction.modes": 100_000}), MPI.COMM_SELF)
-
-
 def test_whole_is_not_reduced(scene: fc.Scene) -> None:
     """Whatever the scene says."""
     study = fc.prepare(scene.replace({"reduction.modes": 3}), MPI.COMM_SELF, whole=True)

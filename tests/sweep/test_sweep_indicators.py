@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from helpers import ROOT, changed
+from helpers import ROOT, catch_error, changed
 from mpi4py import MPI
 from surroundings import RunCommand
 
@@ -120,8 +121,9 @@ def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path
     assert np.all(np.isnan(part["response"][:, 1])) and part.converged[:, 0].all()
     np.testing.assert_array_equal(part["omega_open_1"], whole["omega_open_1"])
     np.testing.assert_allclose(part["response"][:, 0], whole["response"][:, 0], rtol=1e-6)
-    with pytest.raises(fc.InputError, match=r"natural = \[2\]: must be places on .* 0 to 1"):
-        run_sweep(scene, path, MPI.COMM_SELF, natural=[2])
+    catch_error(
+        lambda: run_sweep(scene, path, MPI.COMM_SELF, natural=[2]), "natural", [2], names="0 to 1"
+    )
 
 
 def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> None:
@@ -134,10 +136,11 @@ def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> Non
         ({}, "judged=False"),
         ({"verdicts": False}, "judged=False, verdicts=True"),
     ):
-        with pytest.raises(
-            fc.InputError, match=f"begun with {first_words}.*continued as it was begun"
-        ):
-            run_sweep(scene, path, MPI.COMM_SELF, **options)
+        catch_error(
+            partial(run_sweep, scene, path, MPI.COMM_SELF, **options),
+            "path",
+            f"{path}, begun with {first_words}",
+        )
     second_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
     assert second_sweep.complete and np.all(second_sweep["verdict"] == first_sweep["verdict"])
 
@@ -190,8 +193,7 @@ def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
     path = Path(shutil.copy(whole.path, tmp_path))
     with changed(path) as open_file:
         del open_file["ratio_2_1"]
-    with pytest.raises(fc.InputError, match="cases are damaged"):
-        SweepResult.load(path)
+    catch_error(lambda: SweepResult.load(path), "path", str(path))
 
 
 @pytest.mark.nightly

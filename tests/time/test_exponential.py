@@ -1,5 +1,6 @@
 """Direct integration by exponential steps."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,16 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.optimize
-from helpers import DAMPINGS, chain, dense_matrices, free_bar, log_slope, oscillator, relative
+from helpers import (
+    DAMPINGS,
+    catch_error,
+    chain,
+    dense_matrices,
+    free_bar,
+    log_slope,
+    oscillator,
+    relative,
+)
 
 import fenics_crack as fc
 from fenics_crack import integrate_exponential
@@ -201,10 +211,18 @@ def test_created_energy_is_refused(damping: str) -> None:
     """
     structure = chain(n=10, pairs=1, damping=damping)
     for steps in (16, 64):
-        with pytest.raises(fc.ConvergenceError, match=r"creates .* times the energy put in"):
-            integrate_exponential(
-                massless(structure, 9), 0.5, RIGID, periods=60, steps_per_period=steps
-            )
+        catch_error(
+            partial(
+                integrate_exponential,
+                massless(structure, 9),
+                0.5,
+                RIGID,
+                periods=60,
+                steps_per_period=steps,
+            ),
+            names="energy",
+            kind=fc.ConvergenceError,
+        )
         history = integrate_exponential(
             massless(structure, 8), 0.5, RIGID, periods=60, steps_per_period=steps
         )
@@ -249,5 +267,8 @@ def test_an_undamped_resonance_is_refused_without_warnings() -> None:
     structure = fc.Structure.from_matrices(
         [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], clearance=9.0
     )
-    with pytest.raises(fc.ConvergenceError, match="on an undamped resonance"):
-        fc.integrate_exponential(structure, 1.0, fc.UnilateralPenalty(3.0), periods=2)
+    catch_error(
+        lambda: fc.integrate_exponential(structure, 1.0, fc.UnilateralPenalty(3.0), periods=2),
+        names="resonance",
+        kind=fc.ConvergenceError,
+    )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import catch_error
 
 import fenics_crack as fc
 
@@ -128,8 +129,12 @@ def test_errors_of_responses_with_noise(tmp_path: Path) -> None:
     assert np.all(np.abs(frequency_errors) < 3.0 * errors) and np.all(
         errors < 0.1 * DAMPING * OMEGA / 6.28
     )
-    with pytest.raises(fc.InputError, match=r"modes = \[1, 2\].*3 numbers.* 112\.29"):
-        fc.Measurements.from_responses(path, [1, 2])
+    catch_error(
+        lambda: fc.Measurements.from_responses(path, [1, 2]),
+        "modes",
+        [1, 2],
+        names=r"3 numbers.* 112\.29",
+    )
 
 
 def test_a_breathing_crack(tmp_path: Path) -> None:
@@ -157,25 +162,25 @@ def test_a_breathing_crack(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "names"),
     [
-        (b"    4         0", b"    1         0", "no frequency response"),
-        (b"         6      1601", b"         4      1601", "not complex"),
-        (b"        12    0", b"         1    0", "no displacement, velocity or"),
-        (b"      1601", b"      1602", "instead of those of 1602 lines"),
+        (b"    4         0", b"    1         0", "58 .* type 4"),
+        (b"         6      1601", b"         4      1601", None),
+        (b"        12    0", b"         1    0", None),
+        (b"      1601", b"      1602", "3202 .* 1602"),
     ],
     ids=range(4),
 )
-def test_files_that_cannot_be_used(old: bytes, new: bytes, words: str, tmp_path: Path) -> None:
+def test_files_that_cannot_be_used(
+    old: bytes, new: bytes, names: str | None, tmp_path: Path
+) -> None:
     frequency = np.linspace(50.0, 450.0, 1601)
     path = file_of(tmp_path / "one.uff", frequency, responses(frequency), stored=6)
     file_content = path.read_bytes()
     path.write_bytes(file_content.replace(old, new))
-    with pytest.raises(fc.InputError, match=rf"^measurements = .*{words}"):
-        fc.Measurements.read(path)
+    catch_error(lambda: fc.Measurements.read(path), "measurements", str(path), names=names)
     path.write_bytes(file_content[:-200])
-    with pytest.raises(fc.InputError, match=r"^measurements = .*ends early"):
-        fc.Measurements.read(path)
+    catch_error(lambda: fc.Measurements.read(path), "measurements", str(path), names="58 ")
 
 
 def test_noise_has_no_modes(tmp_path: Path) -> None:
@@ -183,5 +188,4 @@ def test_noise_has_no_modes(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     noise = rng.standard_normal((2, 1601)) + 1j * rng.standard_normal((2, 1601))
     path = file_of(tmp_path / "one.uff", frequency, noise, stored=6)
-    with pytest.raises(fc.InputError, match=r"^responses = '1601 lines': must be with peaks"):
-        fc.Measurements.read(path)
+    catch_error(lambda: fc.Measurements.read(path), "responses", "1601 lines")
