@@ -734,7 +734,7 @@ def _modal_truncation_errors(
     reduced_structure = problem.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
-    errors = more_modes and more_modes.gap_and_load_errors
+    errors = more_modes and more_modes.gap_and_displacement_errors
     is_change_large = errors and more_modes and errors[0] > more_modes.allowed_prediction
     if more_modes is None or (more_modes.orbit is None and not is_change_large):
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])

@@ -203,7 +203,7 @@ def _draw_waveforms(
     colours_and_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
-    drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
+    drawn_waves = [plot.Wave(run.watched_description, time, waveforms.displacement[:, 0])]
     for crack_place, crack_closing in waveforms.closings_by_place.items():
         drawn_waves.append(
             plot.Wave(f"closing {crack_place}", time, crack_closing, *next(colours_and_styles))
@@ -216,8 +216,8 @@ def _draw_waveforms(
 
 def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
     """Draw response, harmonics and multipliers along a curve, and all blades."""
-    curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
-    title = f"{run.watched_name}, {curve.method}"
+    curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.is_frequency_in_hertz
+    title = f"{run.watched_description}, {curve.method}"
     linear_responses_by_label = _compute_linear_responses(run)
     caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
     caption += "faint: large estimated error."
@@ -493,7 +493,7 @@ def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
     """Draw the growth of a crack in the scene's units."""
     caption = "The crack over the cycles; dots are the lengths that were solved."
     plot_study.draw_growth(
-        growth, path=picture_files("growth", caption), in_hertz=growth.scene.in_hertz
+        growth, path=picture_files("growth", caption), in_hertz=growth.scene.is_frequency_in_hertz
     )
 
 
@@ -503,8 +503,8 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
     engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
     caption = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
     unit_options: dict[str, Any] = {
-        "in_hertz": scene.in_hertz or scene.in_rpm,
-        "in_rpm": scene.in_rpm,
+        "in_hertz": scene.is_frequency_in_hertz or scene.is_speed_in_rpm,
+        "in_rpm": scene.is_speed_in_rpm,
     }
     plot_study.draw_campbell(
         campbell, engine_orders, path=picture_files("campbell", caption), **unit_options
@@ -521,7 +521,7 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
             plot_study.draw_passages(blade_fit, arrivals, path=picture_files(file_stem, caption))
         elif isinstance(blade_fit, TipTrack):
             caption = "Amplitudes over the load's frequency, with their standard errors."
-            in_hertz = tip_timing.scene is not None and tip_timing.scene.in_hertz
+            in_hertz = tip_timing.scene is not None and tip_timing.scene.is_frequency_in_hertz
             plot_study.draw_tip_track(
                 blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
             )

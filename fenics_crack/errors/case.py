@@ -301,7 +301,7 @@ def solve_without_stability(
     return _make_solver(study, omega, n_harmonics).solve(start_solution)
 
 
-def solve_by_half_then_all_harmonics(
+def solve_by_orbit_or_harmonics(
     study: Study,
     omega: float,
     n_harmonics: int,
@@ -315,6 +315,10 @@ def solve_by_half_then_all_harmonics(
     harmonics find a motion from rest in less time. If all harmonics do not converge, the first
     solution is returned.
     """
+    if by_orbit:
+        problem = _make_solver(study, omega, n_harmonics).problem
+        if (orbit := search_initial_orbit(problem, start_solution).orbit) is not None:
+            return truncated_orbit_solution(problem, orbit, orbit.coefficients(n_harmonics))
     n_first_harmonics = max(n_harmonics // 2, least_harmonics(study.structure, 1))
     half_harmonics_solution = solve_without_stability(
         study, omega, n_first_harmonics, start_solution

@@ -68,7 +68,7 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.more_modes import more_modes_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.causes import REDUCED_STRUCTURE_CAUSES
+from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import frequency_axis
@@ -78,7 +78,7 @@ from fenics_crack.errors.case import (
     JudgedAnswer,
     add_error_parts,
     describe_failed_run,
-    solve_by_half_then_all_harmonics,
+    solve_by_orbit_or_harmonics,
     solve_without_stability,
 )
 from fenics_crack.errors.convergence import (
@@ -107,12 +107,15 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.meshes import prepare_coarser_study
-from fenics_crack.study.observer import estimate_front_errors, make_requested_rows
+from fenics_crack.study.meshes import prepare_coarser_study_or_reason
+from fenics_crack.study.observer import (
+    estimate_closed_front_and_mesh_errors,
+    make_requested_extra_rows,
+)
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
-STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
+STATED_CAUSES = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
 """Causes with a stated error."""
 HARMONIC_COUNT_FACTORS = 2, 4
 """Factors on the answer's harmonics; the second is for a large truncation error in the report."""
@@ -216,7 +219,7 @@ def estimate_frequency_mesh_errors(
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
-    unit_factor, _, unit = frequency_axis(scene.in_hertz)
+    unit_factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
 
     def name_frequencies(kind_omegas: Mapping[str, np.ndarray]) -> dict[str, float]:
         return {
@@ -227,7 +230,7 @@ def estimate_frequency_mesh_errors(
         }
 
     def estimate_error_by_mesh() -> PartOrReason:
-        coarse_study_or_reason = prepare_coarser_study(study)
+        coarse_study_or_reason = prepare_coarser_study_or_reason(study)
         if isinstance(coarse_study_or_reason, str):
             return coarse_study_or_reason
         coarse_study, element_counts, length_ratio = coarse_study_or_reason
@@ -280,18 +283,22 @@ def estimate_solution_errors(
     numbers = compute_numbers(study, answer)
     verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
     if not is_small(study.structure):  # three more solutions take three times as long
-        reason_by_cause = dict.fromkeys(REDUCED_STRUCTURE_CAUSES, "the structure is not reduced")
+        reason_by_cause = dict.fromkeys(
+            REDUCED_STRUCTURE_ERROR_CAUSES, "the structure is not reduced"
+        )
         return replace(verification, unknown=reason_by_cause)
     if answer.report.unknown:  # other runs may agree by chance
         return verification.with_unknown("harmonics", describe_unknown_error_part(answer.report))
-    try:
-        balance_solution = solve_without_stability(study, answer.omega, answer.harmonics, answer)
-    except REFUSAL_EXCEPTIONS as error:
-        if answer.orbit is None:
+    balance_solution, balance_numbers = answer, numbers
+    if answer.orbit is None:
+        try:
+            balance_solution = solve_without_stability(
+                study, answer.omega, answer.harmonics, answer
+            )
+        except REFUSAL_EXCEPTIONS as error:
             reason_text = describe_failed_run("harmonic balance from it", error)
             return verification.with_unknown("harmonics", reason_text)
-        balance_solution = answer  # has the coefficients of an exact orbit
-    balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
+        balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
     judged_answer = AnswerJudgedByExtraRuns(
         study, answer, numbers.values_by_name, balance_solution, balance_numbers, is_peak
     )
@@ -308,7 +315,7 @@ def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
     unknown.
     """
     verification = estimate_solution_errors(study, solution, causes=["modes"])
-    compared_names = [*(point.column("amplitude") for point in study.watched), "opening"]
+    compared_names = [*(point.column_name("amplitude") for point in study.watched), "opening"]
     if verification.unknown:
         return math.inf
     stated_names = [
@@ -516,9 +523,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         start_solution = (
             self.balance_solution if structure.light_lips else None
         )  # else it has other coordinates
-        balance_solution = solve_without_stability(
-            study, self.balance_solution.omega, self.balance_solution.harmonics, start_solution
-        )
+        balance_solution = self._solve_run(study, self.balance_solution.omega, start_solution)
         balance_numbers = compute_numbers(study, balance_solution, self.balance_numbers.mode_number)
         return replace(
             self, study=study, balance_solution=balance_solution, balance_numbers=balance_numbers
@@ -532,7 +537,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         clearance, closed crack fronts and the increase under a point force (see the module).
         """
         study, balance_solution = self.study, self.balance_solution
-        coarse_study_or_reason = prepare_coarser_study(study)
+        coarse_study_or_reason = prepare_coarser_study_or_reason(study)
         if isinstance(coarse_study_or_reason, str):
             return coarse_study_or_reason
         coarse_study, element_counts, length_ratio = coarse_study_or_reason
@@ -540,9 +545,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         shifted_mode_number = self._find_mode_with_strongest_shift()
         resonance_ratio = find_bilinear_omega(coarse_study.structure, shifted_mode_number)
         resonance_ratio /= find_bilinear_omega(study.structure, shifted_mode_number)
-        coarse_solution = solve_by_half_then_all_harmonics(
-            coarse_study, balance_solution.omega * resonance_ratio, balance_solution.harmonics
-        )
+        coarse_solution = self._solve_run(coarse_study, balance_solution.omega * resonance_ratio)
         coarse_mesh_values = self.compute_values_by_name(coarse_solution, coarse_study)
         counts_and_values = zip(
             element_counts, (self.balance_numbers.values_by_name, coarse_mesh_values), strict=True
@@ -567,7 +570,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         relative_increase_by_name = dict.fromkeys(
             observable_names(Place.POINT), self._relative_amplitude_added_by_halving
         )
-        closed_front_error_by_name, front_change_by_name = estimate_front_errors(
+        closed_front_error_by_name, front_change_by_name = estimate_closed_front_and_mesh_errors(
             study, balance_solution, coarse_study, coarse_solution
         )
         for quantity_name, convergence in convergence_by_name.items():
@@ -593,6 +596,15 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             convergence_by_name[quantity_name] = replace(convergence, extrapolated=value + error)
         return element_counts, convergence_by_name
 
+    def _solve_run(
+        self, study: Study, omega: float, start_solution: PeriodicSolution | None = None
+    ) -> PeriodicSolution:
+        """Solve another run as the answer was solved: by an exact orbit, or by harmonics."""
+        n_harmonics, by_orbit = self.balance_solution.harmonics, self.answer.orbit is not None
+        return solve_by_orbit_or_harmonics(
+            study, omega, n_harmonics, start_solution, by_orbit=by_orbit
+        )
+
     def _compute_values_at_resonance_shifts(
         self, relative_shifts: np.ndarray
     ) -> list[dict[str, float]]:
@@ -604,12 +616,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         if self.is_peak:
             return [self.balance_numbers.values_by_name] * len(relative_shifts)
         load_omegas = self.balance_solution.omega / (1.0 + relative_shifts)
-        solutions = (
-            solve_by_half_then_all_harmonics(
-                self.study, float(load_omega), self.balance_solution.harmonics
-            )
-            for load_omega in load_omegas
-        )
+        solutions = (self._solve_run(self.study, float(load_omega)) for load_omega in load_omegas)
         return [self.compute_values_by_name(solution) for solution in solutions]
 
     def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
@@ -666,7 +673,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     @property
     def _relative_amplitude_added_by_halving(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
-        if self.study.scene.points:
+        if self.study.scene.output_points:
             return 0.0
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
         return displacement_added_by_halved_elements(self.study.scene) / amplitude
@@ -700,16 +707,14 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
                 0.5 * np.ptp(extreme_gaps) / n_pairs_along_crack * np.ptp(closed_shares)
             )
         shifted_study = replace(study, structure=study.structure.varied(clearance=clearance_shifts))
-        solution = solve_by_half_then_all_harmonics(
-            shifted_study, balance_solution.omega, balance_solution.harmonics, balance_solution
-        )
+        solution = self._solve_run(shifted_study, balance_solution.omega, balance_solution)
         return self.compute_values_by_name(solution, shifted_study)
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:
     """Drop stress intensities from a study with elements that are too long."""
     try:
-        make_requested_rows(study)
+        make_requested_extra_rows(study)
     except InputError:
         refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
         kept_names = [name for name in study.scene.quantities or () if name not in refused_names]

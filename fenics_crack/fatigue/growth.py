@@ -39,7 +39,7 @@ from fenics_crack.basics.tables import (
     format_quantity,
     hertz_property,
 )
-from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
+from fenics_crack.errors.stated import STATED_CAUSES, estimate_solution_errors
 from fenics_crack.fatigue.ellipse import (
     EQUIVALENT_RANGE_COLUMN_NAMES,
     EllipsePath,
@@ -48,14 +48,14 @@ from fenics_crack.fatigue.ellipse import (
     integrate_ellipse_growth,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.solid import find_section_reaches
+from fenics_crack.fem.solid import find_reaches_from_crack_middle
 from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.file import MODE_NUMBERS
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 from fenics_crack.sweep.result import (
     SCENES_WITHOUT_PEAK_TEXT,
     SweepResult,
@@ -510,10 +510,12 @@ def _grow_ellipse(
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
     allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
+    if allowed_length <= 0.0:
+        allowed_text = "inside a face with [growth]: at an edge, one end of the ellipse is outside"
+        raise InputError("crack.point", crack.point, allowed_text)
     if crack.given("length") >= allowed_length:
-        raise InputError(
-            "crack.length", crack.length, f"below {allowed_length:g} with [growth]: the sides"
-        )
+        allowed_text = f"below {allowed_length:g}: its ends must stay away from the sides to grow"
+        raise InputError("crack.length", crack.length, allowed_text)
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
         "crack.length": np.geomspace(
@@ -609,7 +611,7 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
     """
     crack = scene.given("crack")
     law = scene.given("growth")
-    section_reaches = find_section_reaches(scene)
+    section_reaches = find_reaches_from_crack_middle(scene)
     available_length = max(section_reaches) if crack.edge else 2.0 * min(section_reaches)
     allowed_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
     if crack.point is None:
@@ -650,9 +652,9 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
             f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
         )
     bilinear_omega_of_modes = [
-        sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in MODE_NUMBERS
+        sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in KEPT_MODE_NUMBERS
     ]
-    nearest_mode_number = MODE_NUMBERS[
+    nearest_mode_number = KEPT_MODE_NUMBERS[
         int(np.nanargmin(np.abs(bilinear_omega_of_modes - sweep_result["omega"][0, 0])))
     ]
     sweep_name_by_column = {
@@ -829,11 +831,13 @@ def _estimate_quantity_error_and_remarks(
     solved_run = solve(scene, MPI.COMM_SELF)
     cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
     is_at_peak = scene.given("growth").drive == "resonance"
-    error_statement = stated_errors(
-        solved_run, solved_run.result, of_peak=is_at_peak, causes=cause_names
+    error_statement = estimate_solution_errors(
+        solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
     )
     omission_remarks = (
-        [f"vibration: {error_statement.left_out}"] if error_statement.left_out else []
+        [f"vibration: {error_statement.omitted_causes_and_reasons_text}"]
+        if error_statement.omitted_causes_and_reasons_text
+        else []
     )
     return error_statement.stated(quantity_name)[0], omission_remarks
 
@@ -1023,9 +1027,9 @@ class LengthPath:
         if mode_number is None and is_solved.any():
             bilinear_omega_of_modes = [
                 get_solved_level_values(f"omega_bilinear_{candidate_mode_number}")[0, 0]
-                for candidate_mode_number in MODE_NUMBERS
+                for candidate_mode_number in KEPT_MODE_NUMBERS
             ]
-            mode_number = MODE_NUMBERS[
+            mode_number = KEPT_MODE_NUMBERS[
                 int(np.nanargmin(np.abs(bilinear_omega_of_modes - new_leading_omega[0])))
             ]
         if mode_number is not None:

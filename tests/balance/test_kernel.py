@@ -724,7 +724,7 @@ def test_undamped_resonance() -> None:
         fc.Problem(oscillator(None, 0.1), 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
     )
     catch_error(
-        lambda: solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9),
+        lambda: solve_at_parameter(family, np.ones((7, 1)), 0.5, tolerance=1e-9),
         names="singular",
         kind=fc.ConvergenceError,
     )

@@ -681,7 +681,7 @@ def test_cracks_that_cross_are_refused() -> None:
     """Three nodes in one place."""
     points = np.array([[0.0, 0.0, 0.0]] * 3 + [[1.0, 0.0, 0.0]])
     catch_error(
-        lambda: find_pairs_and_gaps(
+        lambda: find_gap_matrix_and_pairs(
             Model(np.arange(4), points, {}),
             np.arange(12).reshape(-1, 3),
             sparse.identity(12, format="csr"),

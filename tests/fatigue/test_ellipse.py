@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -339,16 +340,12 @@ def test_the_nearer_side_limits_the_length(form: str, tmp_path: Path) -> None:
             model.occ.addBox(0, 0, 0, 30, 90, 6)
             model.occ.synchronize()
             gmsh.write(changes["geometry.file"])
-    catch_error(
-        lambda: fc.grow(scene(**changes), comm=MPI.COMM_SELF),
-        "crack.length",
-        0.00725,
-        names=r"below 0\.0072:",
-    )
+    near_side = scene(**changes)
+    call = partial(fc.grow, near_side, comm=MPI.COMM_SELF)
+    catch_error(call, "crack.length", 0.00725, names=r"below 0\.0072:")
     if form != "center":
         edge_scene = near_side.replace({"crack.point": [0.0, 0.03, 0.006]})
-        with pytest.raises(fc.InputError, match=r"^crack\.point = .*inside a face"):
-            fc.grow(edge_scene, comm=MPI.COMM_SELF)
+        catch_error(lambda: fc.grow(edge_scene, comm=MPI.COMM_SELF), "crack.point")
 
 
 @pytest.mark.nightly

@@ -1107,7 +1107,7 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
         structure.find_dof(tip, "z"): 1.0
     }  # y by rounding
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
-    catch_error(lambda: find_tip_factors(table, through_it), "output.points")
+    catch_error(lambda: find_tip_factor_by_dof(table, through_it), "output.points")
 
 
 @pytest.mark.parametrize(
@@ -1146,7 +1146,9 @@ def test_probes_see_the_displacement_that_rotation_makes(
         by_hand = scene.replace({"tip_timing.tangential": tangential})
         assert find_probed_displacement_and_reversal(by_hand) == ("tip.ux", tangential < 0.0)
     catch_error(
-        lambda: find_probed_displacement(scene.replace({"output": None})), "output.points", None
+        lambda: find_probed_displacement_and_reversal(scene.replace({"output": None})),
+        "output.points",
+        None,
     )
 
 
