@@ -376,7 +376,9 @@ def test_memory_that_is_freed_does_not_count(
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (needed_memory + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
-    catch_error(lambda: prepare.estimate_and_check_memory(paper_scene, wide_plate), "mesh.columns", 2)
+    catch_error(
+        lambda: prepare.estimate_and_check_memory(paper_scene, wide_plate), "mesh.columns", 2
+    )
     pieces[:-1] = []  # the last one holds the others' memory for the process
     assert prepare.estimate_and_check_memory(paper_scene, wide_plate) < needed_memory + 1e7
 
