@@ -23,10 +23,10 @@ from fenics_crack.basics.tables import (
     Described,
     Tabular,
     add_frequency_entries,
+    choose_frequency_factor_name_unit,
+    choose_speed_factor_name_unit,
     format_count,
-    frequency_axis,
     hertz_property,
-    speed_axis,
 )
 from fenics_crack.curves.balance_equations import (
     EQUATIONS_CLASS_BY_PARAMETER,
@@ -81,7 +81,11 @@ graze, or if several multipliers collide in one step.
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
     if parameter in ("omega", "speed"):
-        return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
+        return (
+            choose_frequency_factor_name_unit
+            if parameter == "omega"
+            else choose_speed_factor_name_unit
+        )(in_hertz)
     name, _, unit = DESCRIPTION_BY_PARAMETER[parameter].removesuffix("]").rpartition(" [")
     return 1.0, name, unit
 

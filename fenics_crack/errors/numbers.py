@@ -35,7 +35,7 @@ from fenics_crack.basics.observables import (
     Place,
     observable_names,
 )
-from fenics_crack.basics.tables import frequency_axis
+from fenics_crack.basics.tables import choose_frequency_factor_name_unit
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
@@ -122,7 +122,7 @@ def _add_frequencies(
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
     frequencies = bilinear_frequencies(study.structure)
     mode = mode or int(frequencies.nearest(omega)["mode"])
-    factor, _, unit = frequency_axis(scene.in_hertz)
+    factor, _, unit = choose_frequency_factor_name_unit(scene.in_hertz)
     modes_by_kind = {"open": sorted({1, 2, 3, mode})}
     if has_pairs:
         modes_by_kind |= {"tied": [mode], "bilinear": [mode]}

@@ -71,7 +71,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
-from fenics_crack.basics.tables import frequency_axis
+from fenics_crack.basics.tables import choose_frequency_factor_name_unit
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.case import (
     CAUSE_WITHOUT_CONTACT,
@@ -203,7 +203,7 @@ def errors_of_natural(
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
-    factor, _, unit = frequency_axis(scene.in_hertz)
+    factor, _, unit = choose_frequency_factor_name_unit(scene.in_hertz)
 
     def by_name(frequencies: Mapping[str, np.ndarray]) -> dict[str, float]:
         return {

@@ -37,10 +37,10 @@ from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Conclusion,
     add_frequency_entries,
+    choose_speed_factor_name_unit,
     format_count,
     format_in_unit,
     hertz_property,
-    speed_axis,
 )
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import SavedResult
@@ -369,7 +369,7 @@ class Campbell(SavedResult):
 
     def build_conclusion(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
-        axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
+        axis, order = choose_speed_factor_name_unit(self.scene.in_rpm), self.scene.excitation.order
         modes_text = format_count(self.omega_open.shape[1], "mode")
         outcome_text = (
             f"{modes_text} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
@@ -535,7 +535,10 @@ def report_of_campbell(diagram: Campbell) -> Report:
     if not notes and load_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
-        notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), diagram.speed[-1])} {text}")
+        notes.append(
+            f"at {format_in_unit(choose_speed_factor_name_unit(scene.in_rpm), diagram.speed[-1])} "
+            f"{text}"
+        )
     columns = ["rpm" if scene.in_rpm else "speed", "mode"]
     columns += [
         *(f"{frequency_name}_{kind}" for kind in diagram.kinds),

@@ -30,8 +30,8 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
+    choose_frequency_factor_name_unit,
     format_in_unit,
-    frequency_axis,
 )
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.fem.setting import read_load_table_harmonics
@@ -923,7 +923,7 @@ def _missed_first_frequency(
     curve_proposal = propose_curve(scene, figures)
     unit = CURVE_UNIT_BY_PARAMETER[curve.parameter][1]
     first_range = figures.omega_open[0], figures.omega_tied[0]
-    range_text = format_in_unit(frequency_axis(True), *first_range)
+    range_text = format_in_unit(choose_frequency_factor_name_unit(True), *first_range)
     text = f"{curve.stop:g} {unit}: the first is between {range_text}"
     if curve_proposal is not None:
         text += f"; start = {curve_proposal.start:g} and stop = {curve_proposal.stop:g} hold one"
