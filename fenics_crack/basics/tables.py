@@ -196,14 +196,14 @@ class Described:
         """Return :meth:`to_dict`, or some entries, as a table with units."""
         values_by_name = self.to_dict()
         return Table.from_dict(
-            {name: values_by_name[name] for name in names or values_by_name}, self._units()
+            {name: values_by_name[name] for name in names or values_by_name}, self._unit_by_name()
         )
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         """Return units of the entries of :meth:`to_dict` by name."""
         return UNIT_BY_NAME
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         """Return the text between the brackets of the one line."""
         return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
@@ -212,7 +212,7 @@ class Described:
         return None
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self._title()})"
+        return f"{type(self).__name__}({self._repr_text()})"
 
     def __str__(self) -> str:
         conclusion = self.build_conclusion()

@@ -153,7 +153,7 @@ class Bifurcation(Described):
         """Return kind, value of the curve's parameter, and load frequency."""
         return add_frequency_entries({"kind": self.kind, "value": self.value, "omega": self.omega})
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return f"{kind_in_words(self.kind)} at {self.value:.6g}, {self.point.method}"
 
 
@@ -654,7 +654,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             columns["verdict"] = self.verdicts.tolist()
         return add_frequency_entries(columns | self.indicators().to_dict())
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         title_parts = [
             f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
             format_count(len(self), "point"),

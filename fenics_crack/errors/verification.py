@@ -294,7 +294,7 @@ class Verification(SavedResult):
             total = _uncertainty_entries(self, name, self.total(name, independent=independent))
             yield quantity_entries | {"cause": cause, "behaviour": ""} | value_entries | total
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return self.statement[0]
 
     def build_conclusion(self) -> Conclusion:

@@ -386,7 +386,7 @@ class Campbell(SavedResult):
             f"engine order {order} meets {', '.join(crossing_texts) or 'none of them'}",
         )
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         speed_text = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
         first_omegas = self.omega_bilinear[[0, -1], 0]
         frequency_text = f"first {first_omegas[0]:.6g} to {first_omegas[1]:.6g} rad/s"

@@ -547,7 +547,7 @@ class Measurements(Tabular):
             ]
         return values_by_column
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         n_frequencies = sum(measurement.natural for measurement in self.rows)
         return f"{n_frequencies} natural frequencies, {len(self) - n_frequencies} at loads"
 
