@@ -312,7 +312,7 @@ class ArrivalTimes(Tabular):
             "tip_radius": [float(self.tip_radius)] * self.time.size,
         }
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         speed, n_missing = self.speed, int(np.isnan(self.time).sum())
         title_parts = [
             format_count(len(self), "revolution"),

@@ -687,10 +687,10 @@ class TipTrack(HarmonicFit):
             ].tolist()
         return column_by_name
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         return UNIT_BY_NAME | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         speeds_text = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
         points_text = format_count(len(self.speed), "point")
         return ", ".join([f"order {self.order:g}", speeds_text, points_text, *self._doubt_texts])

@@ -60,10 +60,10 @@ class Candidates(Tabular):
             for column_name, column_values in zip(column_names, vars(self).values(), strict=True)
         }
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         return {"residual": "m"}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         counts_text = f"{int(self.equivalent.sum())} equivalent, {int(self.hidden.sum())} hidden"
         return f"{len(self.orders)} orders, {counts_text}"
 
@@ -278,7 +278,7 @@ class TipFit(HarmonicFit):
         }
         return add_frequency_entries(column_by_name)
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         title_parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
         harmonic_rows = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
         title_parts += [

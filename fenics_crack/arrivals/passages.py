@@ -270,7 +270,7 @@ class PassageFit(Tabular):
         }
         return number_by_name | statistic_by_name
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         frequency_text = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
         damping_text = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
         title_parts = [

@@ -497,7 +497,7 @@ class Fit:
         return self.modes[0]
 
     @property
-    def places(self) -> tuple[np.ndarray, np.ndarray]:
+    def revolutions_and_probes(self) -> tuple[np.ndarray, np.ndarray]:
         """Revolutions and probes of the arrivals: two (n,)."""
         row_probe_pairs = [np.nonzero(run.has_arrival) for run in self._runs]
         revolution_indices = [
@@ -512,7 +512,7 @@ class Fit:
     def omega_and_damping_errors(self) -> np.ndarray:
         """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
-        covariance = self.noise.coefficient_covariance(columns, self.places)
+        covariance = self.noise.coefficient_covariance(columns, self.revolutions_and_probes)
         return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
 
     @cached_property
@@ -555,7 +555,7 @@ class Fit:
             np.eye(len(mark_numbers)),
             self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0,
         ).T
-        return self.noise.whiteness(self.places, mark_shares)
+        return self.noise.whiteness(self.revolutions_and_probes, mark_shares)
 
     @property
     def weights(self) -> list[np.ndarray]:

@@ -128,10 +128,10 @@ class ErrorReport(Described):
             if part_name != "confirmed"
         }
 
-    def _units(self) -> dict[str, str]:
+    def _unit_by_name(self) -> dict[str, str]:
         return {}  # relative
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return ", ".join(
             f"{part_name} {part_error:.2g}"
             + (

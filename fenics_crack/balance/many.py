@@ -137,7 +137,7 @@ class ManyOrbits(Tabular):
             for column_field in fields(self)[3:-1]
         }
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return f"{len(self.omega)} cases, {np.sum(self.verdict == '')} without an orbit"
 
 

@@ -84,7 +84,7 @@ class Stability(Described):
             for stability_field in fields(self)[2:]
         }
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         reason_text = f" ({self.reason})" if self.reason else ""
         multiplier_text = (
             f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
@@ -308,7 +308,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         columns_by_name |= {"converged": self.converged, "iterations": int(self.iterations)}
         return add_frequency_entries(columns_by_name) | {"status": str(self.status)}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         columns_by_name = self.to_dict()
         title_parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
         if self.subharmonic > 1:

@@ -56,7 +56,7 @@ def load_or_compile_form(
         on_root(
             comm,
             lambda: write_file_whole(
-                form_folder.with_name(record_file.name), _record_text(form_folder)
+                form_folder.with_name(record_file.name), _form_record_text(form_folder)
             ),
         )
     return compiled_form
@@ -77,13 +77,13 @@ def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
     with suppress(OSError, ValueError):
         record_text = read_utf8_text(record_file)
         form_folder = record_file.with_name(record_text.partition("\n")[0])
-        if _record_text(form_folder) == record_text:
+        if _form_record_text(form_folder) == record_text:
             return form_folder, ""
     compiler_command = find_c_compiler()
     return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record_file.parent)), compiler_command
 
 
-def _record_text(form_folder: Path) -> str:
+def _form_record_text(form_folder: Path) -> str:
     """Return the text of a record: the folder's name, then SHA-256 and name of each file."""
     return "\n".join(
         (

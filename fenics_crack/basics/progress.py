@@ -78,13 +78,13 @@ class StageLineHandler(logging.Handler):
         _STAGE_LOGGER.setLevel(logging.NOTSET)
         _STAGE_LOGGER.removeHandler(self)
         with self._write_lock:
-            self._show("")
+            self._show_stage("")
 
     def emit(self, record: logging.LogRecord) -> None:
         """End the previous stage, and begin the new stage; the lock is held."""
-        self._show(record.getMessage())
+        self._show_stage(record.getMessage())
 
-    def _show(self, stage: str) -> None:
+    def _show_stage(self, stage: str) -> None:
         current_time = time.perf_counter()
         previous_stage, self._stage_text = self._stage_text, stage
         if previous_stage:
@@ -96,11 +96,13 @@ class StageLineHandler(logging.Handler):
             self._write(f"  {stage} ...")
         if stage and not previous_stage:
             self._end_event = threading.Event()
-            threading.Thread(target=self._repeat, args=(self._end_event,), daemon=True).start()
+            threading.Thread(
+                target=self._print_messages_until_end, args=(self._end_event,), daemon=True
+            ).start()
         elif previous_stage and not stage:
             self._end_event.set()
 
-    def _repeat(self, end_event: threading.Event) -> None:
+    def _print_messages_until_end(self, end_event: threading.Event) -> None:
         """Print the current stage and its duration every few seconds."""
         while not end_event.wait(MESSAGE_INTERVAL):
             with self._write_lock:

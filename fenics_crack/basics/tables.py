@@ -72,7 +72,7 @@ class Table:
             return cls(headings, [list(row) for row in zip(*values_by_name.values(), strict=True)])
         return cls(("quantity", "value"), list(zip(headings, values_by_name.values(), strict=True)))
 
-    def formatted(self, format_name: str) -> str:
+    def format_as(self, format_name: str) -> str:
         """Return the table as "text" (the first rows of a long table), "csv" or "json"."""
         return {"text": self._as_text, "csv": self._as_csv, "json": self._as_json}[format_name]()
 
@@ -196,14 +196,14 @@ class Described:
         """Return :meth:`to_dict`, or some entries, as a table with units."""
         values_by_name = self.to_dict()
         return Table.from_dict(
-            {name: values_by_name[name] for name in names or values_by_name}, self._units()
+            {name: values_by_name[name] for name in names or values_by_name}, self._unit_by_name()
         )
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         """Return units of the entries of :meth:`to_dict` by name."""
         return UNIT_BY_NAME
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         """Return the text between the brackets of the one line."""
         return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
@@ -212,7 +212,7 @@ class Described:
         return None
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self._title()})"
+        return f"{type(self).__name__}({self._repr_text()})"
 
     def __str__(self) -> str:
         conclusion = self.build_conclusion()
@@ -269,10 +269,12 @@ UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "
 _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def choose_unit_prefix(largest_value: float, unit: str) -> tuple[float, str]:
+def choose_factor_and_prefixed_unit(largest_magnitude: float, unit: str) -> tuple[float, str]:
     """Return factor and prefixed unit for numbers up to a maximum: (1e6, "µm")."""
     exponent = (
-        3 * int(np.floor(np.log10(largest_value) / 3.0)) if 0.0 < largest_value < math.inf else 0
+        3 * int(np.floor(np.log10(largest_magnitude) / 3.0))
+        if 0.0 < largest_magnitude < math.inf
+        else 0
     )
     prefix = _PREFIX_BY_EXPONENT.get(exponent)
     return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
@@ -283,7 +285,7 @@ def format_quantity(value: float, unit: str) -> str:
     factor, unit = (
         (1.0, unit.strip("1-"))
         if unit in UNITS_WITHOUT_PREFIX
-        else choose_unit_prefix(abs(value), unit)
+        else choose_factor_and_prefixed_unit(abs(value), unit)
     )
     return f"{factor * value:.4g} {unit}".rstrip()
 
@@ -297,12 +299,12 @@ def heading_with_unit(quantity_name: str, unit: str) -> str:
     )
 
 
-def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
+def choose_frequency_factor_name_unit(in_hertz: bool) -> tuple[float, str, str]:
     """Return factor from rad/s, name and unit of an axis of load frequencies."""
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
 
-def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
+def choose_speed_factor_name_unit(in_rpm: bool) -> tuple[float, str, str]:
     """Return factor from rad/s, name and unit of an axis of rotor speeds."""
     return (
         (1.0 / RAD_PER_S_PER_RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
@@ -311,14 +313,14 @@ def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
 
 def format_speed(speed: float, in_rpm: bool) -> str:
     """Return a rotor's speed [rad/s] as text with its unit: "3000 rpm"."""
-    return format_in_unit(speed_axis(in_rpm), speed)
+    return format_in_unit(choose_speed_factor_name_unit(in_rpm), speed)
 
 
-def format_in_unit(axis: tuple[float, str, str], *values: float) -> str:
+def format_in_unit(factor_name_unit: tuple[float, str, str], *values: float) -> str:
     """Return values in an axis' unit as text: "50.1 Hz", "50.1 and 50.3 Hz"."""
-    factor, _, unit = axis
-    number_text = " and ".join(f"{factor * value:.6g}" for value in values)
-    return f"{number_text} {unit}".removesuffix(" -")
+    factor, _, unit = factor_name_unit
+    numbers_text = " and ".join(f"{factor * value:.6g}" for value in values)
+    return f"{numbers_text} {unit}".removesuffix(" -")
 
 
 def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:

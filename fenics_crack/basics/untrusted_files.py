@@ -1,9 +1,9 @@
 """Read files that may come from strangers, with limits, and keep out of the working folder.
 
-A library that parses a damaged file may crash, ask for all memory or not end, and data may hide
-a script. So :func:`run_reader` lets a separate small program parse the files of gmsh and HDF5, with
-limited memory and time, and hand over plain arrays. The program loads the library once, and reads
-each file in a copy of its process.
+A library that parses a damaged file may crash, ask for all memory or not end, and data may hide a
+script. So :func:`run_reader_for_arrays` lets a separate small program parse the files of gmsh and
+HDF5, with limited memory and time, and hand over plain arrays. The program loads the library once,
+and reads each file in a copy of its process.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]
         yield Path(shutil.copyfile(path, Path(folder) / copy_name))
 
 
-def max_unpacked_bytes(packed_bytes: int) -> int:
+def max_allowed_unpacked_bytes(packed_bytes: int) -> int:
     """Return the maximum bytes of a compressed file's content.
 
     The maximum is 50 times the file's size; this program's files take 1 to 10 times. Any file may
@@ -265,7 +265,7 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
 
 
 @contextmanager
-def open_text_lines(
+def open_lines_and_byte_limit(
     path: str | Path, errors: str = "strict"
 ) -> Iterator[tuple[Iterable[str], int]]:
     """Open a large text file, such as a matrix, which may be packed (.gz, .bz2).
@@ -285,7 +285,7 @@ def open_text_lines(
     """
     file_size = regular_file_size(path)
     open_function: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
-    max_bytes = file_size if open_function is None else max_unpacked_bytes(file_size)
+    max_bytes = file_size if open_function is None else max_allowed_unpacked_bytes(file_size)
     with (open_function or open)(path, "rt", encoding="utf-8", errors=errors) as file:
         yield file if open_function is None else _yield_limited_lines(file, max_bytes), max_bytes
 
@@ -313,7 +313,7 @@ def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
         yield line
 
 
-def run_reader(
+def run_reader_for_arrays(
     reader_file: Path, path: Path, max_seconds: int, base_memory_bytes: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
     """Let a separate program read a file (:mod:`fenics_crack.basics.untrusted_reader`).
@@ -328,7 +328,7 @@ def run_reader(
     dict or str
         The arrays by name; or the reason why there are none, from the array ``error``.
     """
-    max_array_bytes = max_unpacked_bytes(regular_file_size(path, None))
+    max_array_bytes = max_allowed_unpacked_bytes(regular_file_size(path, None))
     request_entries = {
         "folder": os.getcwd(),
         "path": str(path),
@@ -341,7 +341,7 @@ def run_reader(
         "request": request,
     }
     with os.fdopen(os.memfd_create("numbers"), "w+b") as array_file:  # a disk may be full
-        exit_status = _send_request(
+        exit_status = _send_request_for_exit_status(
             reader_file, json.dumps(request_entries).encode(), array_file.fileno()
         )
         if exit_status in (-signal.SIGXCPU, -signal.SIGALRM):
@@ -357,7 +357,9 @@ def run_reader(
     return str(array_by_name["error"]) if "error" in array_by_name else array_by_name
 
 
-def _send_request(reader_file: Path, request_bytes: bytes, array_descriptor: int) -> int:
+def _send_request_for_exit_status(
+    reader_file: Path, request_bytes: bytes, array_descriptor: int
+) -> int:
     """Send a request to a reader, and return the exit status of its copy.
 
     The reader itself waits for the next file.

@@ -129,7 +129,7 @@ def write_and_print_report(
         structure_file.write_structure(console.comm)
     if result is not None:
         replacement_note = keep_previous_files_with_note(
-            Path(f"{stem_path}.json"), report.table.formatted("json"), console.comm
+            Path(f"{stem_path}.json"), report.table.format_as("json"), console.comm
         )
     with complete_files_together() as file_stack:
         if result is not None:
@@ -150,7 +150,7 @@ def write_and_print_report(
         make_printed_table(report) if console.table_format == "text" else report.table
     )
     for heading, further_table in report.further_tables.items():
-        console.print_notes(f"{heading}:\n{further_table.formatted('text')}".rstrip())
+        console.print_notes(f"{heading}:\n{further_table.format_as('text')}".rstrip())
     picture_text = (
         f".{picture_format}"
         if picture_format
@@ -332,7 +332,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
             for picture_format in {"png", console.picture_format}:  # a report takes the first
                 draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
-    fit_table_text = identification.fit_table().formatted("csv")
+    fit_table_text = identification.fit_table().format_as("csv")
     other_stems = ("identify", "posterior", "where_to_measure")
     replacement_note = keep_previous_files_with_note(
         folder / "fit.csv", fit_table_text, console.comm, *other_stems

@@ -63,7 +63,7 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
         for check_name, finding_text, is_fault in run_and_yield_checks(CHECKS_BY_NAME)
     ]
     print(
-        Table(("check", "verdict", "finding"), check_rows).formatted(arguments.format),
+        Table(("check", "verdict", "finding"), check_rows).format_as(arguments.format),
         end="",
         flush=True,
     )

@@ -406,7 +406,7 @@ class Console:
 
     def print_table(self, table: Table) -> None:
         """Print a table."""
-        print(table.formatted(self.table_format), end="", flush=True)
+        print(table.format_as(self.table_format), end="", flush=True)
 
     def print_notes(self, *note_texts: str) -> None:
         """Print notes that are not empty, unless quiet."""

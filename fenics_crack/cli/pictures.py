@@ -20,7 +20,11 @@ from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
-from fenics_crack.basics.tables import choose_unit_prefix, format_percent, heading_with_unit
+from fenics_crack.basics.tables import (
+    choose_factor_and_prefixed_unit,
+    format_percent,
+    heading_with_unit,
+)
 from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME
@@ -175,7 +179,7 @@ def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem
     """Draw stress intensities over the period, if they can be computed."""
     with suppress(InputError):  # a tip next to an edge, or no plate
         stress_intensities = stress_intensity(run)
-        unit_factor, unit = choose_unit_prefix(
+        unit_factor, unit = choose_factor_and_prefixed_unit(
             float(stress_intensities.effective.max()), "Pa m^0.5"
         )
         title = (
@@ -466,7 +470,9 @@ def draw_swept_quantity(
         (x_values, x_label), (y_values, y_label) = scaled_values_and_labels
         unit_factor, prefixed_unit = 1.0, unit
         if unit in ("m", "N"):
-            unit_factor, prefixed_unit = choose_unit_prefix(float(np.nanmax(np.abs(values))), unit)
+            unit_factor, prefixed_unit = choose_factor_and_prefixed_unit(
+                float(np.nanmax(np.abs(values))), unit
+            )
         label_options: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
         label_options["value_label"] = heading_with_unit(quantity_name, prefixed_unit)
         picture_path = picture_files(f"{file_stem}_map", caption)
@@ -485,7 +491,7 @@ def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
     """Return an axis's values in a readable unit, and the label."""
     unit, unit_factor = unit_of_key(axis.key), 1.0
     if unit and unit not in UNITS_WITHOUT_PREFIX:
-        unit_factor, unit = choose_unit_prefix(float(np.abs(axis_values).max()), unit)
+        unit_factor, unit = choose_factor_and_prefixed_unit(float(np.abs(axis_values).max()), unit)
     return unit_factor * axis_values, heading_with_unit(key_in_words(axis.key), unit)
 
 

@@ -98,7 +98,7 @@ def _write_and_draw_arrivals(
         picture_path = arrivals_path.with_suffix(f".{console.picture_format}")
         draw_arrivals(arrivals, path=picture_path, in_rpm=scene.is_speed_in_rpm)
 
-    table_text = arrivals.table().formatted("csv")
+    table_text = arrivals.table().format_as("csv")
     console.print_notes(keep_previous_files_with_note(arrivals_path, table_text, console.comm))
     on_root(console.comm, write_files)
     first_speed_text, last_speed_text = (

@@ -23,10 +23,10 @@ from fenics_crack.basics.tables import (
     Described,
     Tabular,
     add_frequency_entries,
+    choose_frequency_factor_name_unit,
+    choose_speed_factor_name_unit,
     format_count,
-    frequency_axis,
     hertz_property,
-    speed_axis,
 )
 from fenics_crack.curves.balance_equations import (
     EQUATIONS_CLASS_BY_PARAMETER,
@@ -81,7 +81,11 @@ graze, or if several multipliers collide in one step.
 def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
     if parameter in ("omega", "speed"):
-        return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
+        return (
+            choose_frequency_factor_name_unit
+            if parameter == "omega"
+            else choose_speed_factor_name_unit
+        )(in_hertz)
     name, _, unit = DESCRIPTION_BY_PARAMETER[parameter].removesuffix("]").rpartition(" [")
     return 1.0, name, unit
 
@@ -149,7 +153,7 @@ class Bifurcation(Described):
         """Return kind, value of the curve's parameter, and load frequency."""
         return add_frequency_entries({"kind": self.kind, "value": self.value, "omega": self.omega})
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return f"{kind_in_words(self.kind)} at {self.value:.6g}, {self.point.method}"
 
 
@@ -652,7 +656,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             columns["verdict"] = self.verdicts.tolist()
         return add_frequency_entries(columns | self.indicators().to_dict())
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         title_parts = [
             f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
             format_count(len(self), "point"),

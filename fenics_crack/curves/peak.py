@@ -95,7 +95,7 @@ class Peak(Described, LargestResponse):
         """Return the attributes and the frequency [Hz]."""
         return add_frequency_entries(dict(vars(self)))
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         damping_words = f"damping {self.damping:.3g}"
         if self.at_end:
             damping_words = RISING_AT_END_TEXT

@@ -123,10 +123,10 @@ class Blades(Tabular):
             ],
         }
 
-    def _units(self) -> dict[str, str]:
+    def _unit_by_name(self) -> dict[str, str]:
         return {"amplitude": "m", "phase": "degrees", "frequency": "Hz"}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         blade_index = int(np.argmax(self.amplitude))
         amplitude_text = f"{self.amplitude[blade_index]:.4g} m of blade {blade_index + 1}"
         return (
@@ -247,7 +247,7 @@ class NodalDiameters(SavedResult):
         lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
         return " ".join(map(str, lowest_orders))
 
-    def _units(self) -> dict[str, str]:
+    def _unit_by_name(self) -> dict[str, str]:
         return {
             f"frequency_{family_index + 1}": "Hz" for family_index in range(self.omega.shape[1])
         }
@@ -268,7 +268,7 @@ class NodalDiameters(SavedResult):
             further_clauses=remarks,
         )
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return f"{format_count(len(self.omega), 'nodal diameter')} of {self.sectors} sectors"
 
 
@@ -370,7 +370,7 @@ class Amplification(SavedResult):
             "blade": self.blade.tolist(),
         }
 
-    def _units(self) -> dict[str, str]:
+    def _unit_by_name(self) -> dict[str, str]:
         return {"frequency": "Hz"}
 
     def build_conclusion(self) -> Conclusion:
@@ -379,7 +379,7 @@ class Amplification(SavedResult):
         answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         factor_text = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
         patterns_text = (
             f"{format_count(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"

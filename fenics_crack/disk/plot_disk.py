@@ -10,7 +10,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
-    choose_unit_prefix,
+    choose_factor_and_prefixed_unit,
     format_quantity,
 )
 from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit
@@ -75,7 +75,7 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     node_amplitudes = displacement_sizes.max(axis=0)
     displacement_at_largest = displacements[int(np.argmax(displacement_sizes.max(axis=1)))]
     [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **picture_options)
-    unit_factor, unit = choose_unit_prefix(float(node_amplitudes.max()), "m")
+    unit_factor, unit = choose_factor_and_prefixed_unit(float(node_amplitudes.max()), "m")
     shape_displacement = (
         0.5 * magnification_to_tenth(displacement_at_largest, mesh.size) * displacement_at_largest
     )

@@ -27,7 +27,7 @@ from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import choose_unit_prefix
+from fenics_crack.basics.tables import choose_factor_and_prefixed_unit
 from fenics_crack.draw import vtk
 from fenics_crack.draw.figure import COLOURS_BY_NAME, copy_canvas_image, label_axis
 from fenics_crack.draw.vtk import PeriodFields
@@ -115,7 +115,7 @@ class _ColourScale:
     def __init__(self, fields: PeriodFields) -> None:
         field_name, unit = fields.colour_name_and_unit
         scale_end, largest_colour_value = fields.colour_scale_end, fields.colour_values.max()
-        self.unit_factor, unit = choose_unit_prefix(scale_end, unit)
+        self.unit_factor, unit = choose_factor_and_prefixed_unit(scale_end, unit)
         self.label = f"{field_name} [{unit}]"
         self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
             0.0, self.unit_factor * scale_end

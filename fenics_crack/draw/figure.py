@@ -30,7 +30,11 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.suggestions import check_options, fit_argument_to_annotation
-from fenics_crack.basics.tables import UNITS_WITHOUT_PREFIX, choose_unit_prefix, heading_with_unit
+from fenics_crack.basics.tables import (
+    UNITS_WITHOUT_PREFIX,
+    choose_factor_and_prefixed_unit,
+    heading_with_unit,
+)
 
 COLOURS_BY_NAME = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS_BY_NAME["grey"] = "#5C5C5C"
@@ -227,7 +231,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     """
     unit_factor, prefixed_unit = 1.0, unit
     if unit not in UNITS_WITHOUT_PREFIX:
-        unit_factor, prefixed_unit = choose_unit_prefix(
+        unit_factor, prefixed_unit = choose_factor_and_prefixed_unit(
             float(np.abs(axis.get_data_interval()).max()), unit
         )
     label = heading_with_unit(quantity, prefixed_unit).replace("m^0.5", "√m")
@@ -251,7 +255,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
 
 def label_count_axis(axis: Axis, plural_noun: str) -> None:
     """Label a linear axis of counts after all lines are drawn: "10⁶ load cycles"."""
-    power_factor, _ = choose_unit_prefix(float(axis.get_data_interval()[1]), "")
+    power_factor, _ = choose_factor_and_prefixed_unit(float(axis.get_data_interval()[1]), "")
     axis.set_label_text(
         plural_noun
         if power_factor == 1.0

@@ -21,7 +21,7 @@ from matplotlib.patches import Patch
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import choose_unit_prefix, format_quantity
+from fenics_crack.basics.tables import choose_factor_and_prefixed_unit, format_quantity
 from fenics_crack.draw.figure import (
     COLOURS_BY_NAME,
     FIGURE_STYLE,
@@ -210,7 +210,7 @@ def draw_contact_map(
     if structure.pair_areas is not None and has_pressure:
         contact_values = contact_values / structure.pair_areas
         label, unit = "contact pressure", "Pa"
-    unit_factor, unit = choose_unit_prefix(float(contact_values.max()), unit)
+    unit_factor, unit = choose_factor_and_prefixed_unit(float(contact_values.max()), unit)
     if pair_points.shape[1] == 3:
         values_by_label = {f"largest {label} [{unit}]": unit_factor * contact_values.max(axis=0)}
         values_by_label["share of the period closed"] = (contact_values[:-1] > 0.0).mean(axis=0)
@@ -296,7 +296,7 @@ def _draw_crack_surface(
     horizontal_axis_index, vertical_axis_index = (
         axis_index for axis_index in range(3) if axis_index != normal_axis_index
     )
-    unit_factor, unit = choose_unit_prefix(
+    unit_factor, unit = choose_factor_and_prefixed_unit(
         float(np.abs(points[:, [horizontal_axis_index, vertical_axis_index]]).max()), "m"
     )
     plane_points = unit_factor * points[:, [horizontal_axis_index, vertical_axis_index]].T

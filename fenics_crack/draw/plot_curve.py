@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import (
+    choose_frequency_factor_name_unit,
     format_percent,
     format_quantity,
-    frequency_axis,
     heading_with_unit,
 )
 from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit, kind_in_words
@@ -301,7 +301,9 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
     unit_factor, parameter_name, unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     if curve.parameter == "speed":
         engine_order = float(curve.omega[0] / curve.values[0])
-        frequency_factor, frequency_name, frequency_unit = frequency_axis(in_hertz)
+        frequency_factor, frequency_name, frequency_unit = choose_frequency_factor_name_unit(
+            in_hertz
+        )
         frequency_label = heading_with_unit(
             f"{frequency_name}, engine order {engine_order:g}", frequency_unit
         )

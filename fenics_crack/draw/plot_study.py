@@ -21,10 +21,10 @@ from fenics_crack.basics.tables import (
     MIN_REPORTED_ERROR,
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
+    choose_frequency_factor_name_unit,
+    choose_speed_factor_name_unit,
     format_quantity,
-    frequency_axis,
     heading_with_unit,
-    speed_axis,
 )
 from fenics_crack.draw.figure import (
     COLOURS_BY_NAME,
@@ -443,7 +443,7 @@ def draw_growth(
     picture = Picture(3, size=size, sharex=True, **picture_options)
     length_panel, frequency_panel, intensity_panel = picture.panels
     solved_cycles = np.interp(solved_lengths, found.length, found.cycles)
-    frequency_factor, _, unit = frequency_axis(in_hertz)
+    frequency_factor, _, unit = choose_frequency_factor_name_unit(in_hertz)
     lines_by_label = {
         "length": (length_panel, found.length, "blue", "-"),
         "load": (frequency_panel, frequency_factor * found.omega, "black", "-"),
@@ -537,8 +537,8 @@ def draw_campbell(
     for order in orders:
         check_count("orders", order, 1)
     [panel] = picture = Picture(**picture_options)
-    frequency_factor, _, frequency_unit = frequency_axis(in_hertz)
-    speed_factor, *speed_name_and_unit = speed_axis(in_rpm)
+    frequency_factor, _, frequency_unit = choose_frequency_factor_name_unit(in_hertz)
+    speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
     speeds, frequencies = speed_factor * diagram.speed, frequency_factor * diagram.omega_real
     largest_order_frequency = max(orders, default=0) * frequency_factor / speed_factor * speeds[-1]
     frequencies = frequencies[
@@ -680,7 +680,7 @@ def draw_arrivals(
 
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
     """Draw each probe's displacements over the revolutions, or over the speed of a run-up."""
-    speed_factor, *speed_name_and_unit = speed_axis(in_rpm)
+    speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
     is_steady, revolutions = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     abscissa = revolutions if is_steady else speed_factor * arrivals.speed
     marker_size = 3.0 if len(arrivals) > 100 else 4.5
@@ -861,7 +861,7 @@ def draw_tip_track(
     >>> figure = fc.draw_tip_track(fc.track_order(arrivals, 6), path="track.png")
     """
     [panel] = picture = Picture(**picture_options)
-    frequency_factor, frequency_name, unit = frequency_axis(in_hertz)
+    frequency_factor, frequency_name, unit = choose_frequency_factor_name_unit(in_hertz)
     frequencies = frequency_factor * track.omega
     multiples_with_amplitudes = zip(
         track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True

@@ -106,7 +106,7 @@ class GridConvergence(Described):
         """Return all attributes, and the grid-convergence index as "gci"."""
         return {**vars(self), "gci": self.gci}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return f"{self.behaviour}, order {self.order:.3g}, GCI {self.gci:.3g}"
 
 

@@ -35,7 +35,7 @@ from fenics_crack.basics.observables import (
     Place,
     observable_names,
 )
-from fenics_crack.basics.tables import frequency_axis
+from fenics_crack.basics.tables import choose_frequency_factor_name_unit
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
@@ -140,7 +140,7 @@ def _add_natural_frequencies(
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
     natural_frequencies = bilinear_frequencies(study.structure)
     mode_number = mode_number or int(natural_frequencies.nearest(omega)["mode"])
-    unit_factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
+    unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
     mode_numbers_by_kind = {"open": sorted({1, 2, 3, mode_number})}
     if has_pairs:
         mode_numbers_by_kind |= {"tied": [mode_number], "bilinear": [mode_number]}

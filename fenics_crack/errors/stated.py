@@ -71,7 +71,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
-from fenics_crack.basics.tables import frequency_axis
+from fenics_crack.basics.tables import choose_frequency_factor_name_unit
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.case import (
     SINGLE_HARMONIC_REASON_TEXT,
@@ -219,7 +219,7 @@ def estimate_frequency_mesh_errors(
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
-    unit_factor, _, unit = frequency_axis(scene.is_frequency_in_hertz)
+    unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
 
     def name_frequencies(kind_omegas: Mapping[str, np.ndarray]) -> dict[str, float]:
         return {

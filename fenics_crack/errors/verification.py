@@ -363,7 +363,7 @@ class Verification(SavedResult):
                 | total_entry_by_key
             )
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         return self.statement[0]
 
     def build_conclusion(self) -> Conclusion:

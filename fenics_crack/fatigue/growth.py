@@ -231,7 +231,7 @@ class Growth(SavedResult):
             return length_text
         return f"{length_text} x {format_quantity(float(self.depth[row_index]), 'm')} deep"
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         sizes_text = f"{self._size_in_words(0)} to {self._size_in_words(-1)}"
         frequency_text = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         life_text = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"

@@ -35,7 +35,7 @@ from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.untrusted_files import (
     copy_to_temporary_folder,
     read_first_bytes,
-    run_reader,
+    run_reader_for_arrays,
 )
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
@@ -200,7 +200,9 @@ def _read_raw_mesh(path: Path) -> RawMesh:
     ):
         if not _MESH_HEADER_PATTERN.match(read_first_bytes(file_copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
-        contents = run_reader(Path(__file__).with_name("solid_mesher.py"), file_copy, 300)
+        contents = run_reader_for_arrays(
+            Path(__file__).with_name("solid_mesher.py"), file_copy, 300
+        )
         if isinstance(contents, str):
             raise ValueError(contents.replace(str(file_copy), str(path)))
     max_allowed_coordinate = 1e6  # [m]

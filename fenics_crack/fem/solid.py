@@ -24,7 +24,7 @@ import numpy as np
 from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.basics.untrusted_files import read_first_bytes, run_reader
+from fenics_crack.basics.untrusted_files import read_first_bytes, run_reader_for_arrays
 from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import (
     RIM_SIDE_NAMES,
@@ -269,7 +269,7 @@ def _run_mesher(
         file_mark = FILE_MARK_BY_ENDING.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in read_first_bytes(path, 4096):
             raise ValueError("it does not begin as such a file")
-        contents = run_reader(
+        contents = run_reader_for_arrays(
             Path(solid_mesher.__file__),
             Path(path),
             ALLOWED_MESHING_SECONDS,

@@ -43,7 +43,7 @@ def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
     datasets: Datasets = {}
     for field_name in (field.name for field in fields(instance) if field.name not in omitted_names):
         field_value = getattr(instance, field_name)
-        if np.isscalar(field_value) or _is_array(field_value):
+        if np.isscalar(field_value) or _is_array_without_words(field_value):
             datasets[field_name] = field_value
         elif (
             field_value is not None
@@ -76,7 +76,7 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
             return [
                 to_json_value(entry, f"{dataset_name}.{index}") for index, entry in enumerate(value)
             ]
-        if _is_array(value):
+        if _is_array_without_words(value):
             array_by_name[dataset_name] = value
             return dataset_name
         return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
@@ -84,7 +84,7 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
     return json.dumps(to_json_value(value, dataset_name))
 
 
-def _is_array(value: Any) -> bool:
+def _is_array_without_words(value: Any) -> bool:
     """Return True for an array unless it holds words.
 
     An array with words may have more dimensions than a dataset can.

@@ -35,7 +35,7 @@ from fenics_crack.basics.untrusted_files import (
     file_sha256,
     read_first_bytes,
     regular_file_size,
-    run_reader,
+    run_reader_for_arrays,
 )
 from fenics_crack.fem.model_files import list_included_files
 from fenics_crack.files.codec import DATASET_ERROR_CLASSES, check_arrays
@@ -373,7 +373,7 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
         ):  # where it may also begin later
             raise refusal("it does not begin as HDF5 files do")
         max_seconds = 5 + file_size // 10**7  # processor time: files are read at 10 MB/s and more
-        array_by_name = run_reader(
+        array_by_name = run_reader_for_arrays(
             Path(__file__).with_name("h5_reader.py"), path, max_seconds, 2**28 + 2**27
         )
     except FileNotFoundError:

@@ -45,7 +45,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.ranks import call_on_each_rank, gather_rows
 from fenics_crack.basics.tables import format_count
-from fenics_crack.basics.untrusted_files import open_text_lines, parse_number_rows
+from fenics_crack.basics.untrusted_files import open_lines_and_byte_limit, parse_number_rows
 from fenics_crack.model.factor import (
     MATRIX_TOLERANCE,
     Factor,
@@ -460,7 +460,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    with open_text_lines(path) as (text_file, allowed_bytes):
+    with open_lines_and_byte_limit(path) as (text_file, allowed_bytes):
         text_lines = iter(text_file)
         (layout, symmetry), sizes, n_entries = _read_header_and_sizes(text_lines, allowed_bytes)
         shape = sizes[0], sizes[1]
@@ -516,7 +516,7 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     OSError, ValueError
         As :func:`read_matrix_market`.
     """
-    with open_text_lines(path) as (text_file, allowed_bytes):
+    with open_lines_and_byte_limit(path) as (text_file, allowed_bytes):
         _, sizes, _ = _read_header_and_sizes(iter(text_file), allowed_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
@@ -615,7 +615,7 @@ def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
 
     Empty lines are left out.
     """
-    with open_text_lines(path, "replace") as (text_file, _):
+    with open_lines_and_byte_limit(path, "replace") as (text_file, _):
         for number, line in enumerate(text_file, 1):
             if text := line.partition(comment)[0].rstrip():
                 yield number, text
@@ -632,7 +632,7 @@ def read_number_rows(
         The file cannot be read, or a line has other than ``n_columns`` finite numbers.
     """
     try:
-        with open_text_lines(path) as (text_file, _):
+        with open_lines_and_byte_limit(path) as (text_file, _):
             rows_of_numbers = parse_number_rows(text_file, comment, delimiter)
         if (
             rows_of_numbers.shape[1] == n_columns

@@ -98,7 +98,7 @@ class Modes(Tabular):
         mode_numbers = list(range(1, len(self.omega) + 1))
         return add_frequency_entries({"mode": mode_numbers, "omega": self.omega.tolist()})
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         omega_range = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
         n_dofs = self.structure.n_dofs
         return f"{format_count(len(self.omega), 'mode')}, {omega_range} rad/s, of {n_dofs} dofs"
@@ -784,7 +784,7 @@ class BilinearFrequencies(Tabular):
         column_names = [f"omega_{kind}" for kind in FREQUENCY_KIND_NAMES]
         return columns_by_name | {name: getattr(self, name).tolist() for name in column_names}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         first_mode_text = (
             f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
         )

@@ -120,14 +120,14 @@ class Timing(SavedResult):
     def _first_fit(self) -> Any:
         return next(iter(self.fits.values()))
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         is_single_fit = len(self.fits) == 1 and not self.of_resonances
         unit_by_column: Mapping[str, str] = (
-            self._first_fit._units() if is_single_fit else UNIT_BY_NAME
+            self._first_fit._unit_by_name() if is_single_fit else UNIT_BY_NAME
         )
         return unit_by_column
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         revolutions_text = format_count(len(next(iter(self.arrivals.values()))), "revolution")
         return f"{format_count(len(self.arrivals), 'blade')}, {revolutions_text}"
 

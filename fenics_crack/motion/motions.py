@@ -111,7 +111,7 @@ class Indicators(Observables, Tabular):
             or not np.all(np.isnan(column_values))
         }
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         if np.ndim(self.omega):
             return f"{len(self.omega)} points"
         return f"amplitude = {self.amplitude:.4g} m, ratio_2_1 = {self.ratio_2_1:.3g}"

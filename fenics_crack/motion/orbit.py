@@ -491,7 +491,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             "iterations": self.iterations,
         }
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         multiplier_words = (
             f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
         )

@@ -16,11 +16,11 @@ from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
     Conclusion,
+    choose_frequency_factor_name_unit,
     format_error,
     format_in_unit,
     format_percent,
     format_quantity,
-    frequency_axis,
 )
 from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit
 from fenics_crack.curves.peak import RISING_AT_END_TEXT
@@ -126,7 +126,7 @@ def explain_unknown_solution_error(run: StudyWithResult) -> str:
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
     """Return a load frequency [rad/s] in the scene's unit, in words."""
-    return format_in_unit(frequency_axis(scene.is_frequency_in_hertz), omega)
+    return format_in_unit(choose_frequency_factor_name_unit(scene.is_frequency_in_hertz), omega)
 
 
 def make_conclusion(run: StudyWithResult) -> Conclusion:

@@ -55,11 +55,11 @@ class Reaction(Tabular):
         column_values = np.hstack([self.force, self.moment]).T.tolist()
         return values_by_column | dict(zip(column_names, column_values, strict=True))
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         unit_by_prefix = {"time": "s", "force": "N", "moment": "N m"}
         return {name: unit_by_prefix[name.partition("_")[0]] for name in self.to_dict()}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         largest_force, largest_moment = self.numbers.values()
         center_text = ", ".join(f"{coordinate:.4g}" for coordinate in self.center)
         return (

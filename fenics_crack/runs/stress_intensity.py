@@ -152,10 +152,10 @@ class StressIntensity(Tabular):
             }
         return values_by_column
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         tip_index = self.leading
         number_texts = [
             f"{name} = {values[tip_index]:.4g}" for name, values in self.numbers.items()

@@ -30,7 +30,11 @@ from fenics_crack.basics.suggestions import (
     find_similar_or_longer_names,
     format_scene_value,
 )
-from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, frequency_axis
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    choose_frequency_factor_name_unit,
+)
 from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import (
@@ -614,7 +618,9 @@ def _describe_scene(scene: Scene) -> str:
         phrases.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
     if scene.contact is not None:
         phrases.append(scene.contact.law)
-    frequency_factor, _, frequency_unit = frequency_axis(scene.is_frequency_in_hertz)
+    frequency_factor, _, frequency_unit = choose_frequency_factor_name_unit(
+        scene.is_frequency_in_hertz
+    )
     return f"{', '.join(phrases)}, {frequency_factor * scene.excitation.omega:g} {frequency_unit}"
 
 

@@ -37,10 +37,10 @@ from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Conclusion,
     add_frequency_entries,
+    choose_speed_factor_name_unit,
     format_count,
     format_in_unit,
     hertz_property,
-    speed_axis,
 )
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import SavedResult
@@ -385,7 +385,10 @@ class Campbell(SavedResult):
 
     def build_conclusion(self) -> Conclusion:
         """Return the parts of the last sentence: crossings of the load's engine order."""
-        axis_of_speed, order = speed_axis(self.scene.is_speed_in_rpm), self.scene.excitation.order
+        axis_of_speed, order = (
+            choose_speed_factor_name_unit(self.scene.is_speed_in_rpm),
+            self.scene.excitation.order,
+        )
         modes_text = format_count(self.omega_open.shape[1], "mode")
         outcome_text = (
             f"{modes_text} found between "
@@ -403,7 +406,7 @@ class Campbell(SavedResult):
             f"engine order {order} meets {', '.join(crossing_texts) or 'none of them'}",
         )
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         speed_text = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
         first_mode_omegas = self.omega_bilinear[[0, -1], 0]
         frequency_text = f"first {first_mode_omegas[0]:.6g} to {first_mode_omegas[1]:.6g} rad/s"
@@ -557,7 +560,8 @@ def report_of_campbell(diagram: Campbell) -> Report:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
         notes.append(
-            f"at {format_in_unit(speed_axis(scene.is_speed_in_rpm), diagram.speed[-1])} {text}"
+            f"at {format_in_unit(choose_speed_factor_name_unit(scene.is_speed_in_rpm), diagram.speed[-1])} "
+            f"{text}"
         )
     column_names = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
     column_names += [

@@ -30,8 +30,8 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
+    choose_frequency_factor_name_unit,
     format_in_unit,
-    frequency_axis,
 )
 from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE
 from fenics_crack.fem.setting import read_load_coefficients_and_residual
@@ -991,7 +991,7 @@ def _missed_first_omega_and_text(
     proposed_curve_table = propose_curve_or_none(scene, key_figures)
     unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
     first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
-    range_text = format_in_unit(frequency_axis(True), *first_omega_range)
+    range_text = format_in_unit(choose_frequency_factor_name_unit(True), *first_omega_range)
     text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
     if proposed_curve_table is not None:
         text += (

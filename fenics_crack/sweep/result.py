@@ -486,7 +486,7 @@ class SweepResult(Tabular):
             xarray is not installed: the package does without it.
         """
         dataset_class = import_optional("xarray", "to_xarray").Dataset
-        unit_by_column = self._units()
+        unit_by_column = self._unit_by_name()
         values_by_key = {
             axis.key: [
                 axis_value if np.isscalar(axis_value) else str(axis_value)
@@ -505,7 +505,7 @@ class SweepResult(Tabular):
         }
         return dataset_class(variable_by_name, values_by_key)
 
-    def _units(self) -> dict[str, str]:
+    def _unit_by_name(self) -> dict[str, str]:
         """Return the units of swept keys and columns, by name."""
         unit_by_key = {axis.key: unit_of_key(axis.key) for axis in self.axes}
         return unit_by_key | {
@@ -559,7 +559,7 @@ class SweepResult(Tabular):
             ],
         )
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         """Return the numbers of values on the axes and of cases in each state."""
         state_names_and_case_counts = zip(
             CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True

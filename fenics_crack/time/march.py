@@ -259,7 +259,7 @@ class TimeHistory(ObservedMotion, Tabular):
             columns["contact_force"] = self.contact_force.max(axis=1)
         return {name: column.tolist() for name, column in columns.items()}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         periods_text = format_count(self.periods, "period")
         steps_text = format_count(self.steps_per_period, "step")
         settled_text = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""

@@ -43,7 +43,7 @@ from fenics_crack.basics.tables import (
     Described,
     Table,
     Tabular,
-    choose_unit_prefix,
+    choose_factor_and_prefixed_unit,
     format_percent,
     format_quantity,
     format_range,
@@ -294,12 +294,12 @@ def test_sweep_over_its_keys(results: dict[str, Any], monkeypatch: pytest.Monkey
 def test_long_tables_are_cut_for_eyes_only() -> None:
     """In text and in a notebook; CSV and JSON have all rows."""
     table = Table(("n [<m>]", "word"), [[n, "<b>"] for n in range(50)])
-    assert table.formatted("text").endswith("... and 10 more\n")
+    assert table.format_as("text").endswith("... and 10 more\n")
     page = table.html("a & b")
     assert page.count("<tr>") == 41 and "a &amp; b; the first 40 of 50 rows" in page
     assert "&lt;b&gt;" in page and "<b>" not in page and "n [&lt;m&gt;]" in page
-    assert len(table.formatted("csv").splitlines()) == 51
-    assert len(json.loads(table.formatted("json"))) == 50
+    assert len(table.format_as("csv").splitlines()) == 51
+    assert len(json.loads(table.format_as("json"))) == 50
 
 
 def test_quantities() -> None:
@@ -343,7 +343,10 @@ def test_units_that_read_well() -> None:
         (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
         (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
     ):  # fmt: skip
-        assert choose_unit_prefix(magnitude, unit) == (pytest.approx(factor), expected_unit)
+        assert choose_factor_and_prefixed_unit(magnitude, unit) == (
+            pytest.approx(factor),
+            expected_unit,
+        )
 
 
 def test_values_of_keys_in_words() -> None:

@@ -127,7 +127,7 @@ def test_a_packed_table_of_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for suffix, pack in (("xz", lzma.compress), ("gz", gzip.compress)):
         (tmp_path / f"nodes.{suffix}").write_bytes(pack(b"1,0,0,0\n2,1,0,0\n"))
     assert read_model(tmp_path / "nodes.gz").labels.tolist() == [1, 2]
-    monkeypatch.setattr(untrusted_files, "max_unpacked_bytes", lambda _: 12)
+    monkeypatch.setattr(untrusted_files, "max_allowed_unpacked_bytes", lambda _: 12)
     for suffix, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for its size")):
         catch_error(
             partial(read_model, tmp_path / f"nodes.{suffix}"), names=reason, kind=ValueError

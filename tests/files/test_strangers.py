@@ -25,7 +25,7 @@ from surroundings import RunCommand
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
 from fenics_crack.basics.caches import check_private_folder, replace_unusable_caches
-from fenics_crack.basics.untrusted_files import file_sha256, run_reader
+from fenics_crack.basics.untrusted_files import file_sha256, run_reader_for_arrays
 from fenics_crack.files.store import read_result_file, read_result_file_without_numbers
 from fenics_crack.scene.tables import Sweep
 
@@ -330,19 +330,21 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     program = home / "reader.py"
     start = "import os, numpy as np\ndef read(path, most):\n    "
     program.write_text(f"{start}return {{'names': np.array(list(os.environ))}}")
-    names = run_reader(program, program, int(LIMIT))
+    names = run_reader_for_arrays(program, program, int(LIMIT))
     assert isinstance(names, dict) and "HOME" in names["names"].tolist()
     assert not any(name.startswith(("OMPI_", "PMI")) for name in names["names"].tolist())
     program.write_text(f"{start}while True: pass")
-    assert run_reader(program, program, 1) == "it is not read in 1 s"
+    assert run_reader_for_arrays(program, program, 1) == "it is not read in 1 s"
     program.write_text(f"{start}return {{'zeros': np.ones(2**33)}}")
-    assert "allocate" in str(run_reader(program, program, int(LIMIT)))
+    assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT)))
     program.write_text(f"{start}np.ones(2**25)")
-    assert "allocate" in str(run_reader(program, program, int(LIMIT), 2**28))
+    assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT), 2**28))
     program.write_text(f"{start}os._exit(0)")
-    assert run_reader(program, program, int(LIMIT)) == "its reader has handed over nothing"
+    assert (
+        run_reader_for_arrays(program, program, int(LIMIT)) == "its reader has handed over nothing"
+    )
     program.write_text(f"{start}os.abort()")
-    assert run_reader(program, program, int(LIMIT)) == "it crashes its reader"
+    assert run_reader_for_arrays(program, program, int(LIMIT)) == "it crashes its reader"
 
 
 def test_one_reader_reads_every_file(home: Path) -> None:
@@ -352,7 +354,7 @@ def test_one_reader_reads_every_file(home: Path) -> None:
     program.write_text(f"{text}return {{'ids': np.array([os.getppid(), os.getpid()])}}")
 
     def ids() -> list[int]:
-        answer = run_reader(program, program, int(LIMIT))
+        answer = run_reader_for_arrays(program, program, int(LIMIT))
         return [int(one) for one in answer["ids"]]
 
     first_ids, second = ids(), ids()

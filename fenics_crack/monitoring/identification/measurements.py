@@ -573,7 +573,7 @@ class Measurements(Tabular):
             ]
         return values_by_column
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         n_natural = sum(measurement.natural for measurement in self.rows)
         return f"{n_natural} natural frequencies, {len(self) - n_natural} at loads"
 

@@ -88,11 +88,11 @@ class Worth(Tabular):
             for key, deviation_array in self.deviations.items()
         }
 
-    def _units(self) -> Mapping[str, str]:
+    def _unit_by_name(self) -> Mapping[str, str]:
         unit_by_column = {f"left_of_{key}": unit_of_key(key) for key in self.now}
         return unit_by_column | {"information": "nats"}
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         if not self.measurements:
             return "nothing to measure"
         return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
@@ -755,7 +755,7 @@ class Identification(Tabular):
             )
         return warning_texts
 
-    def _title(self) -> str:
+    def _repr_text(self) -> str:
         title_parts = [self.conclusion]
         if not np.isnan(self.log_bayes_factor):
             title_parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
