@@ -354,7 +354,7 @@ class ContactPoint(DenseLinearisation):
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         return change + multiply_compliance_and_force(
-            self.system.dynamic_less_static_compliance, self.linearised_forces.apply(change)
+            self.system.dynamic_less_static_compliance, self.linearised_forces.force_change(change)
         )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
@@ -365,7 +365,8 @@ class ContactPoint(DenseLinearisation):
         if system.reachable_gap_basis is not None:
             response_in_basis = (
                 multiply_compliance_and_force(
-                    system.dynamic_less_static_compliance, self.linearised_forces.apply(right_side)
+                    system.dynamic_less_static_compliance,
+                    self.linearised_forces.force_change(right_side),
                 )
                 @ system.reachable_gap_basis
             )
@@ -387,7 +388,9 @@ class ContactPoint(DenseLinearisation):
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
-        return self.system.gap(slow_gap_change, self.linearised_forces.apply(slow_gap_change))
+        return self.system.gap(
+            slow_gap_change, self.linearised_forces.force_change(slow_gap_change)
+        )
 
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""

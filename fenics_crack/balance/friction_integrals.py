@@ -192,7 +192,7 @@ class FrictionForces(CoupledForces):
         ) = integrals.march(gap_samples)
         self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
-    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+    def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:

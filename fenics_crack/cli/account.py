@@ -220,7 +220,7 @@ def describe_ambiguous_contact(solution: PeriodicSolution) -> Iterator[str]:
     if exact_flow is None or exact_flow.friction_law is None:
         return
     max_coefficient = float(np.max(exact_flow.friction_law.coefficient))
-    critical_coefficient = exact_flow.critical_friction
+    critical_coefficient = exact_flow.critical_friction_coefficient
     if max_coefficient > 0.5 * critical_coefficient:
         coefficient_text = (
             f"the coefficient of friction, {max_coefficient:g}, is above half of "

@@ -271,12 +271,14 @@ class GrowingCurve:
         )
         yield from path
         assert path.end_reason is not None
-        self.complete = path.event is not None
+        self.complete = path.terminal_event is not None
         self.status = (
-            path.event.description if path.event else path.end_reason.describe(self.most_points)
+            path.terminal_event.description
+            if path.terminal_event
+            else path.end_reason.describe(self.most_points)
         )
         self.has_returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
-            path.event, ClosedLoop
+            path.terminal_event, ClosedLoop
         )
 
     def _append_segment(self, segment: PathSegment) -> CurvePoint:

@@ -297,7 +297,7 @@ class ContactFlow(Flow):
         self._track_buffer_length = 0
 
     @cached_property
-    def critical_friction(self) -> float:
+    def critical_friction_coefficient(self) -> float:
         """Return the smallest friction coefficient without unique contact forces.
 
         The matrix A(mu) from forces to gaps is then singular, on closed pairs' normals and stuck

@@ -785,7 +785,7 @@ class _NewtonOrbitSearch:
         self._weights = flow.energy_weights(omega / subharmonic)
         self.state, self.n_integrated_periods = state, 0
 
-    def size(self, change: np.ndarray) -> float:
+    def energy_norm(self, change: np.ndarray) -> float:
         """Return the energy norm of a state change."""
         weighted_change = self._weights * change
         return math.sqrt(weighted_change @ weighted_change)
@@ -800,7 +800,7 @@ class _NewtonOrbitSearch:
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
-        self.motion = self._follow(self.state)
+        self.motion = self._integrate_period(self.state)
         damping_factor, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
         newton_steps_with_same_m: list[np.ndarray] = []
         if forms_monodromy and solve_i_minus_m is not None:
@@ -818,19 +818,20 @@ class _NewtonOrbitSearch:
                 ]
             newton_step = newton_steps_with_same_m[-1]
             trial_state = self.state + damping_factor * newton_step
-            trial_motion = self._follow(trial_state)
+            trial_motion = self._integrate_period(trial_state)
             simplified_step = solve_i_minus_m(
                 trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
             )
             for earlier_step, later_step in pairwise(newton_steps_with_same_m):
                 projection_factor = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + projection_factor * later_step
-            step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
+            step_size = self.energy_norm(newton_step)
+            simplified_size = self.energy_norm(simplified_step)
             nonlinear_part_size = (
-                self.size(simplified_step - (1.0 - damping_factor) * newton_step)
+                self.energy_norm(simplified_step - (1.0 - damping_factor) * newton_step)
                 + sys.float_info.min
             )
-            state_size = self.size(trial_state)
+            state_size = self.energy_norm(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping_factor) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
@@ -861,7 +862,7 @@ class _NewtonOrbitSearch:
         step_times_squared_weights = self._weights**2 * step
         return float(change @ step_times_squared_weights / (step @ step_times_squared_weights))
 
-    def _follow(self, state: np.ndarray) -> IntegratedMotion:
+    def _integrate_period(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, on the remaining budget."""
         self.n_integrated_periods += 1
         budget = Budget(allowed_pieces=self._remaining_pieces)

@@ -232,7 +232,7 @@ class _PythonEquations(Equations):
     follows_many_points = False
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.shape, self._callback_state = shape, _PythonState(system, shape)
+        self.shape, self._callback_state = shape, _PythonCallbackState(system, shape)
         self._handle = ffi.new_handle(self._callback_state)
         n_unknowns = int(np.prod(shape))
         angle_weights = getattr(system, "angle_weights", None)
@@ -258,7 +258,7 @@ class _PythonEquations(Equations):
         return super().check_outcome(outcome)
 
 
-class _PythonState:
+class _PythonCallbackState:
     """Linearisation and error of a Python system during a kernel loop."""
 
     linearisation: Linearisation
@@ -282,7 +282,7 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def call(table: Any, *arguments: Any) -> Any:
-            state: _PythonState = ffi.from_handle(table.context)
+            state: _PythonCallbackState = ffi.from_handle(table.context)
             try:
                 return failure_value if state.failure else function(state, *arguments)
             except BaseException as error:  # KeyboardInterrupt, too: no exception passes through C
@@ -296,33 +296,33 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
 
 
 @_python_callback(kernel.FAILED)
-def _evaluate(state: _PythonState, unknown: Any, parameter: float) -> int:
+def _evaluate(state: _PythonCallbackState, unknown: Any, parameter: float) -> int:
     state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 
 
 @_python_callback(None)
-def _residual(state: _PythonState, residual_out: Any) -> None:
+def _residual(state: _PythonCallbackState, residual_out: Any) -> None:
     state.as_array(residual_out)[...] = state.linearisation.residual
 
 
 @_python_callback(None)
-def _solve(state: _PythonState, vector: Any) -> None:
+def _solve(state: _PythonCallbackState, vector: Any) -> None:
     solution = state.as_array(vector)
     solution[...] = state.linearisation.solve(solution.copy())
 
 
 @_python_callback(None)
-def _by_parameter(state: _PythonState, derivative_out: Any) -> None:
+def _by_parameter(state: _PythonCallbackState, derivative_out: Any) -> None:
     state.as_array(derivative_out)[...] = state.linearisation.by_parameter
 
 
 @_python_callback(None)
-def _record(state: _PythonState, record_out: Any) -> None:
+def _record(state: _PythonCallbackState, record_out: Any) -> None:
     record = state.linearisation.record.ravel()
     np.frombuffer(ffi.buffer(record_out, record.nbytes))[:] = record
 
 
 @_python_callback(np.nan)
-def _sign(state: _PythonState) -> float:
+def _sign(state: _PythonCallbackState) -> float:
     return state.linearisation.sign

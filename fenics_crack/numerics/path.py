@@ -541,7 +541,7 @@ class Path:
         The last point so far.
     end_reason : EndReason or None
         None until the path has ended.
-    event : Event or None
+    terminal_event : Event or None
         Terminal event at the end.
     """
 
@@ -563,7 +563,7 @@ class Path:
         )
         self.last_point = start = self._with_record_and_step_control_values(start)
         self.end_reason: EndReason | None = None
-        self.event: Event | None = None
+        self.terminal_event: Event | None = None
         self._restart(start, options.initial_step)
 
     def points(self) -> Iterator[PathPoint]:
@@ -583,7 +583,7 @@ class Path:
             if not n_remaining_points:
                 self.end_reason = EndReason.TOO_MANY_POINTS
                 return
-            segment = self._follow(n_remaining_points)
+            segment = self._follow_in_one_kernel_call(n_remaining_points)
             if segment is None:
                 continue
             if len(segment) == 1:
@@ -647,7 +647,7 @@ class Path:
                         segment_part = segment[part_start_index : index + 1]
                     else:
                         segment_part.set_point(-1, location)
-                    self.end_reason, self.event = EndReason.REACHED, event
+                    self.end_reason, self.terminal_event = EndReason.REACHED, event
                     yield segment_part, None
                     return
                 if event_may_occur and location is None and event.must_be_located:
@@ -743,7 +743,7 @@ class Path:
             segment[n_known_points - 1 : last_index + 1] if last_index >= n_known_points else None
         )
 
-    def _follow(self, n_remaining_points: int) -> PathSegment | None:
+    def _follow_in_one_kernel_call(self, n_remaining_points: int) -> PathSegment | None:
         """Follow the path in one kernel call.
 
         Parameters

@@ -188,7 +188,7 @@ class _ByEvents(Scheme):
         self._period = 2.0 * np.pi / request.omega
         period_fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
         self._instants = period_fractions * self._period
-        self._state = self._flow.state(*request.start)
+        self._state = self._flow.state(*request.start_state)
 
     def fill_period(self, window: Window, period_number: int) -> None:
         request = self._request
@@ -204,7 +204,7 @@ class _ByEvents(Scheme):
             :-1, request.loaded_dofs
         ] * _loaded_coordinate_scales(request)
 
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._end_displacement, self._state)
 
 
@@ -399,7 +399,7 @@ class _ByExponentials(Scheme):
         self._flow = ExponentialFlow(
             request.structure, request.omega, request.contact, steps_per_period
         )
-        self._state = self._flow.state(*request.start)
+        self._state = self._flow.state(*request.start_state)
         # The load does the work of its mean over a step, the trapezoidal rule.
         self._mean_load_over_step = 0.5 * (
             request.load_samples + np.roll(request.load_samples, -1, axis=0)
@@ -454,5 +454,5 @@ class _ByExponentials(Scheme):
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy
         )
 
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._end_displacement, self._state)

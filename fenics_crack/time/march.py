@@ -116,7 +116,7 @@ class MarchRequest:
             limit_text = f"{ALLOWED_RECORD_BYTES // 2**30} GiB"
             allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
             raise InputError("record_periods", self.record_periods, allowed)
-        _ = self.start
+        _ = self.start_state
 
     @classmethod
     def from_call(
@@ -145,7 +145,7 @@ class MarchRequest:
         return 2.0 * np.pi / self.omega / self.steps_per_period
 
     @cached_property
-    def start(self) -> tuple[np.ndarray, ...]:
+    def start_state(self) -> tuple[np.ndarray, ...]:
         """Displacement and velocity (n_local,) at time 0, with friction also the sticking places
         (n_pairs,) [m] if they are given."""
         return initial_state(self.structure, self.contact, self.initial)
@@ -435,7 +435,7 @@ class Scheme(ABC):
         """Integrate period ``period_number``, from 0 on, fill the window, and sum up the energy."""
 
     @abstractmethod
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         """Return the final displacement and velocity (n_local,).
 
         With friction the tangential gaps (n_pairs,) [m] at which pairs stick follow.
@@ -506,7 +506,7 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     gap, force, recorded_displacement = (
         np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
-    final_state = scheme.state()
+    final_state = scheme.final_state_parts()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
     n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)

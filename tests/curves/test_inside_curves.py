@@ -234,7 +234,7 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
         assert stretch.step_control_values[-1] == pytest.approx(
             leading_multipliers_and_counts(np.linalg.eigvals(point.monodromy[None]))[0], abs=1e-7
         )
-    assert path.event is not None and len(recorded_controls) > 2
+    assert path.terminal_event is not None and len(recorded_controls) > 2
 
 
 def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:

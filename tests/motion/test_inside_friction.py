@@ -151,12 +151,14 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     change, step = draw.normal(size=gap.shape), 1e-7
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
-    assert wave_forces.apply(change) == pytest.approx(
+    assert wave_forces.force_change(change) == pytest.approx(
         difference, abs=1e-6 * np.abs(difference).max()
     )
     matrix = wave_forces.tangent().reshape(gap.size, gap.size)
     product = (matrix @ change.ravel()).reshape(gap.shape)
-    assert product == pytest.approx(wave_forces.apply(change), abs=1e-12 * np.abs(difference).max())
+    assert product == pytest.approx(
+        wave_forces.force_change(change), abs=1e-12 * np.abs(difference).max()
+    )
     ends = [replace(integrals, friction_scale=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
     assert wave_forces.friction_scale_derivative() == pytest.approx(
@@ -182,7 +184,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
-    assert at_wave.apply(change) == pytest.approx(difference, abs=1e-6)
+    assert at_wave.force_change(change) == pytest.approx(difference, abs=1e-6)
     assert at_wave.tangent().reshape(10, 10) @ change.ravel() == pytest.approx(
         difference.ravel(), abs=1e-6
     )

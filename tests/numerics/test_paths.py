@@ -164,7 +164,7 @@ def test_once_round_a_circle() -> None:
     assert np.allclose(places, [(0.0, 1.0), (0.0, -1.0)], atol=1e-7)
     zeros = [event_point.parameter for event, event_point in located_events if event is events[1]]
     assert np.allclose(zeros, [1.0, -1.0], atol=1e-10)
-    assert path.end_reason is EndReason.REACHED and path.event is events[2]
+    assert path.end_reason is EndReason.REACHED and path.terminal_event is events[2]
     assert (
         np.allclose(path.last_point.unknown, start.unknown)
         and path.find_terminal_point_or_none() is path.last_point
