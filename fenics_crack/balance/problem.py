@@ -308,7 +308,7 @@ class Problem:
         """True if the constraint is balanced in frequency, for uncoupled pairs."""
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
-    def with_weight(self, compliance: ComplianceModel) -> Problem:
+    def with_weight(self, compliance_model: ComplianceModel) -> Problem:
         """Return the problem with the weight of its projection, if it needs one."""
         contact_law = self.contact
         if not (
@@ -316,12 +316,12 @@ class Problem:
         ):
             return self
         return replace(
-            self, contact=replace(contact_law, weight=default_projection_weight(compliance))
+            self, contact=replace(contact_law, weight=default_projection_weight(compliance_model))
         )
 
-    def system(self, compliance: ComplianceModel) -> ContactSystem:
+    def system(self, compliance_model: ComplianceModel) -> ContactSystem:
         """Return the condensed equations."""
-        return ContactSystem(compliance, self.with_weight(compliance).integrals())
+        return ContactSystem(compliance_model, self.with_weight(compliance_model).integrals())
 
     def wave(self, point: ContactPoint) -> Wave:
         """Return the motion at a point of the equations (collective)."""

@@ -104,7 +104,7 @@ def find_largest_displacements(run: Run[Any]) -> list[float]:
 
     |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
     """
-    watched_indicators = run.result.measure(
+    watched_indicators = run.result.indicators_of_dofs(
         [watched_displacement.dof for watched_displacement in run.watched]
     )
     return [

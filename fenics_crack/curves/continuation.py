@@ -68,7 +68,7 @@ from fenics_crack.numerics.path import (
     PathOptions,
     PathSegment,
     Target,
-    observe_for_step_control,
+    step_control_values_or_none,
 )
 
 
@@ -473,7 +473,7 @@ def first_point(
     """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
-    step_control_values = observe_for_step_control(system, linearisation)
+    step_control_values = step_control_values_or_none(system, linearisation)
     record = None if step_control_values is None else linearisation.record.ravel()
     return PathPoint(
         unknown,

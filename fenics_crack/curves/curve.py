@@ -550,7 +550,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         None stands for the watched dof.
         """
-        return self.observe([dof])[0][0].real_fourier_coefficients
+        return self.observe_dofs([dof])[0][0].real_fourier_coefficients
 
     def _value_or_array_over_points(self, values: list[Any]) -> np.ndarray:
         return np.array(values)

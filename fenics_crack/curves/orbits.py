@@ -267,7 +267,7 @@ class OrbitEquations(CurveSystem):
         n_events, n_pieces = motion.n_events, motion.n_taylor_pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
-    def observe(self, records: np.ndarray) -> np.ndarray:
+    def step_control_values(self, records: np.ndarray) -> np.ndarray:
         """Return Floquet multipliers and their counts (:func:`leading_multipliers_and_counts`).
 
         ``records`` (n_points, n_unknowns^2) are monodromy matrices.

@@ -170,7 +170,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         lambda point_index: result if is_solution else result.solution(point_index)
     )
     blade_rows: list[tuple[float, complex, float, float]] = []
-    for indicators, blade_dof in zip(result.measure(dofs), dofs, strict=True):
+    for indicators, blade_dof in zip(result.indicators_of_dofs(dofs), dofs, strict=True):
         solution = get_solution(int(np.argmax(indicators.amplitude)))
         coefficients = structure.values_at(solution.displacement_coefficients, [blade_dof])
         harmonics = to_complex(coefficients)[:, 0]

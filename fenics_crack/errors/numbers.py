@@ -94,7 +94,7 @@ def numbers_of(
     quantities = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    displacements = motion.measure([point.dof for point in study.watched])
+    displacements = motion.indicators_of_dofs([point.dof for point in study.watched])
     rounding = NEGLIGIBLE * min(  # of closed pairs
         indicators.amplitude + abs(indicators.mean) for indicators in displacements
     )

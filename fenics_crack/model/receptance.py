@@ -132,7 +132,7 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
             None, [_convert_receptance_to_load(structure, shared_receptances[0])]
         )
     if not known_receptances or known_receptances[0].n_modes < n_modes:
-        check_matrices(structure, f"{n_modes} modes")
+        check_has_matrices(structure, f"{n_modes} modes")
         known_receptances[:] = shared_receptances[:] = [
             _extend_receptance(
                 structure, known_receptances[0] if known_receptances else None, n_modes
@@ -205,7 +205,7 @@ def _convert_receptance_to_load(
     )
 
 
-def check_matrices(structure: Structure, result_name: str) -> None:
+def check_has_matrices(structure: Structure, result_name: str) -> None:
     """Raise InputError if a structure from a file lacks its matrices.
 
     ``result_name`` names what they are needed for.

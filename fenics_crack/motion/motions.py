@@ -434,7 +434,7 @@ class ObservedMotion:
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the crack indicators at a dof (collective). Default: the watched dof."""
-        return self.measure([dof])[0]
+        return self.indicators_of_dofs([dof])[0]
 
     def amplitude(self, dof: int | None = None) -> Any:
         """Return half the peak-to-peak displacement of a dof [m] (collective).
@@ -443,12 +443,14 @@ class ObservedMotion:
         """
         return self.indicators(dof).amplitude
 
-    def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
+    def indicators_of_dofs(self, dofs: Sequence[int | None]) -> list[Indicators]:
         """Return :meth:`indicators` of several dofs (collective).
 
         The motion is formed once for all new dofs.
         """
-        return [observed_displacement.indicators for observed_displacement in self.observe(dofs)[0]]
+        return [
+            observed_displacement.indicators for observed_displacement in self.observe_dofs(dofs)[0]
+        ]
 
     @property
     def faces(self) -> dict[str, Any]:
@@ -465,7 +467,7 @@ class ObservedMotion:
             if not np.all(np.isnan(value))
         }
 
-    def observe(
+    def observe_dofs(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
     ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe displacements of dofs and numbers at places (collective).

@@ -103,7 +103,8 @@ class System(Protocol):
     - ``angle_weights``: weight of each unknown in angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in a linearisation's ``record``.
-    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_record_entries).
+    - ``step_control_values(records)``: values (n, ...) for a step control, from records (n,
+      n_record_entries).
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:

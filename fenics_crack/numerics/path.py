@@ -361,7 +361,7 @@ def find_zero_and_residual(
             point = replace(
                 corrected_point,
                 tangent=tangent,
-                step_control_values=observe_for_step_control(system, linearisation),
+                step_control_values=step_control_values_or_none(system, linearisation),
             )
             points_and_values_by_fraction[fraction] = point, function(point)
         return points_and_values_by_fraction[fraction][1]
@@ -514,10 +514,14 @@ class StepControl(ABC):
         """
 
 
-def observe_for_step_control(system: System, linearisation: Linearisation) -> np.ndarray | None:
+def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
     """Return a point's values for a step control, or None without such values."""
-    observe = getattr(system, "observe", None)
-    return None if observe is None else np.asarray(observe(linearisation.record[None])[0])
+    values_function = getattr(system, "step_control_values", None)
+    return (
+        None
+        if values_function is None
+        else np.asarray(values_function(linearisation.record[None])[0])
+    )
 
 
 class Path:
@@ -533,7 +537,7 @@ class Path:
     options : PathOptions
     events : sequence of Event
     step_control : StepControl, optional
-        Needs ``n_record_entries`` and ``observe`` of the system.
+        Needs ``n_record_entries`` and ``step_control_values`` of the system.
 
     Attributes
     ----------
@@ -675,7 +679,7 @@ class Path:
         return replace(
             point,
             record=linearisation.record.ravel(),
-            step_control_values=observe_for_step_control(self._system, linearisation),
+            step_control_values=step_control_values_or_none(self._system, linearisation),
         )
 
     def _rounding_at(self, point: PathPoint) -> float:
@@ -710,7 +714,7 @@ class Path:
             is accepted.
         """
         assert self._step_control is not None
-        new_step_control_values = self._system.observe(segment.records[n_known_points:])  # type: ignore[attr-defined]
+        new_step_control_values = self._system.step_control_values(segment.records[n_known_points:])  # type: ignore[attr-defined]
         segment.step_control_values = np.concatenate(
             [
                 [start_point.step_control_values for start_point in self._start_points],

@@ -104,7 +104,8 @@ class Run(StudyWithResult, Generic[ResultType]):
             displacement_columns = list(result.displacement(dofs).T)
         elif isinstance(result, ObservedMotion):
             displacement_columns = [
-                displacement.real_fourier_coefficients for displacement in result.observe(dofs)[0]
+                displacement.real_fourier_coefficients
+                for displacement in result.observe_dofs(dofs)[0]
             ]
         return dict(
             zip((point.words for point in self.watched), displacement_columns, strict=False)
@@ -170,15 +171,15 @@ class Run(StudyWithResult, Generic[ResultType]):
     gaps_and_forces = ResultAttribute()
     harmonics = ResultAttribute()
     indicators = ResultAttribute()
+    indicators_of_dofs = ResultAttribute()
     instants = ResultAttribute()
     irregular = ResultAttribute()
     iterations = ResultAttribute()
     KIND = ResultAttribute()
-    measure = ResultAttribute()
     method = ResultAttribute()
     multipliers = ResultAttribute()
     nearest = ResultAttribute()
-    observe = ResultAttribute()
+    observe_dofs = ResultAttribute()
     observe_rows = ResultAttribute()
     omega = ResultAttribute()
     orbit = ResultAttribute()

@@ -25,7 +25,7 @@ from fenics_crack.basics.observables import (
     read_observables,
 )
 from fenics_crack.model.nodes import Clamp
-from fenics_crack.model.receptance import check_matrices
+from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
 from fenics_crack.scene.scene import (
@@ -89,7 +89,9 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     Requested are quantities of crack tips and the clamp.
     """
     dofs = [displacement.dof for displacement in study.watched]
-    observed_displacements, extra_value_by_name = motion.observe(dofs, make_requested_rows(study))
+    observed_displacements, extra_value_by_name = motion.observe_dofs(
+        dofs, make_requested_rows(study)
+    )
     quantities = []
     for displacement, (indicators, _) in zip(study.watched, observed_displacements, strict=True):
         for name in observable_names(Place.POINT):
@@ -138,7 +140,7 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
 
 def _clamp_and_drag(whole_structure: Structure) -> tuple[Clamp, float]:
     """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
-    check_matrices(whole_structure, "its clamp")
+    check_has_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
     clamp, damping = whole_structure.clamp, whole_structure.damping
     return clamp, damping.mass if isinstance(damping, RayleighDamping) else 0.0

@@ -612,7 +612,7 @@ def test_two_slopes_are_two_penalties(omega: float) -> None:
     rows = oscillator(np.column_stack([gap, gap]), [0.1, 0.1 + depth])
     penalties = fc.UnilateralPenalty([3.0 * share, 3.0 * (1.0 - share)])
     orbit = fc.solve_harmonic_balance(rows, omega, penalties, tolerance=1e-2).orbit
-    assert orbit is not None and orbit.measure([1])[0].penetration > 1.2 * depth
+    assert orbit is not None and orbit.indicators_of_dofs([1])[0].penetration > 1.2 * depth
     pair, law = oscillator(gap, [0.1]), Layer(3.0, share, depth)
     sampled_solution = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
     assert orbit.amplitude(1) == pytest.approx(sampled_solution.amplitude(1), rel=1e-6)
