@@ -214,11 +214,11 @@ class Assessment:
         search_from_state = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
-        orbits_or_none = (
+        orbit_or_none_iterator = (
             search_from_state(state, subharmonic=n_load_periods, solve_i_minus_m=i_minus_m_solver)
             for state in start_states
         )
-        return next(filter(None, orbits_or_none), None)
+        return next(filter(None, orbit_or_none_iterator), None)
 
     def _assessment_with_twice_harmonics(self) -> Assessment | None:
         """Return the assessment of the solution with twice the harmonics, or None."""

@@ -716,7 +716,7 @@ class CompiledEquations(Equations):
             self._last_linearisation_reference is None
             or self._last_linearisation_reference() is not point
         ):
-            if not self.check_outcome(
+            if not self.has_found_solution(
                 self.run_unchecked(
                     self.function_table.evaluate, pointer(point.unknown), point.parameter
                 )
@@ -735,7 +735,7 @@ class CompiledEquations(Equations):
         self._last_linearisation_reference = None
         max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
         if not math.isfinite(max_row_sum):
-            self.check_outcome(kernel.SINGULAR_STRUCTURE)
+            self.has_found_solution(kernel.SINGULAR_STRUCTURE)
         return max_row_sum
 
 

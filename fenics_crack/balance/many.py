@@ -307,11 +307,11 @@ def _find_orbit_of_case(
                 0
             ],
         )
-    orbits_or_none = (
+    orbit_or_none_iterator = (
         find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE)
         for state in state_guesses
     )
-    orbit, orbit_table.status[case] = next(filter(None, orbits_or_none), None), "neighbour"
+    orbit, orbit_table.status[case] = next(filter(None, orbit_or_none_iterator), None), "neighbour"
     # Without damping the largest modulus is 1.
     if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit

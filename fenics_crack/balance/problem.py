@@ -170,7 +170,7 @@ class Problem:
         check_omega(self.omega)
         check_count("subharmonic", self.subharmonic, 1)
         check_count("harmonics", self.harmonics, self.least_harmonics)
-        check_law(self.structure, self.contact, rigid=True)
+        check_law(self.structure, self.contact, allows_rigid=True)
         if self.structure.n_pairs == 0:
             requirement = "one with contact pairs; else use solve_linear"
             raise InputError("structure", "0 pairs", requirement)

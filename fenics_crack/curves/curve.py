@@ -531,11 +531,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         array_dicts = [
             _array_by_field_name(one_point_curve) for one_point_curve in one_point_curves
         ]
-        joined_columns = {
+        joined_columns_by_name = {
             name: np.concatenate([array_by_name[name] for array_by_name in array_dicts])
             for name in array_dicts[0]
         }
-        return replace(source_curve, **joined_columns, bifurcations=())
+        return replace(source_curve, **joined_columns_by_name, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """Return the index of the point nearest to a bifurcation."""
@@ -645,12 +645,12 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         They include the indicators of the watched dof, and multipliers if the curve was assessed.
         """
-        columns = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
-        columns["iterations"] = self.iterations.tolist()
+        columns_by_name = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
+        columns_by_name["iterations"] = self.iterations.tolist()
         if self.multipliers is not None:
-            columns["multiplier"] = np.abs(self.multipliers).tolist()
-            columns["verdict"] = self.verdicts.tolist()
-        return add_frequency_entries(columns | self.indicators().to_dict())
+            columns_by_name["multiplier"] = np.abs(self.multipliers).tolist()
+            columns_by_name["verdict"] = self.verdicts.tolist()
+        return add_frequency_entries(columns_by_name | self.indicators().to_dict())
 
     def _title(self) -> str:
         title_parts = [

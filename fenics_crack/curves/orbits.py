@@ -278,9 +278,9 @@ class OrbitEquations(CurveSystem):
 
 
 def system_along(
-    exact: bool, problem: Problem, parameter: str, start: float, end: float
+    is_exact: bool, problem: Problem, parameter: str, start: float, end: float
 ) -> BalanceEquations | OrbitEquations:
     """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
-    if exact:
+    if is_exact:
         return OrbitEquations(problem, parameter, start, end)
     return EQUATIONS_CLASS_BY_PARAMETER[parameter](problem, start, end)

@@ -116,8 +116,8 @@ class Resonance(Described):
     def to_dict(self) -> dict[str, Any]:
         """Return frequencies, the width, the distance to the top, the error and the amplitude."""
         names = "value", "omega", "harmonic", "width", "apart", "several", "error"
-        columns = {name: getattr(self, name) for name in names}
-        return add_frequency_entries(columns | {"amplitude": self.solution.amplitude()})
+        columns_by_name = {name: getattr(self, name) for name in names}
+        return add_frequency_entries(columns_by_name | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):

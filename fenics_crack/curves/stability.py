@@ -220,7 +220,7 @@ def _assessment_of(
 ) -> Assessment:
     """Return the assessment of a solution, with another law if given."""
     law = solution.contact if contact is None else contact
-    check_law(structure, law, rigid=True)
+    check_law(structure, law, allows_rigid=True)
     if solution.structure.n_dofs != structure.n_dofs:
         raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
     return replace(solution, structure=structure, contact=law).assessment

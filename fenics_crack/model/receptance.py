@@ -92,9 +92,11 @@ class Receptance:
         -------
         (m, n_sources)
         """
-        truncated_modes = slice(n_kept_modes, None)
-        modal_flexibility = modal_displacements[:, truncated_modes] / self.squares[truncated_modes]
-        return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_modes].T)
+        truncated_mode_slice = slice(n_kept_modes, None)
+        modal_flexibility = (
+            modal_displacements[:, truncated_mode_slice] / self.squares[truncated_mode_slice]
+        )
+        return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_mode_slice].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the static compliance S beyond the first modes.

@@ -100,7 +100,7 @@ def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
 
 def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Return why a structure and a contact law have no exact flow. None if they have one."""
-    check_law(structure, contact, rigid=True)
+    check_law(structure, contact, allows_rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
@@ -311,15 +311,15 @@ class ContactFlow(Flow):
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
-            closed_pairs = np.flatnonzero(pair_states)
-            stuck_pairs = np.flatnonzero(pair_states == kernel.STICK)
-            row_indices = np.concatenate([closed_pairs, n_pairs + stuck_pairs])
+            closed_pair_indices = np.flatnonzero(pair_states)
+            stuck_pair_indices = np.flatnonzero(pair_states == kernel.STICK)
+            row_indices = np.concatenate([closed_pair_indices, n_pairs + stuck_pair_indices])
             row_compliance = self.compliance[row_indices]
             slip_friction_matrix = np.zeros((len(row_indices), len(row_indices)))
             slip_signs = 1.0 * (pair_states == kernel.SLIP_UP) - (pair_states == kernel.SLIP_DOWN)
-            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pairs]
-            slip_friction_matrix[:, : len(closed_pairs)] = (
-                tangential_compliance_columns * slip_signs[closed_pairs]
+            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pair_indices]
+            slip_friction_matrix[:, : len(closed_pair_indices)] = (
+                tangential_compliance_columns * slip_signs[closed_pair_indices]
             )
             eigenvalues = np.linalg.eigvals(
                 np.linalg.solve(row_compliance[:, row_indices], slip_friction_matrix)
@@ -497,15 +497,18 @@ class ContactFlow(Flow):
         if self._track_buffer_length < budget.allowed_intervals:
             self._track_buffer_length = max_intervals = budget.allowed_intervals
             pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
-            self._track_arrays = {"sets": pair_state_buffer, "lengths": np.empty(max_intervals)}
+            self._track_array_by_name = {
+                "sets": pair_state_buffer,
+                "lengths": np.empty(max_intervals),
+            }
             if self.friction_law:
                 friction_dtypes_by_name = {"causes": np.intc, "is_first": np.int8, "ratios": float}
-                self._track_arrays |= {
+                self._track_array_by_name |= {
                     name: np.empty(max_intervals, dtype)
                     for name, dtype in friction_dtypes_by_name.items()
                 }
-            self._base_struct = Struct("flow_motion", **self._track_arrays)
-        track_arrays = self._track_arrays
+            self._base_struct = Struct("flow_motion", **self._track_array_by_name)
+        track_array_by_name = self._track_array_by_name
         limits_by_name = {
             "max_pieces": budget.allowed_pieces,
             "max_intervals": budget.allowed_intervals,
@@ -513,7 +516,8 @@ class ContactFlow(Flow):
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
             return {
-                name: track_array[:n_intervals].copy() for name, track_array in track_arrays.items()
+                name: track_array[:n_intervals].copy()
+                for name, track_array in track_array_by_name.items()
             }
 
         return self._base_struct.with_members(**limits_by_name, **members), copy_track

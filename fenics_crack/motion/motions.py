@@ -149,7 +149,7 @@ class Record:
         then exact to rounding.
     instants_per_load_period : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
-    exact_numbers : dict of str to float
+    exact_number_by_name : dict of str to float
         Numbers of the crack faces, known more accurately than from the instants.
     """
 
@@ -164,7 +164,7 @@ class Record:
     friction_coefficient: float | np.ndarray | None = None
     evaluate_at_period_fractions: RecordFunction | None = None
     instants_per_load_period: int = 0
-    exact_numbers: Mapping[str, float] = field(default_factory=dict)
+    exact_number_by_name: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def periods(self) -> float:
@@ -187,11 +187,14 @@ class Record:
         """Return the record of the last load periods, if it has several."""
         if not self.instants_per_load_period:
             return self
-        last_instants = slice(-periods * self.instants_per_load_period, None)
+        last_instants_slice = slice(-periods * self.instants_per_load_period, None)
         array_names = "time", "row_products", "gaps", "forces"
         return replace(
             self,
-            **{array_name: getattr(self, array_name)[last_instants] for array_name in array_names},
+            **{
+                array_name: getattr(self, array_name)[last_instants_slice]
+                for array_name in array_names
+            },
         )
 
     def select_rows(self, rows: slice) -> Record:
@@ -599,4 +602,4 @@ def _face_number_by_name(record: Record) -> dict[str, float]:
         number_by_name |= read_observables(
             Place.FACES, CrackFaces(record), missing_requirement_flag
         )
-    return number_by_name | dict(record.exact_numbers)
+    return number_by_name | dict(record.exact_number_by_name)

@@ -292,12 +292,12 @@ class PeriodicOrbit(ObservedMotion, Described):
             )
             return np.split(interpolation_matrix @ node_values, column_splits, axis=1)
 
-        n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
+        n_instants, exact_number_by_name = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
         row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
-            track, exact_numbers = self.motion.track, dict(self.friction_number_by_name)
-            exact_numbers |= (
+            track, exact_number_by_name = self.motion.track, dict(self.friction_number_by_name)
+            exact_number_by_name |= (
                 {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
             )
         yield Record(
@@ -307,7 +307,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             structure=self.structure,
             friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
             evaluate_at_period_fractions=interpolate_at,
-            exact_numbers=exact_numbers,
+            exact_number_by_name=exact_number_by_name,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> RealFourierCoefficients:

@@ -138,7 +138,7 @@ class ShootingEquations(Equations):
         """Integrate the motion over a period from x, at a parameter p."""
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
-        if not self.check_outcome(
+        if not self.has_found_solution(
             self.run_unchecked(self.function_table.evaluate, unknown_pointer, parameter)
         ):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")

@@ -201,7 +201,7 @@ class Equations(ABC):
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
 
-    def check_outcome(self, outcome: int) -> bool:
+    def has_found_solution(self, outcome: int) -> bool:
         """Return True if a C loop's outcome code means a solution.
 
         Raises
@@ -252,11 +252,11 @@ class _PythonEquations(Equations):
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._callback_state.linearisation
 
-    def check_outcome(self, outcome: int) -> bool:
+    def has_found_solution(self, outcome: int) -> bool:
         failure, self._callback_state.failure = self._callback_state.failure, None
         if failure is not None:
             raise failure
-        return super().check_outcome(outcome)
+        return super().has_found_solution(outcome)
 
 
 class _PythonCallbackState:

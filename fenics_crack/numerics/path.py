@@ -174,12 +174,12 @@ class PathSegment(Sequence[PathPoint]):
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
-        arrays = {
+        array_by_name = {
             name: array
             for name, array in vars(self).items()
             if name not in FIELD_NAMES_NOT_IN_KERNEL
         }
-        return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
+        return Struct("path", capacity=len(self), n_known=n_known, **array_by_name, **scalars)
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -198,9 +198,11 @@ class PathSegment(Sequence[PathPoint]):
     def __getitem__(self, index: int | slice) -> PathPoint | PathSegment:
         if isinstance(index, slice):
             segment = object.__new__(PathSegment)
-            arrays = {name: array for name, array in vars(self).items() if name != "located_events"}
+            array_by_name = {
+                name: array for name, array in vars(self).items() if name != "located_events"
+            }
             vars(segment).update(
-                {name: array[index] for name, array in arrays.items()}, located_events=[]
+                {name: array[index] for name, array in array_by_name.items()}, located_events=[]
             )
             return segment
         norm_weights = float(self.unknowns_weights[index]), float(self.time_mean_weights[index])
@@ -497,7 +499,9 @@ def _find_fold_or_target(
     outcome = equations.run_unchecked(
         kernel.find_point_between, stepping_struct.address, target_pointer, segment_struct.address
     )
-    return segment[segment_struct.address.n_known] if equations.check_outcome(outcome) else None
+    return (
+        segment[segment_struct.address.n_known] if equations.has_found_solution(outcome) else None
+    )
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -794,7 +798,7 @@ class Path:
             segment_struct.address.step,
         )
         if segment_struct.address.n_known == len(start_points):
-            self._equations.check_outcome(outcome)
+            self._equations.has_found_solution(outcome)
         if segment_struct.address.n_known == len(start_points) or self._step_control is None:
             return segment[len(start_points) - 1 : segment_struct.address.n_known]
         return self._cut_at_rejected_step(

@@ -94,7 +94,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     """
     check_faces_have_mass(structure, MASS_REMEDY)
     check_omega(omega)
-    check_law(structure, contact, rigid=True)
+    check_law(structure, contact, allows_rigid=True)
     springs = _contact_stiffnesses(structure, contact)
     structure_with_friction_rows = add_friction_pairs(contact, structure)
     if is_small(structure):

@@ -103,7 +103,7 @@ class MarchRequest:
 
     def __post_init__(self) -> None:
         check_omega(self.omega)
-        check_law(self.structure, self.contact, rigid=True)
+        check_law(self.structure, self.contact, allows_rigid=True)
         check_count("periods", self.periods, 1)
         check_count("steps_per_period", self.steps_per_period, 1)
         if self.record_periods is not None:
@@ -253,11 +253,11 @@ class TimeHistory(ObservedMotion, Tabular):
         They are the displacement of the watched dof, the largest opening of the crack faces and
         their largest contact force.
         """
-        columns = {"time": self.time, "displacement": self.displacement()[:, 0]}
+        columns_by_name = {"time": self.time, "displacement": self.displacement()[:, 0]}
         if self.gap.size:
-            columns["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
-            columns["contact_force"] = self.contact_force.max(axis=1)
-        return {name: column.tolist() for name, column in columns.items()}
+            columns_by_name["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
+            columns_by_name["contact_force"] = self.contact_force.max(axis=1)
+        return {name: column.tolist() for name, column in columns_by_name.items()}
 
     def _title(self) -> str:
         periods_text = format_count(self.periods, "period")
@@ -331,8 +331,8 @@ class TimeHistory(ObservedMotion, Tabular):
         records = self._watched_periods
         if periods >= len(records[0]):
             raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
-        newest = [record[-1] for record in records]
-        return _largest_relative_change(newest, [record[-1 - periods] for record in records])
+        newest_arrays = [record[-1] for record in records]
+        return _largest_relative_change(newest_arrays, [record[-1 - periods] for record in records])
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
