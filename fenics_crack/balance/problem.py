@@ -79,7 +79,12 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     is_orbit_search_affordable,
 )
-from fenics_crack.motion.search import SearchOptions, StartStrategy, search_orbit, wave_states
+from fenics_crack.motion.search import (
+    SearchOptions,
+    StartStrategy,
+    search_orbit,
+    series_states_at_period_parts,
+)
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
     MACHINE_EPSILON,
@@ -739,7 +744,9 @@ class Search:
             simpler_displacement = self.system.compliance_model.displacement(
                 resize_harmonics(simpler_point.force, problem.harmonics)
             )
-            state_guesses.append(wave_states(flow, simpler_displacement, problem.base_omega))
+            state_guesses.append(
+                series_states_at_period_parts(flow, simpler_displacement, problem.base_omega)
+            )
         self.orbit = search_orbit(
             flow, load_omega, state_guesses, n_load_periods, prefer_stable=False
         ).orbit
@@ -765,7 +772,7 @@ class Search:
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.has_friction:
-            system = system.system_along_friction()
+            system = system.system_along_friction_factor()
         else:
             system = system.system_along_softness()
             start_point = self._take_full_steps(system, system.linear_gap, parameter=0.0)

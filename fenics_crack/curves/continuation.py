@@ -41,7 +41,7 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.suggestions import fit_argument
 from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
-from fenics_crack.curves.branch import ReturnToParent, branch_start
+from fenics_crack.curves.branch import ReturnToParent, find_branch_start_point
 from fenics_crack.curves.curve import (
     MIN_ORBIT_HARMONICS,
     Bifurcation,
@@ -209,14 +209,16 @@ class GrowingCurve:
         """Points so far, with verdicts."""
         return self.unjudged_curve
 
-    def progress(self) -> float:
+    def progress_fraction(self) -> float:
         """Return the completed fraction of the way from start to end, 0 to 1."""
         return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
         """Describe the progress: completed percentage, range and number of points."""
         end_values = self.system.start, self.system.end
-        return f"{self.progress():.0%} of the way between {self.describe_values(*end_values)}"
+        return (
+            f"{self.progress_fraction():.0%} of the way between {self.describe_values(*end_values)}"
+        )
 
     def describe_values(self, *values: float) -> str:
         """Describe parameter values and the number of points.
@@ -427,18 +429,18 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            point = branch_start(system, initial, step_limits.longest_step, branch_of)
-            start_point = first_point(
+            point = find_branch_start_point(system, initial, step_limits.longest_step, branch_of)
+            start_point = make_first_path_point(
                 system, point.unknown, point.parameter, point.iterations, point.tangent
             )
         elif exact:
             orbit = _find_start_orbit(start_problem, initial)
-            start_point = first_point(
+            start_point = make_first_path_point(
                 system, system.unknown(orbit.state, start), 0.0, orbit.iterations
             )
         else:
             solution = Solver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
-            start_point = first_point(
+            start_point = make_first_path_point(
                 system, solution.slow_gap_coefficients, 0.0, solution.iterations
             )
         super().__init__(system, start_point, step_limits, tolerance if exact else None, is_branch)
@@ -449,7 +451,7 @@ class Continuation(GrowingCurve):
         return judge_curve(self.unjudged_curve) if self._needs_verdicts else self.unjudged_curve
 
 
-def first_point(
+def make_first_path_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
     direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip

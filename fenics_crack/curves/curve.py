@@ -50,7 +50,7 @@ from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
     OBSERVED_HARMONICS,
     PeriodicOrbit,
-    orbit_from,
+    orbit_through_state,
 )
 from fenics_crack.motion.search import SearchOptions
 
@@ -348,7 +348,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
-        return orbit_from(flow, omega, self.points[index], self.subharmonic, iterations)
+        return orbit_through_state(flow, omega, self.points[index], self.subharmonic, iterations)
 
     def assessment(self, index: int) -> Assessment:
         """Assess a harmonic-balance point by the exact flow.

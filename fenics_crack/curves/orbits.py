@@ -74,7 +74,7 @@ class OrbitEquations(CurveSystem):
         self.subharmonic = problem.subharmonic
         self._start_flow = self._make_flow(start)
         self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
-        self.shape = (self._start_flow.size,)
+        self.shape = (self._start_flow.state_size,)
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
@@ -162,7 +162,7 @@ class OrbitEquations(CurveSystem):
         modal_basis_change = (
             self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
         )
-        friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
+        friction_identity = np.eye(self._start_flow.state_size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)
 
     def _advance_motion(

@@ -35,7 +35,7 @@ from fenics_crack.curves.continuation import (
     StepLimits,
     StepOptions,
     check_range,
-    first_point,
+    make_first_path_point,
 )
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import run_to_end
@@ -450,7 +450,7 @@ def follow_resonance(
         start_problem, point.exciting_harmonic, point.contact_point, (start, end)
     )
     growing_curve = GrowingCurve(
-        system, first_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
+        system, make_first_path_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
     )
     curve = run_to_end(growing_curve, progress, throw)
     curve_unknowns_and_parameters = [

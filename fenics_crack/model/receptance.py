@@ -31,7 +31,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.modes import multiply, solve_modes, solve_modes_with_factor
+from fenics_crack.model.modes import multiply_columns, solve_modes, solve_modes_with_factor
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
@@ -448,9 +448,9 @@ class ResidualFlexibility:
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
         displacements = factor.solve(
-            forces - multiply(structure.mass, mode_shapes @ modal_forces.T).T
+            forces - multiply_columns(structure.mass, mode_shapes @ modal_forces.T).T
         )
-        inertia_forces = multiply(structure.mass, displacements.T).T
+        inertia_forces = multiply_columns(structure.mass, displacements.T).T
         return (
             displacements - structure.sum_over_ranks(inertia_forces @ mode_shapes) @ mode_shapes.T
         )
@@ -483,7 +483,7 @@ class ResidualFlexibility:
             )
             product_blocks.append((self.sources.T @ responses.T).T)
             inertia_blocks.append(
-                np.sum(responses.T * multiply(self.structure.mass, responses.T), axis=0)
+                np.sum(responses.T * multiply_columns(self.structure.mass, responses.T), axis=0)
             )
         products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(product_blocks))
         inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia_blocks))

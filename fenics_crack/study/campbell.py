@@ -53,7 +53,7 @@ from fenics_crack.model.modes import (
     Modes,
     count_bonded_modes,
     find_bonded_mode_indices,
-    multiply,
+    multiply_columns,
     solve_modes,
 )
 from fenics_crack.model.rotation import (
@@ -710,7 +710,8 @@ def _find_held_frequencies_and_margins(
     pair_changes = np.abs(structure.apply_bt(modes.shapes.T)).T
     if is_bonded.any():
         stiffness_products, mass_products = (
-            multiply(matrix, modes.shapes) for matrix in (structure.stiffness, structure.mass)
+            multiply_columns(matrix, modes.shapes)
+            for matrix in (structure.stiffness, structure.mass)
         )
         unbalanced_forces = bonded_gap_rows.T @ (
             mass_products * modes.omega**2 - stiffness_products

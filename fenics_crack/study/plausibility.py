@@ -40,10 +40,10 @@ from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
-    count_below,
     count_damped_modes,
+    count_modes_below,
     find_bonded_mode_indices,
-    multiply,
+    multiply_columns,
     solve_bonded_modes,
     solve_modes,
     solve_modes_with_factor,
@@ -307,7 +307,7 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     """
     if omega < modes.omega[-1]:
         return int(np.sum(modes.omega < omega))
-    return count_below(structure, omega**2)
+    return count_modes_below(structure, omega**2)
 
 
 def _static_response(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
@@ -339,10 +339,12 @@ def _speed_slopes(modes: Modes) -> np.ndarray:
     second_stiffness, third_stiffness = rotation.displaced_shape_stiffness_terms
     for mode_index, shape in enumerate(modes.shapes.T):
         sector_shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
-        stiffness_products = multiply(rotation.rotation_stiffness, sector_shapes) + multiply(
-            second_stiffness, sector_shapes
+        stiffness_products = multiply_columns(
+            rotation.rotation_stiffness, sector_shapes
+        ) + multiply_columns(second_stiffness, sector_shapes)
+        stiffness_products += (
+            2.0 * rotation.speed**2 * multiply_columns(third_stiffness, sector_shapes)
         )
-        stiffness_products += 2.0 * rotation.speed**2 * multiply(third_stiffness, sector_shapes)
         slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 

@@ -59,7 +59,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
-from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
+from fenics_crack.model.modes import damped_modes, largest_frequency, multiply_columns
 from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
@@ -578,7 +578,7 @@ class _CentralDifferences(Scheme):
         structure = self.structure
         matrices_and_vectors = (structure.stiffness, self.displacement), (structure.mass, velocity)
         energy = 0.5 * sum(
-            vector @ multiply(matrix, vector[:, None])[:, 0]
+            vector @ multiply_columns(matrix, vector[:, None])[:, 0]
             for matrix, vector in matrices_and_vectors
         )
         return float(structure.sum_over_ranks(np.array([energy]))[0])

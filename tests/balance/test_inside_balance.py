@@ -51,7 +51,7 @@ from fenics_crack.balance.contact_integrals import (
     integrals_with_uncoupled_pairs,
 )
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.modes import damped_modes, multiply
+from fenics_crack.model.modes import damped_modes, multiply_columns
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
@@ -664,7 +664,10 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
     """Z u of amplitudes (m, n_local), from the distributed matrices (collective)."""
 
     def product(matrix: Any) -> np.ndarray:
-        return (multiply(matrix, amplitude.real.T) + 1j * multiply(matrix, amplitude.imag.T)).T
+        return (
+            multiply_columns(matrix, amplitude.real.T)
+            + 1j * multiply_columns(matrix, amplitude.imag.T)
+        ).T
 
     product_rows = product(structure.stiffness) - omega**2 * product(structure.mass)
     if structure.damping_matrix is not None:
