@@ -28,7 +28,7 @@ from second import INSTANTS
 import fenics_crack as fc
 from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import find_orbit
-from fenics_crack.motion.search import wave_states
+from fenics_crack.motion.search import series_states_at_period_parts
 
 OWN = {"citation": "drawn for this benchmark", "changed": "", "licence": "CC0-1.0"}
 HERE = Path(__file__).parent
@@ -118,7 +118,9 @@ def starts(
     start_states, period, random = [], 2.0 * np.pi / omega, np.random.default_rng(87)
     try:
         solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=20, throw=False)
-        start_states.append(wave_states(flow, solution.displacement_coefficients, omega)[0])
+        start_states.append(
+            series_states_at_period_parts(flow, solution.displacement_coefficients, omega)[0]
+        )
     except Exception as error:  # another start does
         print("  harmonic balance:", error)
     state = np.array(flow.rest_state, float)

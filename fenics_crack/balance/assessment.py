@@ -45,7 +45,7 @@ from fenics_crack.motion.orbit import (
     is_orbit_search_affordable,
     predict_orbit,
 )
-from fenics_crack.motion.search import wave_states
+from fenics_crack.motion.search import series_states_at_period_parts
 from fenics_crack.numerics.equations import COARSE_TOLERANCE
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import change_relative_to_motion
@@ -140,10 +140,12 @@ class Assessment:
 
     @cached_property
     def states_at_period_parts(self) -> np.ndarray:
-        """Return states of the solution at equal parts of its period: (32, flow.size)."""
+        """Return states of the solution at equal parts of its period: (32, flow.state_size)."""
         assert self.flow is not None
         wave, flow = self.wave, self.flow
-        period_states = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
+        period_states = series_states_at_period_parts(
+            flow, wave.displacement_coefficients, wave.base_omega
+        )
         if flow.friction_law:
             time = wave.period / len(period_states) * np.arange(len(period_states))
             period_states[:, 2 * flow.n_modes :] = wave.sticking_places(time)
@@ -214,11 +216,11 @@ class Assessment:
         search_from_state = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
-        orbits_or_none = (
+        orbit_or_none_iterator = (
             search_from_state(state, subharmonic=n_load_periods, solve_i_minus_m=i_minus_m_solver)
             for state in start_states
         )
-        return next(filter(None, orbits_or_none), None)
+        return next(filter(None, orbit_or_none_iterator), None)
 
     def _assessment_with_twice_harmonics(self) -> Assessment | None:
         """Return the assessment of the solution with twice the harmonics, or None."""

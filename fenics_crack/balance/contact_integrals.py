@@ -66,7 +66,7 @@ class ContactForces(ABC):
     force: np.ndarray
 
     @abstractmethod
-    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+    def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         """Return the forces' change T ds by a gap's change ds, both (2H+1, n_pairs)."""
 
     @abstractmethod
@@ -314,7 +314,7 @@ class PairForces(ContactForces):
     ) -> None:
         self.force, self.tangent, self._softness_derivative = force, tangent, softness_derivative
 
-    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+    def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         return np.matmul(self.tangent, gap_change.T[:, :, None])[:, :, 0].T
 
     def identity_plus_compliance_tangent(
@@ -577,7 +577,7 @@ class _ExactForces(CoupledForces):
             kernel_evaluator.evaluated_forces = self
         return kernel_evaluator.handle
 
-    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+    def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         gap_change = require_shape(gap_change, *self._gap_coefficients.shape)
         force_change = np.empty(self._gap_coefficients.shape)
         kernel.forces_by_gap(
@@ -651,7 +651,7 @@ class _SampledForces(CoupledForces):
         )
         self.force = fourier_coefficients(self._force_samples, self.harmonics)
 
-    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+    def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         gap_change_samples = sample_period(gap_change, len(self._band_limited_stiffness_samples))
         force_change_samples = np.empty_like(gap_change_samples)
         kernel.multiply_each(

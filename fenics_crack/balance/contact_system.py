@@ -88,7 +88,7 @@ DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
 Below this ratio the solution is unique and close to the linear one.
 """
 
-ParameterDerivative = Callable[["ContactPoint"], np.ndarray]
+ParameterDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
@@ -258,12 +258,12 @@ class ContactSystem:
         )
 
     def linearise_with_derivative(
-        self, unknown: np.ndarray, parameter_derivative: ParameterDerivative
+        self, unknown: np.ndarray, parameter_derivative_function: ParameterDerivativeFunction
     ) -> ContactPoint:
         """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
 
         ``unknown`` has the coefficients of the slow gap s, the gap less its quasi-static part."""
-        return ContactPoint(self, unknown, self.integrals, parameter_derivative)
+        return ContactPoint(self, unknown, self.integrals, parameter_derivative_function)
 
     def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest stiffness d lambda / ds for a law [N/m].
@@ -279,9 +279,9 @@ class ContactSystem:
             )
         return 1.0 / max(min_series_compliance, 1e-300)
 
-    def system_along_friction(self) -> SystemAlongFriction:
+    def system_along_friction_factor(self) -> SystemAlongFrictionFactor:
         """Return these equations with a factor of the friction coefficient as parameter p."""
-        return SystemAlongFriction(self.compliance_model, self.integrals)
+        return SystemAlongFrictionFactor(self.compliance_model, self.integrals)
 
     def system_along_softness(self) -> ContactSystem:
         """Return these equations with p from very soft contact, 0, to the law, 1."""
@@ -300,7 +300,7 @@ class ContactSystem:
         return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
 
 
-class SystemAlongFriction(ContactSystem):
+class SystemAlongFrictionFactor(ContactSystem):
     """:class:`ContactSystem` from contact without friction, at p = 0, to full friction."""
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
@@ -318,9 +318,11 @@ class ContactPoint(DenseLinearisation):
         system: ContactSystem,
         unknown: np.ndarray,
         integrals: ContactIntegrals,
-        parameter_derivative: ParameterDerivative,
+        parameter_derivative_function: ParameterDerivativeFunction,
     ) -> None:
-        self.system, self.unknown, self._derivative_function = system, unknown, parameter_derivative
+        self.system = system
+        self.unknown = unknown
+        self._derivative_function = parameter_derivative_function
         self.linearised_forces = integrals.linearise(unknown)
         self.force = self.linearised_forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
@@ -354,7 +356,7 @@ class ContactPoint(DenseLinearisation):
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         return change + multiply_compliance_and_force(
-            self.system.dynamic_less_static_compliance, self.linearised_forces.apply(change)
+            self.system.dynamic_less_static_compliance, self.linearised_forces.force_change(change)
         )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
@@ -365,7 +367,8 @@ class ContactPoint(DenseLinearisation):
         if system.reachable_gap_basis is not None:
             response_in_basis = (
                 multiply_compliance_and_force(
-                    system.dynamic_less_static_compliance, self.linearised_forces.apply(right_side)
+                    system.dynamic_less_static_compliance,
+                    self.linearised_forces.force_change(right_side),
                 )
                 @ system.reachable_gap_basis
             )
@@ -387,7 +390,9 @@ class ContactPoint(DenseLinearisation):
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
-        return self.system.gap(slow_gap_change, self.linearised_forces.apply(slow_gap_change))
+        return self.system.gap(
+            slow_gap_change, self.linearised_forces.force_change(slow_gap_change)
+        )
 
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
@@ -713,7 +718,7 @@ class CompiledEquations(Equations):
             self._last_linearisation_reference is None
             or self._last_linearisation_reference() is not point
         ):
-            if not self.check_outcome(
+            if not self.has_found_solution(
                 self.run_unchecked(
                     self.function_table.evaluate, pointer(point.unknown), point.parameter
                 )
@@ -732,7 +737,7 @@ class CompiledEquations(Equations):
         self._last_linearisation_reference = None
         max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
         if not math.isfinite(max_row_sum):
-            self.check_outcome(kernel.SINGULAR_STRUCTURE)
+            self.has_found_solution(kernel.SINGULAR_STRUCTURE)
         return max_row_sum
 
 

@@ -83,10 +83,10 @@ class FrictionIntegrals(ContactIntegrals):
         friction_law = friction_of(self.law)
         assert friction_law is not None
         scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
-        return FrictionContactSolver(self.compliance, scaled_coefficient)
+        return FrictionContactSolver(self.compliance_matrix, scaled_coefficient)
 
     @cached_property
-    def compliance(self) -> np.ndarray:
+    def compliance_matrix(self) -> np.ndarray:
         """Return R_inf plus all compliances in series: (2 n_pairs, 2 n_pairs) [m/N].
 
         Those are contact springs, 1/k on the diagonal, and ``relative_softness``.
@@ -192,7 +192,7 @@ class FrictionForces(CoupledForces):
         ) = integrals.march(gap_samples)
         self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
-    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+    def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
@@ -269,7 +269,7 @@ class FrictionForces(CoupledForces):
         slip_force_by_scale[:, n_pairs:] = (
             slip_signs * friction_law.coefficient * self._force_samples[:, :n_pairs]
         )
-        compliance = integrals.compliance
+        compliance = integrals.compliance_matrix
         return fourier_coefficients(
             slip_force_by_scale, integrals.harmonics
         ) + self._force_coefficient_change(-slip_force_by_scale @ compliance)

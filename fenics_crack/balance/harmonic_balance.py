@@ -826,7 +826,7 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
 def law_along_lines(
     structure: Structure,
     contact: ContactLaw,
-    frictionless_motion: Callable[[ContactLaw], ObservedMotion],
+    find_frictionless_motion: Callable[[ContactLaw], ObservedMotion],
 ) -> ContactLaw:
     """Return a law with the sliding lines of a solid's pairs (collective).
 
@@ -837,7 +837,9 @@ def law_along_lines(
         return contact
     if tangential_gap_matrix.shape[1] == structure.n_pairs:
         return contact
-    line_angles, turning_ratio = find_line_angles_and_turning(frictionless_motion(friction_law.law))
+    line_angles, turning_ratio = find_line_angles_and_turning(
+        find_frictionless_motion(friction_law.law)
+    )
     return replace(friction_law, direction=line_angles, turning=turning_ratio)
 
 

@@ -36,7 +36,7 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     find_orbit,
     is_orbit_search_affordable,
-    orbit_from,
+    orbit_through_state,
 )
 from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import change_relative_to_motion
@@ -81,7 +81,7 @@ class ManyOrbits(Tabular):
         "stable", "unstable", or "undecided" if the multiplier is 1 to rounding.
     truncation : (n,)
         Relative error of the gap due to the harmonics above H.
-    states : (n, flow.size)
+    states : (n, flow.state_size)
         States of the orbits at phase zero: modal displacements and velocities, with friction also
         the tangential gaps at which pairs stick.
     """
@@ -128,7 +128,7 @@ class ManyOrbits(Tabular):
             raise ConvergenceError(f"case {case}: {self.reason[case]}")
         problem = self.problem(case)
         flow = ContactFlow(problem.structure, problem.contact)
-        return orbit_from(flow, problem.omega, self.states[case], 1)
+        return orbit_through_state(flow, problem.omega, self.states[case], 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the attributes (n,) by name, as lists, without structure and states."""
@@ -197,7 +197,7 @@ def solve_many(
         column_name: np.full(n_cases, "", dtype=object) for column_name in TEXT_COLUMNS
     }
     columns_by_name |= {column_name: np.full(n_cases, np.nan) for column_name in NUMBER_COLUMNS}
-    columns_by_name["states"] = np.full((n_cases, flow.size), np.nan)
+    columns_by_name["states"] = np.full((n_cases, flow.state_size), np.nan)
     orbit_table = ManyOrbits(structure, contact, harmonics, **columns_by_name)
     watched_dof_row = dof_selection_rows(structure, [structure.watched_dof])
     for case, neighbour_indices, offsets in _yield_cases_with_neighbours(orbit_table, flow):
@@ -307,11 +307,11 @@ def _find_orbit_of_case(
                 0
             ],
         )
-    orbits_or_none = (
+    orbit_or_none_iterator = (
         find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE)
         for state in state_guesses
     )
-    orbit, orbit_table.status[case] = next(filter(None, orbits_or_none), None), "neighbour"
+    orbit, orbit_table.status[case] = next(filter(None, orbit_or_none_iterator), None), "neighbour"
     # Without damping the largest modulus is 1.
     if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit

@@ -23,7 +23,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.model.modes import NEGLIGIBLE, multiply
+from fenics_crack.model.modes import NEGLIGIBLE, multiply_columns
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
@@ -119,7 +119,7 @@ class MoreModes:
 
     @property
     def states_at_period_parts(self) -> np.ndarray:
-        """Return the nearest orbit's states on the flow with more modes: (32, flow.size).
+        """Return the nearest orbit's states on the flow with more modes: (32, flow.state_size).
 
         They belong to equal parts of the period. New modes respond statically to the load and the
         contact forces.
@@ -158,7 +158,7 @@ class MoreModes:
         modal_velocities: np.ndarray,
         sticking_places: np.ndarray,
     ) -> np.ndarray:
-        """Return states of the structure with more modes (n, flow.size), by projection.
+        """Return states of the structure with more modes (n, flow.state_size), by projection.
 
         Modal coordinates and velocities (n, n_modes), and ``sticking_places`` h (n, n_pairs), are
         those of a reduced structure with mass.
@@ -168,7 +168,7 @@ class MoreModes:
             more_modes_structure, ReducedStructure
         )
         whole_structure = reduced_structure.whole
-        mass_times_basis = multiply(whole_structure.mass, reduced_structure.basis)
+        mass_times_basis = multiply_columns(whole_structure.mass, reduced_structure.basis)
         basis_change = (
             whole_structure.sum_over_ranks(more_modes_structure.basis.T @ mass_times_basis)
             @ self.nearest_orbit.flow.modal_model.shapes

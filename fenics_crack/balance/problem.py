@@ -79,7 +79,12 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     is_orbit_search_affordable,
 )
-from fenics_crack.motion.search import SearchOptions, StartStrategy, search_orbit, wave_states
+from fenics_crack.motion.search import (
+    SearchOptions,
+    StartStrategy,
+    search_orbit,
+    series_states_at_period_parts,
+)
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
     MACHINE_EPSILON,
@@ -170,7 +175,7 @@ class Problem:
         check_omega(self.omega)
         check_count("subharmonic", self.subharmonic, 1)
         check_count("harmonics", self.harmonics, self.least_harmonics)
-        check_law(self.structure, self.contact, rigid=True)
+        check_law(self.structure, self.contact, allows_rigid=True)
         if self.structure.n_pairs == 0:
             requirement = "one with contact pairs; else use solve_linear"
             raise InputError("structure", "0 pairs", requirement)
@@ -308,7 +313,7 @@ class Problem:
         """True if the constraint is balanced in frequency, for uncoupled pairs."""
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
-    def with_weight(self, compliance: ComplianceModel) -> Problem:
+    def with_weight(self, compliance_model: ComplianceModel) -> Problem:
         """Return the problem with the weight of its projection, if it needs one."""
         contact_law = self.contact
         if not (
@@ -316,12 +321,12 @@ class Problem:
         ):
             return self
         return replace(
-            self, contact=replace(contact_law, weight=default_projection_weight(compliance))
+            self, contact=replace(contact_law, weight=default_projection_weight(compliance_model))
         )
 
-    def system(self, compliance: ComplianceModel) -> ContactSystem:
+    def system(self, compliance_model: ComplianceModel) -> ContactSystem:
         """Return the condensed equations."""
-        return ContactSystem(compliance, self.with_weight(compliance).integrals())
+        return ContactSystem(compliance_model, self.with_weight(compliance_model).integrals())
 
     def wave(self, point: ContactPoint) -> Wave:
         """Return the motion at a point of the equations (collective)."""
@@ -739,7 +744,9 @@ class Search:
             simpler_displacement = self.system.compliance_model.displacement(
                 resize_harmonics(simpler_point.force, problem.harmonics)
             )
-            state_guesses.append(wave_states(flow, simpler_displacement, problem.base_omega))
+            state_guesses.append(
+                series_states_at_period_parts(flow, simpler_displacement, problem.base_omega)
+            )
         self.orbit = search_orbit(
             flow, load_omega, state_guesses, n_load_periods, prefer_stable=False
         ).orbit
@@ -765,7 +772,7 @@ class Search:
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.has_friction:
-            system = system.system_along_friction()
+            system = system.system_along_friction_factor()
         else:
             system = system.system_along_softness()
             start_point = self._take_full_steps(system, system.linear_gap, parameter=0.0)

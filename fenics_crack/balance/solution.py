@@ -233,7 +233,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
             evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,
-            exact_numbers=(
+            exact_number_by_name=(
                 {} if instants or self.orbit is None else self.orbit.friction_number_by_name
             ),
         )  # fmt: skip

@@ -106,7 +106,7 @@ def find_largest_displacements(run: Run[Any]) -> list[float]:
 
     |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
     """
-    watched_indicators = run.result.measure(
+    watched_indicators = run.result.indicators_of_dofs(
         [watched_displacement.dof for watched_displacement in run.watched]
     )
     return [
@@ -227,7 +227,7 @@ def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterato
     if exact_flow is None or exact_flow.friction_law is None:
         return
     largest_coefficient = float(np.max(exact_flow.friction_law.coefficient))
-    critical_coefficient = exact_flow.critical_friction
+    critical_coefficient = exact_flow.critical_friction_coefficient
     if largest_coefficient > 0.5 * critical_coefficient:
         coefficient_text = (
             f"the coefficient of friction, {largest_coefficient:g}, is above half of "

@@ -100,7 +100,7 @@ def path_points_with_chord(
     return first_path_point, PathPoint(last_unknown, last_parameter, 0, chord_tangent)
 
 
-def branch_start(
+def find_branch_start_point(
     system: BalanceEquations | OrbitEquations,
     bifurcation: Bifurcation,
     longest_step: float,

@@ -41,7 +41,7 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.suggestions import fit_argument_to_annotation
 from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
-from fenics_crack.curves.branch import ReturnToParent, branch_start
+from fenics_crack.curves.branch import ReturnToParent, find_branch_start_point
 from fenics_crack.curves.curve import (
     MIN_ORBIT_HARMONICS,
     Bifurcation,
@@ -68,7 +68,7 @@ from fenics_crack.numerics.path import (
     PathOptions,
     PathSegment,
     Target,
-    observe_for_step_control,
+    step_control_values_or_none,
 )
 
 
@@ -209,14 +209,16 @@ class GrowingCurve:
         """Points so far, with verdicts."""
         return self.unjudged_curve
 
-    def progress(self) -> float:
+    def progress_fraction(self) -> float:
         """Return the completed fraction of the way from start to end, 0 to 1."""
         return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
         """Describe the progress: completed percentage, range and number of points."""
         end_values = self.system.start, self.system.end
-        return f"{self.progress():.0%} of the way between {self.describe_values(*end_values)}"
+        return (
+            f"{self.progress_fraction():.0%} of the way between {self.describe_values(*end_values)}"
+        )
 
     def describe_values(self, *values: float) -> str:
         """Describe parameter values and the number of points.
@@ -271,12 +273,14 @@ class GrowingCurve:
         )
         yield from path
         assert path.end_reason is not None
-        self.complete = path.event is not None
+        self.complete = path.terminal_event is not None
         self.status = (
-            path.event.description if path.event else path.end_reason.describe(self.most_points)
+            path.terminal_event.description
+            if path.terminal_event
+            else path.end_reason.describe(self.most_points)
         )
         self.has_returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
-            path.event, ClosedLoop
+            path.terminal_event, ClosedLoop
         )
 
     def _append_segment(self, segment: PathSegment) -> CurvePoint:
@@ -425,18 +429,18 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            point = branch_start(system, initial, step_limits.longest_step, branch_of)
-            start_point = first_point(
+            point = find_branch_start_point(system, initial, step_limits.longest_step, branch_of)
+            start_point = make_first_path_point(
                 system, point.unknown, point.parameter, point.iterations, point.tangent
             )
         elif exact:
             orbit = _find_start_orbit(start_problem, initial)
-            start_point = first_point(
+            start_point = make_first_path_point(
                 system, system.unknown(orbit.state, start), 0.0, orbit.iterations
             )
         else:
             solution = Solver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
-            start_point = first_point(
+            start_point = make_first_path_point(
                 system, solution.slow_gap_coefficients, 0.0, solution.iterations
             )
         super().__init__(system, start_point, step_limits, tolerance if exact else None, is_branch)
@@ -447,7 +451,7 @@ class Continuation(GrowingCurve):
         return judge_curve(self.unjudged_curve) if self._needs_verdicts else self.unjudged_curve
 
 
-def first_point(
+def make_first_path_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
     direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
@@ -471,7 +475,7 @@ def first_point(
     """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
-    step_control_values = observe_for_step_control(system, linearisation)
+    step_control_values = step_control_values_or_none(system, linearisation)
     record = None if step_control_values is None else linearisation.record.ravel()
     return PathPoint(
         unknown,

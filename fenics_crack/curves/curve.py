@@ -50,7 +50,7 @@ from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
     OBSERVED_HARMONICS,
     PeriodicOrbit,
-    orbit_from,
+    orbit_through_state,
 )
 from fenics_crack.motion.search import SearchOptions
 
@@ -352,7 +352,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
-        return orbit_from(flow, omega, self.points[index], self.subharmonic, iterations)
+        return orbit_through_state(flow, omega, self.points[index], self.subharmonic, iterations)
 
     def assessment(self, index: int) -> Assessment:
         """Assess a harmonic-balance point by the exact flow.
@@ -535,11 +535,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         array_dicts = [
             _array_by_field_name(one_point_curve) for one_point_curve in one_point_curves
         ]
-        joined_columns = {
+        joined_columns_by_name = {
             name: np.concatenate([array_by_name[name] for array_by_name in array_dicts])
             for name in array_dicts[0]
         }
-        return replace(source_curve, **joined_columns, bifurcations=())
+        return replace(source_curve, **joined_columns_by_name, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """Return the index of the point nearest to a bifurcation."""
@@ -554,7 +554,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         None stands for the watched dof.
         """
-        return self.observe([dof])[0][0].real_fourier_coefficients
+        return self.observe_dofs([dof])[0][0].real_fourier_coefficients
 
     def _value_or_array_over_points(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
@@ -649,12 +649,12 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         They include the indicators of the watched dof, and multipliers if the curve was assessed.
         """
-        columns = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
-        columns["iterations"] = self.iterations.tolist()
+        columns_by_name = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
+        columns_by_name["iterations"] = self.iterations.tolist()
         if self.multipliers is not None:
-            columns["multiplier"] = np.abs(self.multipliers).tolist()
-            columns["verdict"] = self.verdicts.tolist()
-        return add_frequency_entries(columns | self.indicators().to_dict())
+            columns_by_name["multiplier"] = np.abs(self.multipliers).tolist()
+            columns_by_name["verdict"] = self.verdicts.tolist()
+        return add_frequency_entries(columns_by_name | self.indicators().to_dict())
 
     def _repr_text(self) -> str:
         title_parts = [

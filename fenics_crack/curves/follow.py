@@ -382,4 +382,4 @@ def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
     with tqdm(total=100, desc="curve", unit="%", bar_format=PROGRESS_BAR_FORMAT) as bar:
         for _ in growing_curve:
             bar.set_postfix_str(growing_curve.describe_values(), refresh=False)
-            bar.update(max(0, int(100.0 * growing_curve.progress()) - bar.n))
+            bar.update(max(0, int(100.0 * growing_curve.progress_fraction()) - bar.n))

@@ -74,7 +74,7 @@ class OrbitEquations(CurveSystem):
         self.subharmonic = problem.subharmonic
         self._start_flow = self._make_flow(start)
         self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
-        self.shape = (self._start_flow.size,)
+        self.shape = (self._start_flow.state_size,)
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
@@ -162,7 +162,7 @@ class OrbitEquations(CurveSystem):
         modal_basis_change = (
             self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
         )
-        friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
+        friction_identity = np.eye(self._start_flow.state_size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)
 
     def _advance_motion(
@@ -267,7 +267,7 @@ class OrbitEquations(CurveSystem):
         n_events, n_pieces = motion.n_events, motion.n_taylor_pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
-    def observe(self, records: np.ndarray) -> np.ndarray:
+    def step_control_values(self, records: np.ndarray) -> np.ndarray:
         """Return Floquet multipliers and their counts (:func:`leading_multipliers_and_counts`).
 
         ``records`` (n_points, n_unknowns^2) are monodromy matrices.
@@ -278,9 +278,9 @@ class OrbitEquations(CurveSystem):
 
 
 def system_along(
-    exact: bool, problem: Problem, parameter: str, start: float, end: float
+    is_exact: bool, problem: Problem, parameter: str, start: float, end: float
 ) -> BalanceEquations | OrbitEquations:
     """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
-    if exact:
+    if is_exact:
         return OrbitEquations(problem, parameter, start, end)
     return EQUATIONS_CLASS_BY_PARAMETER[parameter](problem, start, end)

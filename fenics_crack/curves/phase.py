@@ -112,12 +112,14 @@ class PhasePoint(Linearisation):
     """
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
-        self.unknown, self.problem, self.drive = unknown, system.problem, system.drive
+        self.unknown = unknown
+        self.problem = system.problem
+        self.exciting_harmonic = system.exciting_harmonic
         self._vibration_size, self.omega = system.vibration_size, system.omega(1.0, unknown)
         self.contact_point = system.frequency_equations.system(self.omega).linearise(
             system.curve_points_row(unknown, 1.0)
         )
-        self.complex_work = system.drive.complex_work(self.contact_point)
+        self.complex_work = system.exciting_harmonic.complex_work(self.contact_point)
         load_factor = system.value(parameter)
         self._inverse_load_factor = 1.0 / load_factor
         self._inverse_load_factor_rate = -system.value_rate(load_factor) / load_factor**2
@@ -152,10 +154,10 @@ class PhasePoint(Linearisation):
     def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
         """Return the change in P by a change in the slow gap (2H+1, n_pairs) [m]."""
         return (
-            self.drive.complex_work(
+            self.exciting_harmonic.complex_work(
                 self.contact_point,
                 self.contact_point.force
-                + self.contact_point.linearised_forces.apply(slow_gap_change),
+                + self.contact_point.linearised_forces.force_change(slow_gap_change),
             )
             - self.complex_work
         )
@@ -170,7 +172,7 @@ class PhasePoint(Linearisation):
 
     @cached_property
     def complex_work_frequency_derivative(self) -> complex:
-        return self.drive.complex_work_omega_derivative(
+        return self.exciting_harmonic.complex_work_omega_derivative(
             self.contact_point
         ) + self._complex_work_change(self.slow_gap_frequency_derivative)
 
@@ -237,7 +239,7 @@ class ResonanceSystem(CurveSystem):
     def __init__(
         self,
         problem: Problem,
-        drive: ExcitingHarmonic,
+        exciting_harmonic: ExcitingHarmonic,
         nearby_point: ContactPoint,
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
@@ -251,7 +253,7 @@ class ResonanceSystem(CurveSystem):
         slow_gap_coefficients = slow_gap_coefficients / self.start
         self.vibration_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
         self.start_unknown = np.append(slow_gap_coefficients / self.vibration_size, 1.0)
-        self.problem, self.drive = frequency_equations.problem, drive
+        self.problem, self.exciting_harmonic = frequency_equations.problem, exciting_harmonic
         self.n_time_means, self.shape = frequency_equations.n_time_means, self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:

@@ -35,7 +35,7 @@ from fenics_crack.curves.continuation import (
     StepLimits,
     StepOptions,
     check_range,
-    first_point,
+    make_first_path_point,
 )
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import run_to_end
@@ -116,8 +116,8 @@ class Resonance(Described):
     def to_dict(self) -> dict[str, Any]:
         """Return frequencies, the width, the distance to the top, the error and the amplitude."""
         names = "value", "omega", "harmonic", "width", "apart", "several", "error"
-        columns = {name: getattr(self, name) for name in names}
-        return add_frequency_entries(columns | {"amplitude": self.solution.amplitude()})
+        columns_by_name = {name: getattr(self, name) for name in names}
+        return add_frequency_entries(columns_by_name | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
@@ -150,17 +150,20 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     start_unknown = Solver(equations.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = equations.linearise(start_unknown, 0.0)
     n_load_harmonics = len(problem.structure.force) // 2
-    drives = [
+    exciting_harmonics = [
         ExcitingHarmonic.of_structure(problem.structure, harmonic + 1)
         for harmonic in range(n_load_harmonics)
     ]
-    drive = max(drives, key=lambda drive: abs(drive.complex_work(contact_point).imag))
-    complex_work = drive.complex_work(contact_point)
+    exciting_harmonic = max(
+        exciting_harmonics,
+        key=lambda exciting_harmonic: abs(exciting_harmonic.complex_work(contact_point).imag),
+    )
+    complex_work = exciting_harmonic.complex_work(contact_point)
     if not abs(complex_work.imag) > MAX_LOCATION_RESIDUAL * abs(complex_work):
         raise InputError("load", "no damped mode answers to it", load_requirement)
 
     def phase_cosine(path_point: PathPoint) -> float:
-        complex_work = drive.complex_work(
+        complex_work = exciting_harmonic.complex_work(
             equations.linearise(path_point.unknown, path_point.parameter)
         )
         return complex_work.real / abs(complex_work)
@@ -176,7 +179,7 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
     resonance_system = ResonanceSystem(
         problem,
-        drive,
+        exciting_harmonic,
         equations.linearise(resonance_path_point.unknown, resonance_path_point.parameter),
     )
     return resonance_system.linearise(resonance_system.start_unknown, 0.0)
@@ -189,7 +192,9 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     """
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
-    system = ResonanceSystem(problem, resonance_point.drive, resonance_point.contact_point)
+    system = ResonanceSystem(
+        problem, resonance_point.exciting_harmonic, resonance_point.contact_point
+    )
     tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
     path_point = solve_by_full_or_damped_steps(
         system, system.start_unknown, 0.0, tolerance=tolerance
@@ -260,7 +265,7 @@ def _find_order_crossing_and_resonance_rate(
     if order is None:
         return point, 0.0
     rotor, omega = as_run_up_structure(point.problem.structure), point.omega
-    speed, resonance_rate = rotor.speed, rotor.stiffening(omega * point.drive.harmonic)
+    speed, resonance_rate = rotor.speed, rotor.stiffening(omega * point.exciting_harmonic.harmonic)
     for _ in range(MAX_SPEED_CORRECTIONS):
         next_speed = (omega / order - resonance_rate * speed) / (1.0 - resonance_rate)
         if abs(next_speed - speed) <= MIN_RESOLVED_DISTANCE * speed:
@@ -368,7 +373,7 @@ def resonance_at(
         point, resonance_rate = _find_order_crossing_and_resonance_rate(point, order)
     omega, omega_per_value = point.omega, order or 1.0
     width = point.half_power_width / omega_per_value / (1.0 - resonance_rate)
-    harmonic = point.drive.harmonic
+    harmonic = point.exciting_harmonic.harmonic
     return Resonance(
         omega / omega_per_value,
         omega,
@@ -441,9 +446,11 @@ def follow_resonance(
         problem = problem.with_harmonics(end_point.problem.harmonics)
     point = first_phase_resonance(vary_load_factor(problem, start), near)
     start_problem = replace(point.problem, structure=problem.structure, omega=point.omega)
-    system = ResonanceSystem(start_problem, point.drive, point.contact_point, (start, end))
+    system = ResonanceSystem(
+        start_problem, point.exciting_harmonic, point.contact_point, (start, end)
+    )
     growing_curve = GrowingCurve(
-        system, first_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
+        system, make_first_path_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
     )
     curve = run_to_end(growing_curve, progress, throw)
     curve_unknowns_and_parameters = [

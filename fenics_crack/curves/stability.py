@@ -220,7 +220,7 @@ def _assessment_of(
 ) -> Assessment:
     """Return the assessment of a solution, with another law if given."""
     law = solution.contact if contact is None else contact
-    check_law(structure, law, rigid=True)
+    check_law(structure, law, allows_rigid=True)
     if solution.structure.n_dofs != structure.n_dofs:
         raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
     return replace(solution, structure=structure, contact=law).assessment
@@ -439,7 +439,9 @@ def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
     orbit_equations = FlowOrbitEquations(
         flow, solution.omega, solution.assessment.states_at_period_parts[0]
     )
-    return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.max_periods(flow))
+    return find_attractor(
+        orbit_equations, np.zeros(flow.state_size), SearchOptions.max_periods(flow)
+    )
 
 
 def stability_of(assessment: Assessment) -> Stability:
@@ -447,7 +449,7 @@ def stability_of(assessment: Assessment) -> Stability:
     orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:
         assert assessment.flow is not None
-        multipliers = np.full(assessment.flow.size, np.nan + 0j)
+        multipliers = np.full(assessment.flow.state_size, np.nan + 0j)
         if irregular_attractor is not None:
             multipliers[0] = irregular_attractor.growth
             return Stability(

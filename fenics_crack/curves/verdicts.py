@@ -118,10 +118,10 @@ def _growth_factors_of_irregular_motions(
         if irregular_attractor := assessment.irregular_attractor:
             growth_factors[index] = irregular_attractor.growth
     for start_index, end_index in pairwise(followed_indices):
-        stretch = slice(start_index, end_index + 1)
+        stretch_slice = slice(start_index, end_index + 1)
         end_factors = growth_factors[[start_index, end_index]]
-        if is_undecided[stretch].all() and np.prod(end_factors) > 0.0:
-            growth_factors[stretch] = np.geomspace(*end_factors, end_index + 1 - start_index)
+        if is_undecided[stretch_slice].all() and np.prod(end_factors) > 0.0:
+            growth_factors[stretch_slice] = np.geomspace(*end_factors, end_index + 1 - start_index)
     return growth_factors
 
 

@@ -173,7 +173,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     )
     blade_result_rows: list[tuple[float, complex, float, float]] = []
     for blade_indicators, blade_dof in zip(
-        solution_or_curve.measure(blade_dofs), blade_dofs, strict=True
+        solution_or_curve.indicators_of_dofs(blade_dofs), blade_dofs, strict=True
     ):
         solution = get_solution_at_point(int(np.argmax(blade_indicators.amplitude)))
         displacement_coefficients = structure.values_at(

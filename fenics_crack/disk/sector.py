@@ -20,7 +20,7 @@ from fenics_crack.fem.blocks import RIM_SIDE_NAMES
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, RELATIVE_POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import assemble_rotation
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.modes import multiply
+from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -57,8 +57,8 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         force[0] += (
             centrifugal_load
             + (
-                multiply(stiffness, static_displacement)
-                - multiply(static_stiffness, static_displacement)
+                multiply_columns(stiffness, static_displacement)
+                - multiply_columns(static_stiffness, static_displacement)
             )[:, 0]
         )
         rotating_structure = structure._plain_structure_with_changes(

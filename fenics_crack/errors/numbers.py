@@ -94,7 +94,7 @@ def compute_numbers(
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
     unit_by_name: dict[str, str] = {}
-    displacement_indicators = motion.measure([point.dof for point in study.watched])
+    displacement_indicators = motion.indicators_of_dofs([point.dof for point in study.watched])
     rounding_size = NEGLIGIBLE * min(  # of closed pairs
         indicators.amplitude + abs(indicators.mean) for indicators in displacement_indicators
     )

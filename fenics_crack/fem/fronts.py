@@ -54,7 +54,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import format_quantity
 from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface, upward_sign
 from fenics_crack.model.nodes import Nodes
-from fenics_crack.model.receptance import check_matrices
+from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -529,7 +529,7 @@ def front_functionals(
     InputError
         Cells are not tetrahedra of order 2, or elements at a front are too long for the domain.
     """
-    check_matrices(structure, "stress intensities")
+    check_has_matrices(structure, "stress intensities")
     nodes, comm = structure.nodes, structure.comm
     assert nodes is not None
     if scene.mesh.order != 2 or comm.allreduce(nodes.cells.shape[1]) != 10 * comm.size:

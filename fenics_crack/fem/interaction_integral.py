@@ -38,7 +38,7 @@ from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, CrackPath
 from fenics_crack.fem.elasticity import form_constants, stress_expression
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.receptance import check_matrices
+from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -185,7 +185,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
         A tip is closer to an edge, a bend or another crack than the elements of its crack faces
         are long.
     """
-    check_matrices(structure, "stress intensities")
+    check_has_matrices(structure, "stress intensities")
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.mesh_dofs
     tips = find_tips(dofs)

@@ -40,10 +40,10 @@ def _bind_lapack() -> None:
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
     get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
     get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    capsules = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
+    capsule_by_name = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
     addresses = ffi.new("void *[]", lib.LAPACK_FUNCTIONS)
     for name in ("dgemv", "dgemm", "dgetrf", "dgetrs", "dpotrf", "dpotri", "dgeev"):
-        capsule = capsules[name]
+        capsule = capsule_by_name[name]
         address = get_pointer(capsule, get_name(capsule))
         addresses[getattr(lib, name.upper())] = ffi.cast("void *", address)
     lib.bind_lapack(addresses)

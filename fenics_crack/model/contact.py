@@ -352,15 +352,15 @@ def is_unilateral(contact: object) -> bool:
     return is_piecewise_linear(contact) or is_rigid(contact)
 
 
-def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> None:
+def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False) -> None:
     """Raise InputError unless an object is a contact law for a structure's pairs.
 
-    :class:`UnilateralConstraint` passes only with ``rigid``.
+    :class:`UnilateralConstraint` passes only with ``allows_rigid``.
     """
     members = ("stiffness", "force", "tangent", "scaled")
     is_class = isinstance(contact, type)
     absent_members = [name for name in members if is_class or not hasattr(contact, name)]
-    if absent_members or (is_rigid(contact) and not rigid):
+    if absent_members or (is_rigid(contact) and not allows_rigid):
         absent_text = (
             f", with {', '.join(absent_members)}, which it lacks" if absent_members else ""
         )
@@ -725,7 +725,7 @@ def forces_and_slopes_of_smooth_law(
 
 
 def solve_forces(
-    law_force_and_slope: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    law_force_and_slope_function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     compliance: np.ndarray,
     gap: np.ndarray,
     guess: np.ndarray,
@@ -737,7 +737,7 @@ def solve_forces(
 
     Parameters
     ----------
-    law_force_and_slope : callable
+    law_force_and_slope_function : callable
         Gives the law's force h(g) and its derivative for gaps g (n, n_pairs), pair by pair; h may
         not fall while g grows.
     compliance : (n_pairs, n_pairs) [m/N]
@@ -760,7 +760,7 @@ def solve_forces(
 
     def evaluate(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
         total_gap = slow_gap - force @ compliance
-        return (total_gap, *law_force_and_slope(total_gap))
+        return (total_gap, *law_force_and_slope_function(total_gap))
 
     all_forces, unfinished_instants = np.array(guess), np.arange(len(gap))
     identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(all_forces, gap)

@@ -183,17 +183,19 @@ class Factor:
         self.n_null_pivots = int(self._factor.getMumpsInfog(28))
         self.n_negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
-    def _factorise(self, solver: str) -> None:
+    def _factorise(self, package_name: str) -> None:
         """Factor the matrix with one of PETSc's solver packages (collective)."""
         self._pc, self._factor = PETSc.PC().create(self._matrix.comm), PETSc.Mat()
         self._pc.setOptionsPrefix(OPTIONS_PREFIX)
         self._pc.setOperators(self._matrix)
         self._pc.setType(self._pc_type)
-        self._pc.setFactorSolverType(solver)
+        self._pc.setFactorSolverType(package_name)
         options, default_options = PETSc.Options(), {}
-        if solver == "cholmod":  # no warning for each zero pivot; PETSc reads one of both options
+        if (
+            package_name == "cholmod"
+        ):  # no warning for each zero pivot; PETSc reads one of both options
             default_options = {PRINT_OPTION: 0, OPTIONS_PREFIX + PRINT_OPTION: 0}
-        elif solver == "mumps":
+        elif package_name == "mumps":
             n_nonzeros = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
             if n_nonzeros < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
                 # Minimum fill; setMumpsIcntl does not last.
@@ -209,7 +211,7 @@ class Factor:
             self._pc.setFactorSetUpSolverType()
             self._factor = self._pc.getFactorMatrix()
             self._factor.setOptionsPrefix(OPTIONS_PREFIX)  # before PETSc reads the options
-            if solver == "mumps":
+            if package_name == "mumps":
                 self._factor.setMumpsIcntl(24, 1)  # detect null pivots
             self._pc.setFromOptions()
             self._pc.setUp()

@@ -281,7 +281,7 @@ def solve_modes_with_factor(
         n_modes_below_bound = np.sum(squares < square_bound)
         if (
             n_requested_modes == available_count
-            or count_below(structure, square_bound, ties) <= n_modes_below_bound
+            or count_modes_below(structure, square_bound, ties) <= n_modes_below_bound
         ):
             break
         n_requested_modes = min(2 * n_requested_modes + 2, available_count)
@@ -329,13 +329,13 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
     return []
 
 
-def _make_solver(structure: Structure, prefix: str, n_modes: int, krylov_size: int) -> Any:
+def _make_solver(structure: Structure, prefix: str, n_modes: int, n_krylov_vectors: int) -> Any:
     """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
     solver = import_slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(solver.ProblemType.GHEP)
-    solver.setDimensions(n_modes, min(structure.n_dofs, krylov_size))
+    solver.setDimensions(n_modes, min(structure.n_dofs, n_krylov_vectors))
     solver.getST().getKSP().setType("preonly")
     return solver
 
@@ -387,7 +387,7 @@ def _solve_near_zero(
         return _solve_near_shift(inverse, structure, n_modes, shift)
 
 
-def krylov_size(n_modes: int) -> int:
+def n_krylov_vectors(n_modes: int) -> int:
     """Return the number of Krylov vectors for some modes.
 
     SLEPc's default is twice the number of modes, or 15 more than them if that is larger. For more
@@ -410,7 +410,7 @@ def _solve_near_shift(
     (n_local, n_modes)
         Mass-normalised shapes.
     """
-    solver = _make_solver(structure, "crack_modes_", n_modes, krylov_size(n_modes))
+    solver = _make_solver(structure, "crack_modes_", n_modes, n_krylov_vectors(n_modes))
     solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
@@ -439,7 +439,7 @@ def _solve_near_shift(
     return squares[ascending_order], shapes.T
 
 
-def count_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
+def count_modes_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
     """Return the number of modes with omega^2 < ``squared_omega`` (collective).
 
     These are the negative pivots of K - ``squared_omega`` M (Sylvester). ``ties`` is a matrix of
@@ -465,7 +465,7 @@ def largest_frequency(structure: Structure) -> float:
     return float(np.sqrt(square))
 
 
-def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
+def multiply_columns(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """Multiply a PETSc matrix with columns (n_local, m): the same shape (collective)."""
     products = np.empty(columns.shape)
     for start_column in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
@@ -508,10 +508,10 @@ def orthonormalise_against_basis(
     """
 
     def project_columns(directions: np.ndarray) -> np.ndarray:
-        return structure.sum_over_ranks(directions.T @ multiply(matrix, columns))
+        return structure.sum_over_ranks(directions.T @ multiply_columns(matrix, columns))
 
     column_norms_squared = structure.sum_over_ranks(
-        (columns * multiply(matrix, columns)).sum(axis=0)
+        (columns * multiply_columns(matrix, columns)).sum(axis=0)
     )
     columns = columns / np.sqrt(np.maximum(column_norms_squared, 1e-300))
     for _ in range(2):  # once more against rounding
@@ -604,7 +604,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 def _compute_damped_modes(structure: Structure) -> DampedModes:
     """Compute the modes that carry the modal damping (collective)."""
     modes = solve_modes(structure, count_damped_modes(structure))
-    mass_shapes = multiply(structure.mass, modes.shapes)
+    mass_shapes = multiply_columns(structure.mass, modes.shapes)
     damping_rates = structure.damping.rate(modes.omega**2)
     return DampedModes(modes.omega, damping_rates, modes.shapes, mass_shapes)
 
@@ -694,11 +694,11 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """Project the damping C on columns X (n_local, m): X^T C X, (m, m) [kg/s] (collective)."""
     rule = structure.damping
     if isinstance(rule, RayleighDamping):  # without C
-        damping_products = rule.mass * multiply(structure.mass, columns)
-        damping_products += rule.stiffness * multiply(structure.stiffness, columns)
+        damping_products = rule.mass * multiply_columns(structure.mass, columns)
+        damping_products += rule.stiffness * multiply_columns(structure.stiffness, columns)
         return structure.sum_over_ranks(columns.T @ damping_products)
     if structure.damping_matrix is not None:
-        damping_products = multiply(structure.damping_matrix, columns)
+        damping_products = multiply_columns(structure.damping_matrix, columns)
         return structure.sum_over_ranks(columns.T @ damping_products)
     damping_modes = damped_modes(structure)
     if damping_modes is None:
@@ -874,7 +874,7 @@ def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarr
     (n,) int
         Index of the bonded mode for each open mode.
     """
-    bonded_mass_shapes = multiply(open_modes.structure.mass, bonded_modes.shapes)
+    bonded_mass_shapes = multiply_columns(open_modes.structure.mass, bonded_modes.shapes)
     overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ bonded_mass_shapes) ** 2
     is_same_open, is_same_bonded = (
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)

@@ -122,12 +122,14 @@ def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarra
     return f"the nearest node is at {format_point(nearest_point)}"
 
 
-def format_point(point: np.ndarray, digits: str = ".8g") -> str:
+def format_point(point: np.ndarray, format_specification: str = ".8g") -> str:
     """Return a point in words, "(0.1, 0.1)".
 
     Its digits identify a node for :func:`find_node_indices_at`.
     """
-    return f"({', '.join(format(x, digits) for x in point.round(12) + 0.0)})"  # no "-0"
+    return (
+        f"({', '.join(format(x, format_specification) for x in point.round(12) + 0.0)})"  # no "-0"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.modes import multiply, solve_modes, solve_modes_with_factor
+from fenics_crack.model.modes import multiply_columns, solve_modes, solve_modes_with_factor
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
@@ -92,9 +92,11 @@ class Receptance:
         -------
         (m, n_sources)
         """
-        truncated_modes = slice(n_kept_modes, None)
-        modal_flexibility = modal_displacements[:, truncated_modes] / self.squares[truncated_modes]
-        return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_modes].T)
+        truncated_mode_slice = slice(n_kept_modes, None)
+        modal_flexibility = (
+            modal_displacements[:, truncated_mode_slice] / self.squares[truncated_mode_slice]
+        )
+        return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_mode_slice].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the static compliance S beyond the first modes.
@@ -132,7 +134,7 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
             None, [_convert_receptance_to_load(structure, shared_receptances[0])]
         )
     if not known_receptances or known_receptances[0].n_modes < n_modes:
-        check_matrices(structure, f"{n_modes} modes")
+        check_has_matrices(structure, f"{n_modes} modes")
         known_receptances[:] = shared_receptances[:] = [
             _extend_receptance(
                 structure, known_receptances[0] if known_receptances else None, n_modes
@@ -205,7 +207,7 @@ def _convert_receptance_to_load(
     )
 
 
-def check_matrices(structure: Structure, result_name: str) -> None:
+def check_has_matrices(structure: Structure, result_name: str) -> None:
     """Raise InputError if a structure from a file lacks its matrices.
 
     ``result_name`` names what they are needed for.
@@ -446,9 +448,9 @@ class ResidualFlexibility:
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
         displacements = factor.solve(
-            forces - multiply(structure.mass, mode_shapes @ modal_forces.T).T
+            forces - multiply_columns(structure.mass, mode_shapes @ modal_forces.T).T
         )
-        inertia_forces = multiply(structure.mass, displacements.T).T
+        inertia_forces = multiply_columns(structure.mass, displacements.T).T
         return (
             displacements - structure.sum_over_ranks(inertia_forces @ mode_shapes) @ mode_shapes.T
         )
@@ -481,7 +483,7 @@ class ResidualFlexibility:
             )
             product_blocks.append((self.sources.T @ responses.T).T)
             inertia_blocks.append(
-                np.sum(responses.T * multiply(self.structure.mass, responses.T), axis=0)
+                np.sum(responses.T * multiply_columns(self.structure.mass, responses.T), axis=0)
             )
         products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(product_blocks))
         inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia_blocks))

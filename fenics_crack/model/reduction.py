@@ -45,7 +45,7 @@ from fenics_crack.model.modes import (
     count_damped_modes,
     damped_modes,
     damping_on_modes,
-    multiply,
+    multiply_columns,
     orthonormalise_against_basis,
     solve_modes,
     solve_modes_with_factor,
@@ -154,10 +154,10 @@ def reduce_structure(
                 return _reduce_to_vectors(structure, mode_shapes, squares, static_shapes, None)
             reference_vectors = [
                 static_shapes,
-                factor.solve(multiply(structure.mass, static_shapes).T).T,
+                factor.solve(multiply_columns(structure.mass, static_shapes).T).T,
             ]
             if uniform_rule is None and structure.damping_matrix is not None:
-                damping_forces = multiply(
+                damping_forces = multiply_columns(
                     structure.damping_matrix, np.hstack([mode_shapes, static_shapes])
                 )
                 reference_vectors.append(factor.solve(damping_forces.T).T)
@@ -317,7 +317,7 @@ def _reduce_to_vectors(
     """
     vectors = orthonormalise_against_basis(structure, structure.mass, mode_shapes, vectors)
     projected_stiffness = structure.sum_over_ranks(
-        vectors.T @ multiply(structure.stiffness, vectors)
+        vectors.T @ multiply_columns(structure.stiffness, vectors)
     )
     vector_squares, eigenvectors = np.linalg.eigh(projected_stiffness)
     vectors = vectors @ eigenvectors

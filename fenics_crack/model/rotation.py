@@ -41,7 +41,7 @@ from fenics_crack.model.matrices import read_only_array, read_only_csr_matrix
 from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
     Modes,
-    multiply,
+    multiply_columns,
     orthonormalise_against_basis,
     solve_modes,
 )
@@ -100,7 +100,7 @@ class Rotation:
             rotation_displacement = factored_stiffness.solve(speed**2 * self.force[None]).T
         static_shape_stiffness.destroy()
         load_coefficients = self.at_rest.force.copy()
-        load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
+        load_coefficients[0] += multiply_columns(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
         return self.at_rest._plain_structure_with_changes(
             stiffness=stiffness, force=load_coefficients, rotation=rotation
@@ -228,7 +228,7 @@ def relative_coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.nd
         rotation_vector, modes.shapes[node_dofs], axisb=1, axisc=1
     )
     gyroscopic = 2.0 * structure.sum_over_ranks(
-        modes.shapes.T @ multiply(structure.mass, shape_cross_products)
+        modes.shapes.T @ multiply_columns(structure.mass, shape_cross_products)
     )
     omega_matrix, zero_matrix = np.diag(modes.omega), np.zeros((n_modes, n_modes))
     gyroscopic_eigenproblem_matrix = np.block(
@@ -318,7 +318,7 @@ class RitzProjection:
             collect_garbage(structure.comm)
 
         def project_matrix(petsc_matrix: object) -> np.ndarray:
-            projection = structure.sum_over_ranks(basis.T @ multiply(petsc_matrix, basis))
+            projection = structure.sum_over_ranks(basis.T @ multiply_columns(petsc_matrix, basis))
             return np.asarray(0.5 * (projection + projection.T))
 
         mass_diagonal, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))

@@ -51,7 +51,7 @@ class Attractor:
         Number of load periods that were integrated.
     orbits : FlowOrbitEquations
         Flow, load frequency and period, as equations z(T) = z(0).
-    last : (flow.size,)
+    last : (flow.state_size,)
         Last state, in the scaled unknowns x of ``orbits``.
     growth : float
         Growth of a small disturbance in one period of an irregular motion; else nan.
@@ -111,7 +111,7 @@ def find_attractor(
     ----------
     orbit_equations : FlowOrbitEquations
         Flow, load frequency and period.
-    start_unknown : (flow.size,)
+    start_unknown : (flow.state_size,)
         State at phase zero, in the scaled unknowns x of ``orbits``.
     max_periods : int, optional
         Default: a quarter of ``SearchOptions.period_budget``, for any number of modes.
@@ -181,7 +181,7 @@ def find_irregular_motion(
 
     Parameters
     ----------
-    state : (flow.size,)
+    state : (flow.state_size,)
         State of the motion at phase zero.
 
     Returns
@@ -196,7 +196,7 @@ def find_irregular_motion(
     """
     begin_stage("growth of a disturbance of the exact motion")
     period, weights = 2.0 * np.pi * subharmonic / omega, flow.energy_weights(omega / subharmonic)
-    state_change = np.random.default_rng(1).normal(size=flow.size) / weights
+    state_change = np.random.default_rng(1).normal(size=flow.state_size) / weights
     remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):

@@ -100,7 +100,7 @@ def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
 
 def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Return why a structure and a contact law have no exact flow. None if they have one."""
-    check_law(structure, contact, rigid=True)
+    check_law(structure, contact, allows_rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
@@ -120,10 +120,10 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
 class Flow:
     """Flow of a small structure: motion from a state under the structure's load.
 
-    A state has ``size`` entries: modal displacements q and velocities q', with friction also h for
-    each pair. h is the tangential gap less the tangential spring's deformation, constant while a
-    pair sticks. Contact rows are the pairs' normal gaps; with friction tangential gaps follow
-    (n_rows = 2 n_pairs, else n_pairs).
+    A state has ``state_size`` entries: modal displacements q and velocities q', with friction also
+    h for each pair. h is the tangential gap less the tangential spring's deformation, constant
+    while a pair sticks. Contact rows are the pairs' normal gaps; with friction tangential gaps
+    follow (n_rows = 2 n_pairs, else n_pairs).
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Flow:
         g0 of the rows; 0 for tangents.
     modal_model : AllModes
         Moving modes; their gaps are those of the contact rows.
-    n_modes, size : int
+    n_modes, state_size : int
         Number of modes, and of entries in a state.
     residual_flexibility : (n_rows, n_rows) [m/N]
         R_inf.
@@ -156,7 +156,7 @@ class Flow:
         self.clearance = structure_with_friction_rows.clearance
         self.modal_model = modal_model = all_modes(structure_with_friction_rows)
         self.n_modes = len(modal_model.squares)
-        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
+        self.state_size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
         self.residual_flexibility = modal_model.static_pair_compliance()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
@@ -174,7 +174,7 @@ class Flow:
         velocity: np.ndarray,
         sticking_places: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the states (..., size) of displacements and velocities (..., n_dofs).
+        """Return the states (..., state_size) of displacements and velocities (..., n_dofs).
 
         ``sticking_places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the
         tangential gaps without contact forces.
@@ -201,7 +201,7 @@ class Flow:
 
         Parameters
         ----------
-        states : (n, size)
+        states : (n, state_size)
         force : (n, n_rows) [N]
             Contact forces.
         phase : (n,) [rad]
@@ -297,7 +297,7 @@ class ContactFlow(Flow):
         self._track_buffer_length = 0
 
     @cached_property
-    def critical_friction(self) -> float:
+    def critical_friction_coefficient(self) -> float:
         """Return the smallest friction coefficient without unique contact forces.
 
         The matrix A(mu) from forces to gaps is then singular, on closed pairs' normals and stuck
@@ -311,15 +311,15 @@ class ContactFlow(Flow):
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
-            closed_pairs = np.flatnonzero(pair_states)
-            stuck_pairs = np.flatnonzero(pair_states == kernel.STICK)
-            row_indices = np.concatenate([closed_pairs, n_pairs + stuck_pairs])
+            closed_pair_indices = np.flatnonzero(pair_states)
+            stuck_pair_indices = np.flatnonzero(pair_states == kernel.STICK)
+            row_indices = np.concatenate([closed_pair_indices, n_pairs + stuck_pair_indices])
             row_compliance = self.compliance[row_indices]
             slip_friction_matrix = np.zeros((len(row_indices), len(row_indices)))
             slip_signs = 1.0 * (pair_states == kernel.SLIP_UP) - (pair_states == kernel.SLIP_DOWN)
-            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pairs]
-            slip_friction_matrix[:, : len(closed_pairs)] = (
-                tangential_compliance_columns * slip_signs[closed_pairs]
+            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pair_indices]
+            slip_friction_matrix[:, : len(closed_pair_indices)] = (
+                tangential_compliance_columns * slip_signs[closed_pair_indices]
             )
             eigenvalues = np.linalg.eigvals(
                 np.linalg.solve(row_compliance[:, row_indices], slip_friction_matrix)
@@ -330,7 +330,7 @@ class ContactFlow(Flow):
 
     @cached_property
     def rest_state(self) -> np.ndarray:
-        """Return the state of rest under the mean load: (size,).
+        """Return the state of rest under the mean load: (state_size,).
 
         The state has no rigid-body motion, and no tangential forces.
         """
@@ -367,7 +367,7 @@ class ContactFlow(Flow):
             )
         return np.concatenate(state_parts)
 
-    def count_pieces(self, duration: float) -> float:
+    def estimate_taylor_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion without events.
 
         The motion lasts ``duration`` [s].
@@ -375,12 +375,12 @@ class ContactFlow(Flow):
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
     def energy_weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights w of a state z for the energy norm |w z|: (size,).
+        """Return the weights w of a state z for the energy norm |w z|: (state_size,).
 
         Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
         ``base_omega``.
         """
-        weights = np.ones(self.size)
+        weights = np.ones(self.state_size)
         np.sqrt(np.maximum(self.modal_model.squares, base_omega**2), out=weights[: self.n_modes])
         if self.friction_law:  # h deforms a spring as stiff as a single sticking pair
             stick_compliance = np.diag(self.compliance)[self.structure.n_pairs :]
@@ -388,14 +388,14 @@ class ContactFlow(Flow):
         return weights
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights w of a state z for the amplitude norm |w z|: (size,).
+        """Return the weights w of a state z for the amplitude norm |w z|: (state_size,).
 
         Energy weights are divided by the mode's frequency, at least ``base_omega``, so modal
         displacements have weight 1. For h the divisor is the first mode's.
         """
         weights = self.energy_weights(base_omega)
         mode_rates = weights[: self.n_modes]
-        stick_position_divisors = np.full(self.size - 2 * self.n_modes, mode_rates[0])
+        stick_position_divisors = np.full(self.state_size - 2 * self.n_modes, mode_rates[0])
         return weights / np.concatenate([mode_rates, mode_rates, stick_position_divisors])
 
     def advance(
@@ -412,7 +412,7 @@ class ContactFlow(Flow):
 
         Parameters
         ----------
-        state : (size,)
+        state : (state_size,)
         omega : float
             Load frequency [rad/s].
         duration, start : float [s]
@@ -426,7 +426,7 @@ class ContactFlow(Flow):
         ConvergenceError
             The motion exceeds its budget, or is not finite.
         """
-        end_state = np.array(state, dtype=float).reshape(self.size)
+        end_state = np.array(state, dtype=float).reshape(self.state_size)
         instants = np.zeros(0) if instants is None else as_doubles(instants)
         n_instants = len(instants)
         n_contact_rows = len(self.softness)
@@ -457,12 +457,12 @@ class ContactFlow(Flow):
 
         Parameters
         ----------
-        states : (n, size)
+        states : (n, state_size)
             States at the starts of the parts; the first part begins at time zero.
 
         Returns
         -------
-        end_states : (n, size)
+        end_states : (n, state_size)
             States at the ends of the parts.
         track : Track
             States of the pairs in all intervals between events, part after part.
@@ -497,15 +497,18 @@ class ContactFlow(Flow):
         if self._track_buffer_length < budget.allowed_intervals:
             self._track_buffer_length = max_intervals = budget.allowed_intervals
             pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
-            self._track_arrays = {"sets": pair_state_buffer, "lengths": np.empty(max_intervals)}
+            self._track_array_by_name = {
+                "sets": pair_state_buffer,
+                "lengths": np.empty(max_intervals),
+            }
             if self.friction_law:
                 friction_dtypes_by_name = {"causes": np.intc, "is_first": np.int8, "ratios": float}
-                self._track_arrays |= {
+                self._track_array_by_name |= {
                     name: np.empty(max_intervals, dtype)
                     for name, dtype in friction_dtypes_by_name.items()
                 }
-            self._base_struct = Struct("flow_motion", **self._track_arrays)
-        track_arrays = self._track_arrays
+            self._base_struct = Struct("flow_motion", **self._track_array_by_name)
+        track_array_by_name = self._track_array_by_name
         limits_by_name = {
             "max_pieces": budget.allowed_pieces,
             "max_intervals": budget.allowed_intervals,
@@ -513,7 +516,8 @@ class ContactFlow(Flow):
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
             return {
-                name: track_array[:n_intervals].copy() for name, track_array in track_arrays.items()
+                name: track_array[:n_intervals].copy()
+                for name, track_array in track_array_by_name.items()
             }
 
         return self._base_struct.with_members(**limits_by_name, **members), copy_track
@@ -561,8 +565,8 @@ class Track:
 
     @cached_property
     def tangent(self) -> np.ndarray:
-        """Return dz(end) / dz(start), the derivative of the state z: (size, size)."""
-        tangent_matrix = np.empty((self.flow.size, self.flow.size))
+        """Return dz(end) / dz(start), the derivative of the state z: (state_size, state_size)."""
+        tangent_matrix = np.empty((self.flow.state_size, self.flow.state_size))
         outcome = kernel.flow_tangent(
             self.flow.handle, self._struct.address, pointer(tangent_matrix)
         )
@@ -572,17 +576,17 @@ class Track:
     def derivative_by_softness(
         self, start_state: np.ndarray, softness_rate: np.ndarray
     ) -> np.ndarray:
-        """Return the derivative of the end state by a structural parameter: (size,).
+        """Return the derivative of the end state by a structural parameter: (state_size,).
 
         The state at the start does not change with the parameter.
 
         Parameters
         ----------
-        start_state : (size,)
+        start_state : (state_size,)
         softness_rate : (n_rows,)
             Derivative of 1 / kappa of each contact row by the parameter.
         """
-        derivative = np.empty(self.flow.size)
+        derivative = np.empty(self.flow.state_size)
         checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
             self.flow.handle, self._struct.address, pointer(as_doubles(start_state)), NULL,
@@ -592,10 +596,10 @@ class Track:
         return derivative
 
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
-        """Return the end state's change for a change (size,) of the start state."""
+        """Return the end state's change for a change (state_size,) of the start state."""
         interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
-            self.carry_changes(change, np.zeros((1, self.flow.size)), interval_counts)[-1]
+            self.carry_changes(change, np.zeros((1, self.flow.state_size)), interval_counts)[-1]
         )
 
     def carry_changes(
@@ -607,9 +611,9 @@ class Track:
 
         Parameters
         ----------
-        start_change : (size,)
+        start_change : (state_size,)
             d_0.
-        state_jumps : (n, size)
+        state_jumps : (n, state_size)
             Changes j added at the parts' ends.
         interval_counts : (n,) int
             Number of intervals up to each part's end.
@@ -619,7 +623,7 @@ class Track:
         (n + 1, size)
             d at the start of each part, and at the end.
         """
-        changes = np.empty((len(interval_counts) + 1, self.flow.size))
+        changes = np.empty((len(interval_counts) + 1, self.flow.state_size))
         changes[0] = start_change
         outcome = kernel.flow_carry_changes(
             self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
@@ -682,7 +686,7 @@ class Samples:
 
     @property
     def whole_states(self) -> np.ndarray:
-        """Return the flow's states: q, q' and, with friction, h of all pairs: (n, size)."""
+        """Return the flow's states: q, q' and, with friction, h of all pairs: (n, state_size)."""
         return np.hstack([self.states, self.sticking_places])
 
     @property
@@ -712,7 +716,7 @@ class IntegratedMotion(NamedTuple):
 
     Attributes
     ----------
-    state : (size,)
+    state : (state_size,)
         State at the end.
     n_events, n_taylor_pieces : int
         Number of events (a pair opens, closes, sticks or slips), and of Taylor pieces.

@@ -149,7 +149,7 @@ class Record:
         then exact to rounding.
     instants_per_load_period : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
-    exact_numbers : dict of str to float
+    exact_number_by_name : dict of str to float
         Numbers of the crack faces, known more accurately than from the instants.
     """
 
@@ -164,7 +164,7 @@ class Record:
     friction_coefficient: float | np.ndarray | None = None
     evaluate_at_period_fractions: RecordFunction | None = None
     instants_per_load_period: int = 0
-    exact_numbers: Mapping[str, float] = field(default_factory=dict)
+    exact_number_by_name: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def periods(self) -> float:
@@ -187,11 +187,14 @@ class Record:
         """Return the record of the last load periods, if it has several."""
         if not self.instants_per_load_period:
             return self
-        last_instants = slice(-periods * self.instants_per_load_period, None)
+        last_instants_slice = slice(-periods * self.instants_per_load_period, None)
         array_names = "time", "row_products", "gaps", "forces"
         return replace(
             self,
-            **{array_name: getattr(self, array_name)[last_instants] for array_name in array_names},
+            **{
+                array_name: getattr(self, array_name)[last_instants_slice]
+                for array_name in array_names
+            },
         )
 
     def select_rows(self, rows: slice) -> Record:
@@ -434,7 +437,7 @@ class ObservedMotion:
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the crack indicators at a dof (collective). Default: the watched dof."""
-        return self.measure([dof])[0]
+        return self.indicators_of_dofs([dof])[0]
 
     def amplitude(self, dof: int | None = None) -> Any:
         """Return half the peak-to-peak displacement of a dof [m] (collective).
@@ -443,12 +446,14 @@ class ObservedMotion:
         """
         return self.indicators(dof).amplitude
 
-    def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
+    def indicators_of_dofs(self, dofs: Sequence[int | None]) -> list[Indicators]:
         """Return :meth:`indicators` of several dofs (collective).
 
         The motion is formed once for all new dofs.
         """
-        return [observed_displacement.indicators for observed_displacement in self.observe(dofs)[0]]
+        return [
+            observed_displacement.indicators for observed_displacement in self.observe_dofs(dofs)[0]
+        ]
 
     @property
     def faces(self) -> dict[str, Any]:
@@ -465,7 +470,7 @@ class ObservedMotion:
             if not np.all(np.isnan(value))
         }
 
-    def observe(
+    def observe_dofs(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
     ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe displacements of dofs and numbers at places (collective).
@@ -597,4 +602,4 @@ def _face_number_by_name(record: Record) -> dict[str, float]:
         number_by_name |= read_observables(
             Place.FACES, CrackFaces(record), missing_requirement_flag
         )
-    return number_by_name | dict(record.exact_numbers)
+    return number_by_name | dict(record.exact_number_by_name)

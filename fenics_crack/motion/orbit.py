@@ -100,7 +100,7 @@ class Prediction(NamedTuple):
     ----------
     relative_gap_error : float
         Predicted error of the gaps, |P^T d| / |P^T Z|; P^T takes states to gaps.
-    states : (n, flow.size)
+    states : (n, flow.state_size)
         Z + d at the starts of n equal parts of the period.
     solution_track : Track
         States of the pairs along the solution, part after part.
@@ -115,7 +115,7 @@ class Prediction(NamedTuple):
 
     @property
     def monodromy(self) -> np.ndarray:
-        """Return the monodromy matrix along the solution: (flow.size, flow.size)."""
+        """Return the monodromy matrix along the solution: (flow.state_size, flow.state_size)."""
         return self.solution_track.tangent
 
 
@@ -132,7 +132,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         Number of load periods in the orbit's period.
     motion : IntegratedMotion
         Motion over the period.
-    state : (flow.size,)
+    state : (flow.state_size,)
         State z at phase zero of the load: modal displacements q and velocities q', with friction
         also the sticking pairs' tangential gaps h.
     flows : int
@@ -165,12 +165,12 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @property
     def monodromy(self) -> np.ndarray:
-        """Return the monodromy matrix M = dz(T) / dz(0): (flow.size, flow.size)."""
+        """Return the monodromy matrix M = dz(T) / dz(0): (flow.state_size, flow.state_size)."""
         return self.motion.track.tangent
 
     @cached_property
     def multipliers(self) -> np.ndarray:
-        """Return the Floquet multipliers in descending modulus: (flow.size,) complex."""
+        """Return the Floquet multipliers in descending modulus: (flow.state_size,) complex."""
         return eigenvalues(self.monodromy)
 
     @cached_property
@@ -183,7 +183,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self.energy_norm(state_change) / (self.energy_norm(self.state) or 1.0)
 
     def energy_norm(self, change: np.ndarray) -> float:
-        """Return the energy norm of a state's change (flow.size,)."""
+        """Return the energy norm of a state's change (flow.state_size,)."""
         return float(
             np.linalg.norm(self.flow.energy_weights(self.omega / self.subharmonic) * change)
         )
@@ -292,12 +292,12 @@ class PeriodicOrbit(ObservedMotion, Described):
             )
             return np.split(interpolation_matrix @ node_values, column_splits, axis=1)
 
-        n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
+        n_instants, exact_number_by_name = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
         row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
-            track, exact_numbers = self.motion.track, dict(self.friction_number_by_name)
-            exact_numbers |= (
+            track, exact_number_by_name = self.motion.track, dict(self.friction_number_by_name)
+            exact_number_by_name |= (
                 {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
             )
         yield Record(
@@ -307,7 +307,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             structure=self.structure,
             friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
             evaluate_at_period_fractions=interpolate_at,
-            exact_numbers=exact_numbers,
+            exact_number_by_name=exact_number_by_name,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> RealFourierCoefficients:
@@ -565,7 +565,7 @@ class MotionInEqualParts(PeriodicOrbit):
 
     Attributes
     ----------
-    starts : (n, flow.size)
+    starts : (n, flow.state_size)
         States at the starts of the parts.
     """
 
@@ -618,7 +618,7 @@ def is_orbit_search_affordable(
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_load_too_slow(flow, omega, subharmonic)
-    pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
+    pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return flow.structure.light_lips and n_periods * pieces_per_period <= MAX_SEARCH_PIECES
 
 
@@ -627,7 +627,7 @@ def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> b
 
     Events are not counted. For a large model the result is False.
     """
-    pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
+    pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return (
         flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.allowed_pieces
     )
@@ -640,7 +640,7 @@ def predict_orbit(
 
     Parameters
     ----------
-    states : (n, flow.size)
+    states : (n, flow.state_size)
         States of a solution at equal parts of the period.
 
     Returns
@@ -654,7 +654,7 @@ def predict_orbit(
         end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
         state_jumps = end_states - np.concatenate([states[1:], states[:1]])
         period_end_change = solution_track.carry_changes(
-            np.zeros(flow.size), state_jumps, interval_counts
+            np.zeros(flow.state_size), state_jumps, interval_counts
         )[-1]
         solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, weights)
         state_changes = solution_track.carry_changes(
@@ -693,7 +693,7 @@ def _make_i_minus_m_solver(flow: ContactFlow, track: Track, weights: np.ndarray)
     ``weights``.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-        i_minus_m_factors = factorise_transpose(np.eye(flow.size) - track.tangent)
+        i_minus_m_factors = factorise_transpose(np.eye(flow.state_size) - track.tangent)
         if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
         return lambda right_side, tolerance: solve_by_transpose_factors(
@@ -725,7 +725,7 @@ def find_orbit(
 
     Parameters
     ----------
-    state : (flow.size,)
+    state : (flow.state_size,)
         Guess at phase zero.
     solve_i_minus_m : IMinusMSolver, optional
         Returns (I - M)^-1 b for the first steps, with the monodromy matrix M of a nearby motion.
@@ -779,13 +779,13 @@ class _NewtonOrbitSearch:
         ):
             allowed_taylor_pieces = max(
                 allowed_taylor_pieces,
-                math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period)),
+                math.ceil(MAX_SEARCH_PERIODS * flow.estimate_taylor_pieces(self._period)),
             )
         self.allowed_taylor_pieces = self._remaining_pieces = allowed_taylor_pieces
         self._weights = flow.energy_weights(omega / subharmonic)
         self.state, self.n_integrated_periods = state, 0
 
-    def size(self, change: np.ndarray) -> float:
+    def energy_norm(self, change: np.ndarray) -> float:
         """Return the energy norm of a state change."""
         weighted_change = self._weights * change
         return math.sqrt(weighted_change @ weighted_change)
@@ -800,7 +800,7 @@ class _NewtonOrbitSearch:
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
-        self.motion = self._follow(self.state)
+        self.motion = self._integrate_period(self.state)
         damping_factor, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
         newton_steps_with_same_m: list[np.ndarray] = []
         if forms_monodromy and solve_i_minus_m is not None:
@@ -818,19 +818,20 @@ class _NewtonOrbitSearch:
                 ]
             newton_step = newton_steps_with_same_m[-1]
             trial_state = self.state + damping_factor * newton_step
-            trial_motion = self._follow(trial_state)
+            trial_motion = self._integrate_period(trial_state)
             simplified_step = solve_i_minus_m(
                 trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
             )
             for earlier_step, later_step in pairwise(newton_steps_with_same_m):
                 projection_factor = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + projection_factor * later_step
-            step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
+            step_size = self.energy_norm(newton_step)
+            simplified_size = self.energy_norm(simplified_step)
             nonlinear_part_size = (
-                self.size(simplified_step - (1.0 - damping_factor) * newton_step)
+                self.energy_norm(simplified_step - (1.0 - damping_factor) * newton_step)
                 + sys.float_info.min
             )
-            state_size = self.size(trial_state)
+            state_size = self.energy_norm(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping_factor) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
@@ -861,7 +862,7 @@ class _NewtonOrbitSearch:
         step_times_squared_weights = self._weights**2 * step
         return float(change @ step_times_squared_weights / (step @ step_times_squared_weights))
 
-    def _follow(self, state: np.ndarray) -> IntegratedMotion:
+    def _integrate_period(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, on the remaining budget."""
         self.n_integrated_periods += 1
         budget = Budget(allowed_pieces=self._remaining_pieces)
@@ -870,10 +871,10 @@ class _NewtonOrbitSearch:
         return motion
 
 
-def orbit_from(
+def orbit_through_state(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
 ) -> PeriodicOrbit:
-    """Return the orbit through a state (flow.size,) at phase zero, without a search.
+    """Return the orbit through a state (flow.state_size,) at phase zero, without a search.
 
     ``iterations`` is the number of Newton steps to the state.
     """

@@ -84,7 +84,9 @@ class SearchOptions:
     def piece_budget(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, in pieces with a Taylor series."""
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
-        return int(MIN_PIECES_CHARGED_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
+        return int(
+            MIN_PIECES_CHARGED_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.state_size) ** 2)
+        )
 
     @classmethod
     def max_periods(cls, flow: ContactFlow) -> int:
@@ -137,7 +139,7 @@ def search_orbit(
 
     Parameters
     ----------
-    state_guesses : iterable of (n, flow.size)
+    state_guesses : iterable of (n, flow.state_size)
         States at equal parts of the period, from phase zero on.
     prefer_stable : bool
         Continue after an unstable orbit. A stable orbit then comes first.
@@ -165,7 +167,7 @@ class _SearchTask:
 
     Attributes
     ----------
-    tried_states : list of (n, flow.size)
+    tried_states : list of (n, flow.state_size)
         Guesses that led to no orbit.
     failure_reasons : list of str
         Why starts failed.
@@ -191,7 +193,9 @@ class _SearchTask:
     @property
     def orbit_equations(self) -> FlowOrbitEquations:
         """Return orbit equations next to the last guess, or to rest."""
-        start_state = self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.size)
+        start_state = (
+            self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.state_size)
+        )
         return FlowOrbitEquations(self.flow, self.omega, start_state, self.subharmonic)
 
 
@@ -224,10 +228,10 @@ def _find_after_multiple_shooting_step(task: _SearchTask) -> Iterable[PeriodicOr
     return islice(filter(None, orbit_or_none_iterator), 1)
 
 
-def wave_states(
+def series_states_at_period_parts(
     flow: ContactFlow, displacement_coefficients: np.ndarray, base_omega: float
 ) -> np.ndarray:
-    """Return a Fourier series' states at equal parts of the period: (32, flow.size).
+    """Return a Fourier series' states at equal parts of the period: (32, flow.state_size).
 
     Parameters
     ----------
@@ -403,7 +407,7 @@ def describe_closest_return(
 
     Parameters
     ----------
-    states_at_periods : (n, flow.size)
+    states_at_periods : (n, flow.state_size)
         States one period apart.
     subharmonic : int
         Load periods between two states.

@@ -25,7 +25,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import PeriodicOrbit, orbit_from
+from fenics_crack.motion.orbit import PeriodicOrbit, orbit_through_state
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.newton import PathPoint
 
@@ -77,7 +77,7 @@ class ShootingEquations(Equations):
     Parameters
     ----------
     flow : ContactFlow
-    scale : (flow.size,)
+    scale : (flow.state_size,)
         Diagonal of the scale S.
     omega : (float, float)
         Load frequency at p = 0, and its derivative by p [rad/s].
@@ -91,7 +91,7 @@ class ShootingEquations(Equations):
         - ``damping``, ``damping_rate``: damping at p = 0 and its derivative, each with
           ``n_damping`` entries. Make the flow with the largest damping: the Taylor pieces'
           lengths follow from it.
-        - ``rest_states``: the offsets x_0 and x_1, (2, flow.size), by default 0.
+        - ``rest_states``: the offsets x_0 and x_1, (2, flow.state_size), by default 0.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class ShootingEquations(Equations):
         """Integrate the motion over a period from x, at a parameter p."""
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
-        if not self.check_outcome(
+        if not self.has_found_solution(
             self.run_unchecked(self.function_table.evaluate, unknown_pointer, parameter)
         ):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
@@ -199,9 +199,9 @@ class FlowOrbitEquations(ShootingEquations):
         w_0 of the load [rad/s].
     subharmonic : int
         Load periods in the orbit's period.
-    state_factors : (flow.size,)
+    state_factors : (flow.state_size,)
         Diagonal of S.
-    start_unknown : (flow.size,)
+    start_unknown : (flow.state_size,)
         Unknowns x of the nearby state.
     """
 
@@ -214,14 +214,14 @@ class FlowOrbitEquations(ShootingEquations):
         self.omega, self.start_unknown = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the state z = S^-1 x from the unknowns x: (flow.size,)."""
+        """Return the state z = S^-1 x from the unknowns x: (flow.state_size,)."""
         return np.asarray(unknown / self.state_factors)
 
     def unknown(self, state: np.ndarray) -> np.ndarray:
-        """Return the unknowns x = S z from a state z: (flow.size,)."""
+        """Return the unknowns x = S z from a state z: (flow.state_size,)."""
         return np.asarray(self.state_factors * state)
 
     def orbit(self, point: PathPoint) -> PeriodicOrbit:
         """Return the orbit at a solution (x, p) of the equations."""
         omega, state = point.parameter * self.omega, self.state(point.unknown)
-        return orbit_from(self.flow, omega, state, self.subharmonic, point.iterations)
+        return orbit_through_state(self.flow, omega, state, self.subharmonic, point.iterations)

@@ -103,7 +103,8 @@ class System(Protocol):
     - ``angle_weights``: weight of each unknown in angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in a linearisation's ``record``.
-    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_record_entries).
+    - ``step_control_values(records)``: values (n, ...) for a step control, from records (n,
+      n_record_entries).
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
@@ -200,7 +201,7 @@ class Equations(ABC):
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
 
-    def check_outcome(self, outcome: int) -> bool:
+    def has_found_solution(self, outcome: int) -> bool:
         """Return True if a C loop's outcome code means a solution.
 
         Raises
@@ -232,7 +233,7 @@ class _PythonEquations(Equations):
     follows_many_points = False
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.shape, self._callback_state = shape, _PythonState(system, shape)
+        self.shape, self._callback_state = shape, _PythonCallbackState(system, shape)
         self._handle = ffi.new_handle(self._callback_state)
         n_unknowns = int(np.prod(shape))
         angle_weights = getattr(system, "angle_weights", None)
@@ -251,14 +252,14 @@ class _PythonEquations(Equations):
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._callback_state.linearisation
 
-    def check_outcome(self, outcome: int) -> bool:
+    def has_found_solution(self, outcome: int) -> bool:
         failure, self._callback_state.failure = self._callback_state.failure, None
         if failure is not None:
             raise failure
-        return super().check_outcome(outcome)
+        return super().has_found_solution(outcome)
 
 
-class _PythonState:
+class _PythonCallbackState:
     """Linearisation and error of a Python system during a kernel loop."""
 
     linearisation: Linearisation
@@ -282,7 +283,7 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def call(table: Any, *arguments: Any) -> Any:
-            state: _PythonState = ffi.from_handle(table.context)
+            state: _PythonCallbackState = ffi.from_handle(table.context)
             try:
                 return failure_value if state.failure else function(state, *arguments)
             except BaseException as error:  # KeyboardInterrupt, too: no exception passes through C
@@ -296,33 +297,33 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
 
 
 @_python_callback(kernel.FAILED)
-def _evaluate(state: _PythonState, unknown: Any, parameter: float) -> int:
+def _evaluate(state: _PythonCallbackState, unknown: Any, parameter: float) -> int:
     state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 
 
 @_python_callback(None)
-def _residual(state: _PythonState, residual_out: Any) -> None:
+def _residual(state: _PythonCallbackState, residual_out: Any) -> None:
     state.as_array(residual_out)[...] = state.linearisation.residual
 
 
 @_python_callback(None)
-def _solve(state: _PythonState, vector: Any) -> None:
+def _solve(state: _PythonCallbackState, vector: Any) -> None:
     solution = state.as_array(vector)
     solution[...] = state.linearisation.solve(solution.copy())
 
 
 @_python_callback(None)
-def _by_parameter(state: _PythonState, derivative_out: Any) -> None:
+def _by_parameter(state: _PythonCallbackState, derivative_out: Any) -> None:
     state.as_array(derivative_out)[...] = state.linearisation.by_parameter
 
 
 @_python_callback(None)
-def _record(state: _PythonState, record_out: Any) -> None:
+def _record(state: _PythonCallbackState, record_out: Any) -> None:
     record = state.linearisation.record.ravel()
     np.frombuffer(ffi.buffer(record_out, record.nbytes))[:] = record
 
 
 @_python_callback(np.nan)
-def _sign(state: _PythonState) -> float:
+def _sign(state: _PythonCallbackState) -> float:
     return state.linearisation.sign

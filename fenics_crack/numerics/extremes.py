@@ -78,10 +78,10 @@ def find_maximum_values(
             np.maximum.at(maxima, function_indices, peak_values)
             allowed_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
             is_polynomial = np.abs(peak_values - peak_estimates) <= allowed_error
-            equals_largest = (
+            is_equal_to_largest = (
                 nearby_values == nearby_values[candidate_indices, largest_nearby_indices][:, None]
             )
-            is_plateau = equals_largest.sum(axis=1) > 2  # a gap closed without penetration
+            is_plateau = is_equal_to_largest.sum(axis=1) > 2  # a gap closed without penetration
             candidate_indices = np.flatnonzero(~(is_polynomial | is_plateau))
         period_fractions = nearby_fractions[
             candidate_indices, largest_nearby_indices[candidate_indices]

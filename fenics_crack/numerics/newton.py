@@ -544,7 +544,7 @@ def solve_in_plane(
         pointer(require_shape(solution, *equations.shape)),
         pointer(parameter_out), pointer(n_iterations_out),
     )  # fmt: skip
-    if not equations.check_outcome(outcome):
+    if not equations.has_found_solution(outcome):
         return None
     parameter = float(parameter_out[0])
     return PathPoint(

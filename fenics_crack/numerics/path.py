@@ -174,12 +174,12 @@ class PathSegment(Sequence[PathPoint]):
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
-        arrays = {
+        array_by_name = {
             name: array
             for name, array in vars(self).items()
             if name not in FIELD_NAMES_NOT_IN_KERNEL
         }
-        return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
+        return Struct("path", capacity=len(self), n_known=n_known, **array_by_name, **scalars)
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -198,9 +198,11 @@ class PathSegment(Sequence[PathPoint]):
     def __getitem__(self, index: int | slice) -> PathPoint | PathSegment:
         if isinstance(index, slice):
             segment = object.__new__(PathSegment)
-            arrays = {name: array for name, array in vars(self).items() if name != "located_events"}
+            array_by_name = {
+                name: array for name, array in vars(self).items() if name != "located_events"
+            }
             vars(segment).update(
-                {name: array[index] for name, array in arrays.items()}, located_events=[]
+                {name: array[index] for name, array in array_by_name.items()}, located_events=[]
             )
             return segment
         norm_weights = float(self.unknowns_weights[index]), float(self.time_mean_weights[index])
@@ -361,7 +363,7 @@ def find_zero_and_residual(
             point = replace(
                 corrected_point,
                 tangent=tangent,
-                step_control_values=observe_for_step_control(system, linearisation),
+                step_control_values=step_control_values_or_none(system, linearisation),
             )
             points_and_values_by_fraction[fraction] = point, function(point)
         return points_and_values_by_fraction[fraction][1]
@@ -497,7 +499,9 @@ def _find_fold_or_target(
     outcome = equations.run_unchecked(
         kernel.find_point_between, stepping_struct.address, target_pointer, segment_struct.address
     )
-    return segment[segment_struct.address.n_known] if equations.check_outcome(outcome) else None
+    return (
+        segment[segment_struct.address.n_known] if equations.has_found_solution(outcome) else None
+    )
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -514,10 +518,14 @@ class StepControl(ABC):
         """
 
 
-def observe_for_step_control(system: System, linearisation: Linearisation) -> np.ndarray | None:
+def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
     """Return a point's values for a step control, or None without such values."""
-    observe = getattr(system, "observe", None)
-    return None if observe is None else np.asarray(observe(linearisation.record[None])[0])
+    values_function = getattr(system, "step_control_values", None)
+    return (
+        None
+        if values_function is None
+        else np.asarray(values_function(linearisation.record[None])[0])
+    )
 
 
 class Path:
@@ -533,7 +541,7 @@ class Path:
     options : PathOptions
     events : sequence of Event
     step_control : StepControl, optional
-        Needs ``n_record_entries`` and ``observe`` of the system.
+        Needs ``n_record_entries`` and ``step_control_values`` of the system.
 
     Attributes
     ----------
@@ -541,7 +549,7 @@ class Path:
         The last point so far.
     end_reason : EndReason or None
         None until the path has ended.
-    event : Event or None
+    terminal_event : Event or None
         Terminal event at the end.
     """
 
@@ -563,7 +571,7 @@ class Path:
         )
         self.last_point = start = self._with_record_and_step_control_values(start)
         self.end_reason: EndReason | None = None
-        self.event: Event | None = None
+        self.terminal_event: Event | None = None
         self._restart(start, options.initial_step)
 
     def points(self) -> Iterator[PathPoint]:
@@ -583,7 +591,7 @@ class Path:
             if not n_remaining_points:
                 self.end_reason = EndReason.TOO_MANY_POINTS
                 return
-            segment = self._follow(n_remaining_points)
+            segment = self._follow_in_one_kernel_call(n_remaining_points)
             if segment is None:
                 continue
             if len(segment) == 1:
@@ -647,7 +655,7 @@ class Path:
                         segment_part = segment[part_start_index : index + 1]
                     else:
                         segment_part.set_point(-1, location)
-                    self.end_reason, self.event = EndReason.REACHED, event
+                    self.end_reason, self.terminal_event = EndReason.REACHED, event
                     yield segment_part, None
                     return
                 if event_may_occur and location is None and event.must_be_located:
@@ -675,7 +683,7 @@ class Path:
         return replace(
             point,
             record=linearisation.record.ravel(),
-            step_control_values=observe_for_step_control(self._system, linearisation),
+            step_control_values=step_control_values_or_none(self._system, linearisation),
         )
 
     def _rounding_at(self, point: PathPoint) -> float:
@@ -710,7 +718,7 @@ class Path:
             is accepted.
         """
         assert self._step_control is not None
-        new_step_control_values = self._system.observe(segment.records[n_known_points:])  # type: ignore[attr-defined]
+        new_step_control_values = self._system.step_control_values(segment.records[n_known_points:])  # type: ignore[attr-defined]
         segment.step_control_values = np.concatenate(
             [
                 [start_point.step_control_values for start_point in self._start_points],
@@ -743,7 +751,7 @@ class Path:
             segment[n_known_points - 1 : last_index + 1] if last_index >= n_known_points else None
         )
 
-    def _follow(self, n_remaining_points: int) -> PathSegment | None:
+    def _follow_in_one_kernel_call(self, n_remaining_points: int) -> PathSegment | None:
         """Follow the path in one kernel call.
 
         Parameters
@@ -790,7 +798,7 @@ class Path:
             segment_struct.address.step,
         )
         if segment_struct.address.n_known == len(start_points):
-            self._equations.check_outcome(outcome)
+            self._equations.has_found_solution(outcome)
         if segment_struct.address.n_known == len(start_points) or self._step_control is None:
             return segment[len(start_points) - 1 : segment_struct.address.n_known]
         return self._cut_at_rejected_step(

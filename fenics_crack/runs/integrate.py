@@ -16,7 +16,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import multiply
+from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.load import (
@@ -183,7 +183,7 @@ def _start_state_from_run(
     if not all(whole_structure.comm.allgather(has_same_mesh)):
         integration_table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
-        mass_products = multiply(whole_structure.mass, local_states.T).T
+        mass_products = multiply_columns(whole_structure.mass, local_states.T).T
         modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
         n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
         local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))

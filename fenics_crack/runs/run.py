@@ -106,7 +106,7 @@ class Run(StudyWithResult, Generic[ResultType]):
         elif isinstance(result, ObservedMotion):
             displacement_columns = [
                 observed_displacement.real_fourier_coefficients
-                for observed_displacement in result.observe(watched_dofs)[0]
+                for observed_displacement in result.observe_dofs(watched_dofs)[0]
             ]
         return dict(
             zip(
@@ -176,15 +176,15 @@ class Run(StudyWithResult, Generic[ResultType]):
     gaps_and_forces = ResultAttribute()
     harmonics = ResultAttribute()
     indicators = ResultAttribute()
+    indicators_of_dofs = ResultAttribute()
     instants = ResultAttribute()
     irregular = ResultAttribute()
     iterations = ResultAttribute()
     KIND = ResultAttribute()
-    measure = ResultAttribute()
     method = ResultAttribute()
     multipliers = ResultAttribute()
     nearest = ResultAttribute()
-    observe = ResultAttribute()
+    observe_dofs = ResultAttribute()
     observe_rows = ResultAttribute()
     omega = ResultAttribute()
     orbit = ResultAttribute()

@@ -53,7 +53,7 @@ from fenics_crack.model.modes import (
     Modes,
     count_bonded_modes,
     find_bonded_mode_indices,
-    multiply,
+    multiply_columns,
     solve_modes,
 )
 from fenics_crack.model.rotation import (
@@ -742,7 +742,7 @@ def _find_held_frequencies_and_margins(
     pair_amplitudes_per_mode = np.abs(structure.apply_bt(modes.shapes.T)).T
     if is_bonded.any():
         stiffness_products, mass_products = (
-            multiply(stiffness_or_mass, modes.shapes)
+            multiply_columns(stiffness_or_mass, modes.shapes)
             for stiffness_or_mass in (structure.stiffness, structure.mass)
         )
         unbalanced_forces = bonded_gap_rows.T @ (

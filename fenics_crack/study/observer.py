@@ -25,7 +25,7 @@ from fenics_crack.basics.observables import (
     read_observables,
 )
 from fenics_crack.model.nodes import Clamp
-from fenics_crack.model.receptance import check_matrices
+from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
 from fenics_crack.scene.scene import (
@@ -89,7 +89,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     Requested are quantities of crack tips and the clamp.
     """
     watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
-    observed_displacements, requested_value_by_name = motion.observe(
+    observed_displacements, requested_value_by_name = motion.observe_dofs(
         watched_dofs, make_requested_extra_rows(study)
     )
     observed_quantities = []
@@ -150,7 +150,7 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
 
 def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, float]:
     """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
-    check_matrices(whole_structure, "its clamp")
+    check_has_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
     clamp, damping_rule = whole_structure.clamp, whole_structure.damping
     return clamp, damping_rule.mass if isinstance(damping_rule, RayleighDamping) else 0.0

@@ -40,10 +40,10 @@ from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
-    count_below,
     count_damped_modes,
+    count_modes_below,
     find_bonded_mode_indices,
-    multiply,
+    multiply_columns,
     solve_bonded_modes,
     solve_modes,
     solve_modes_with_factor,
@@ -327,7 +327,7 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     """
     if omega < modes.omega[-1]:
         return int(np.sum(modes.omega < omega))
-    return count_below(structure, omega**2)
+    return count_modes_below(structure, omega**2)
 
 
 def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
@@ -359,10 +359,10 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     K_2, K_3 = rotation.displaced_shape_stiffness_terms
     for mode_index, mode_shape in enumerate(modes.shapes.T):
         sector_shapes = np.vstack(list(structure.iterate_sector_displacements(mode_shape[None]))).T
-        stiffness_products = multiply(rotation.rotation_stiffness, sector_shapes) + multiply(
-            K_2, sector_shapes
-        )
-        stiffness_products += 2.0 * rotation.speed**2 * multiply(K_3, sector_shapes)
+        stiffness_products = multiply_columns(
+            rotation.rotation_stiffness, sector_shapes
+        ) + multiply_columns(K_2, sector_shapes)
+        stiffness_products += 2.0 * rotation.speed**2 * multiply_columns(K_3, sector_shapes)
         slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 

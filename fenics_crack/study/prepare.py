@@ -26,7 +26,7 @@ from fenics_crack.model.contact import (
     UnilateralPenalty,
 )
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, estimate_factor_bytes
-from fenics_crack.model.modes import krylov_size
+from fenics_crack.model.modes import n_krylov_vectors
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE, reduce_structure
 from fenics_crack.model.rotation import N_BASIS_SPEEDS
@@ -373,7 +373,7 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     is_solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
     solver_bytes = 2.0 * estimate_factor_bytes(
         n_real_dofs, solid=is_solid
-    ) + 16.0 * n_real_dofs * krylov_size(n_families)
+    ) + 16.0 * n_real_dofs * n_krylov_vectors(n_families)
     bytes_of_modes = 16.0 * len(sector.nodal_diameter_range) * n_dofs * n_families
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
@@ -416,7 +416,7 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
 
     Krylov vectors, or a second factor with a matrix and a copy of the matrix, take the memory.
     """
-    krylov_bytes = 8.0 * structure.n_dofs * krylov_size(n_modes)
+    krylov_bytes = 8.0 * structure.n_dofs * n_krylov_vectors(n_modes)
     return max(
         krylov_bytes, _estimate_factor_memory(structure) + 2 * _estimate_matrix_memory(structure)
     )

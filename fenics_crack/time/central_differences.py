@@ -59,7 +59,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
-from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
+from fenics_crack.model.modes import damped_modes, largest_frequency, multiply_columns
 from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
@@ -94,7 +94,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     """
     check_faces_have_mass(structure, MASS_REMEDY)
     check_omega(omega)
-    check_law(structure, contact, rigid=True)
+    check_law(structure, contact, allows_rigid=True)
     springs = _contact_stiffnesses(structure, contact)
     structure_with_friction_rows = add_friction_pairs(contact, structure)
     if is_small(structure):
@@ -280,12 +280,12 @@ class _ModalDifferences(Scheme):
                 "pair_states": pair_states,
             }
         self._modal_displacement, modal_velocity = (
-            modes.shapes_inverse @ physical_part for physical_part in request.start[:2]
+            modes.shapes_inverse @ physical_part for physical_part in request.start_state[:2]
         )
         initial_gap = self._gap()
         if friction_members:
             self._sticking_places[:] = (
-                request.start[2] if request.start[2:] else initial_gap[n_rows // 2 :]
+                request.start_state[2] if request.start_state[2:] else initial_gap[n_rows // 2 :]
             )
         if request.is_rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
             self._modal_displacement -= modes.gaps_by_mode @ solve_complementarity(
@@ -379,7 +379,7 @@ class _ModalDifferences(Scheme):
             )
         self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         modal_velocity = _last_velocity(
             self._request.step_size, self._increment, self._acceleration_at_phase_zero
         )
@@ -454,12 +454,12 @@ class _CentralDifferences(Scheme):
             for response_column in self._displacement_per_force.T:
                 response_column[:] = self._solve_with_damped_mass(response_column, zero_velocity)
             self._pair_compliance = structure.apply_bt(self._displacement_per_force.T).T
-        displacement, velocity = request.start[:2]
+        displacement, velocity = request.start_state[:2]
         self.displacement = self._nearest_admissible_displacement(displacement)
         if friction_of(self.contact) is not None:
             initial_tangential_gap = self._gap_of(displacement)[structure.n_pairs :]
             self._sticking_places = (
-                request.start[2] if request.start[2:] else initial_tangential_gap
+                request.start_state[2] if request.start_state[2:] else initial_tangential_gap
             )
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
@@ -474,7 +474,7 @@ class _CentralDifferences(Scheme):
             window.recorded_displacement[step_index] = displacement[self._recorded_local_dofs]
         self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self.step_size, self.increment, self._acceleration_at_phase_zero)
         has_friction = friction_of(self.contact) is not None
         return (
@@ -578,7 +578,7 @@ class _CentralDifferences(Scheme):
         structure = self.structure
         matrices_and_vectors = (structure.stiffness, self.displacement), (structure.mass, velocity)
         energy = 0.5 * sum(
-            vector @ multiply(matrix, vector[:, None])[:, 0]
+            vector @ multiply_columns(matrix, vector[:, None])[:, 0]
             for matrix, vector in matrices_and_vectors
         )
         return float(structure.sum_over_ranks(np.array([energy]))[0])

@@ -48,7 +48,7 @@ from fenics_crack.model.contact import (
     FrictionContactSolver,
     friction_coefficient_of,
 )
-from fenics_crack.model.modes import multiply
+from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
@@ -96,7 +96,7 @@ def integrate_events(
     """
     arguments = structure, omega, contact, periods, steps_per_period
     request = MarchRequest.from_call(integrate_events, options, *arguments)
-    return march(request, _ByEvents(request))
+    return march(request, _EventScheme(request))
 
 
 def integrate_exponential(
@@ -148,7 +148,7 @@ def integrate_exponential(
     """
     arguments = structure, omega, contact, periods, steps_per_period
     request = MarchRequest.from_call(integrate_exponential, options, *arguments)
-    return march(request, _ByExponentials(request))
+    return march(request, _ExponentialScheme(request))
 
 
 # --- the schemes ----------------------------------------------------------------------------------
@@ -168,7 +168,7 @@ def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
 def _displacement_and_velocity(
     flow: Flow, displacement: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return displacement and velocity (n_dofs,), the velocity from a flow's state (size,).
+    """Return displacement and velocity (n_dofs,), the velocity from a flow's state (state_size,).
 
     With friction the sticking places (n_pairs,) [m] follow.
     """
@@ -178,7 +178,7 @@ def _displacement_and_velocity(
     return displacement.copy(), velocity, *friction_part
 
 
-class _ByEvents(Scheme):
+class _EventScheme(Scheme):
     """Integrate by the exact flow, one load period at a time."""
 
     name = "events"
@@ -188,7 +188,7 @@ class _ByEvents(Scheme):
         self._period = 2.0 * np.pi / request.omega
         period_fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
         self._instants = period_fractions * self._period
-        self._state = self._flow.state(*request.start)
+        self._state = self._flow.state(*request.start_state)
 
     def fill_period(self, window: Window, period_number: int) -> None:
         request = self._request
@@ -204,7 +204,7 @@ class _ByEvents(Scheme):
             :-1, request.loaded_dofs
         ] * _loaded_coordinate_scales(request)
 
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._end_displacement, self._state)
 
 
@@ -294,7 +294,7 @@ class ExponentialFlow(Flow):
         return self.displacement(states, force, phase, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
-        """Integrate whole load periods from a state (size,) at phase 0.
+        """Integrate whole load periods from a state (state_size,) at phase 0.
 
         Raises
         ------
@@ -304,7 +304,7 @@ class ExponentialFlow(Flow):
         n_modal_states = 2 * self.n_modes
         n_pairs = self.structure.n_pairs
         n_requested_steps = periods * self.steps_per_period
-        state, sticking_places = np.split(require_shape(state, self.size), [n_modal_states])
+        state, sticking_places = np.split(require_shape(state, self.state_size), [n_modal_states])
         modal_states = np.empty((n_requested_steps + 1, n_modal_states))
         contact_forces = np.empty((n_requested_steps + 1, len(self.softness)))
         pair_states = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
@@ -349,7 +349,7 @@ class ExponentialSteps:
         Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
     is_closed : (N + 1, n_pairs) bool
-    end_state : (size,)
+    end_state : (state_size,)
         State of the flow at the end.
     """
 
@@ -388,7 +388,7 @@ class ExponentialSteps:
         )
 
 
-class _ByExponentials(Scheme):
+class _ExponentialScheme(Scheme):
     """Integrate by exponential steps, one load period at a time."""
 
     name = "exponential"
@@ -399,7 +399,7 @@ class _ByExponentials(Scheme):
         self._flow = ExponentialFlow(
             request.structure, request.omega, request.contact, steps_per_period
         )
-        self._state = self._flow.state(*request.start)
+        self._state = self._flow.state(*request.start_state)
         # The load does the work of its mean over a step, the trapezoidal rule.
         self._mean_load_over_step = 0.5 * (
             request.load_samples + np.roll(request.load_samples, -1, axis=0)
@@ -446,7 +446,7 @@ class _ByExponentials(Scheme):
             flow_steps.states[[instant_index]], flow_steps.forces[[instant_index]]
         )[0]
         doubled_elastic_energy = (
-            displacement @ multiply(flow.structure.stiffness, displacement[:, None])[:, 0]
+            displacement @ multiply_columns(flow.structure.stiffness, displacement[:, None])[:, 0]
         )
         modal_velocity = flow_steps.states[instant_index, len(flow.modal_model.squares) :]
         doubled_spring_energy = np.sum(flow.softness * flow_steps.forces[instant_index] ** 2)
@@ -454,5 +454,5 @@ class _ByExponentials(Scheme):
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy
         )
 
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._end_displacement, self._state)

@@ -103,7 +103,7 @@ class MarchRequest:
 
     def __post_init__(self) -> None:
         check_omega(self.omega)
-        check_law(self.structure, self.contact, rigid=True)
+        check_law(self.structure, self.contact, allows_rigid=True)
         check_count("periods", self.periods, 1)
         check_count("steps_per_period", self.steps_per_period, 1)
         if self.record_periods is not None:
@@ -116,7 +116,7 @@ class MarchRequest:
             limit_text = f"{ALLOWED_RECORD_BYTES // 2**30} GiB"
             allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
             raise InputError("record_periods", self.record_periods, allowed)
-        _ = self.start
+        _ = self.start_state
 
     @classmethod
     def from_call(
@@ -145,7 +145,7 @@ class MarchRequest:
         return 2.0 * np.pi / self.omega / self.steps_per_period
 
     @cached_property
-    def start(self) -> tuple[np.ndarray, ...]:
+    def start_state(self) -> tuple[np.ndarray, ...]:
         """Displacement and velocity (n_local,) at time 0, with friction also the sticking places
         (n_pairs,) [m] if they are given."""
         return initial_state(self.structure, self.contact, self.initial)
@@ -253,11 +253,11 @@ class TimeHistory(ObservedMotion, Tabular):
         They are the displacement of the watched dof, the largest opening of the crack faces and
         their largest contact force.
         """
-        columns = {"time": self.time, "displacement": self.displacement()[:, 0]}
+        columns_by_name = {"time": self.time, "displacement": self.displacement()[:, 0]}
         if self.gap.size:
-            columns["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
-            columns["contact_force"] = self.contact_force.max(axis=1)
-        return {name: column.tolist() for name, column in columns.items()}
+            columns_by_name["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
+            columns_by_name["contact_force"] = self.contact_force.max(axis=1)
+        return {name: column.tolist() for name, column in columns_by_name.items()}
 
     def _repr_text(self) -> str:
         periods_text = format_count(self.periods, "period")
@@ -331,8 +331,8 @@ class TimeHistory(ObservedMotion, Tabular):
         records = self._watched_periods
         if periods >= len(records[0]):
             raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
-        newest = [record[-1] for record in records]
-        return _largest_relative_change(newest, [record[-1 - periods] for record in records])
+        newest_arrays = [record[-1] for record in records]
+        return _largest_relative_change(newest_arrays, [record[-1 - periods] for record in records])
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
@@ -435,7 +435,7 @@ class Scheme(ABC):
         """Integrate period ``period_number``, from 0 on, fill the window, and sum up the energy."""
 
     @abstractmethod
-    def state(self) -> tuple[np.ndarray, ...]:
+    def final_state_parts(self) -> tuple[np.ndarray, ...]:
         """Return the final displacement and velocity (n_local,).
 
         With friction the tangential gaps (n_pairs,) [m] at which pairs stick follow.
@@ -506,7 +506,7 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     gap, force, recorded_displacement = (
         np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
-    final_state = scheme.state()
+    final_state = scheme.final_state_parts()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
     n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)

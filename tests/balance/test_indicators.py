@@ -40,7 +40,7 @@ def test_curve_has_the_indicators_of_its_solutions(massless: bool) -> None:
         structure = fc.reduce_structure(structure, modes=6, method="massless")
         law = fc.UnilateralConstraint()
     curve = fc.continue_frequency(structure, 0.5, 0.6, law, harmonics=8)
-    for dof, curve_indicators in zip((0, 5), curve.measure([0, 5]), strict=True):
+    for dof, curve_indicators in zip((0, 5), curve.indicators_of_dofs([0, 5]), strict=True):
         assert curve_indicators.to_dict().keys() == curve.indicators(dof).to_dict().keys()
         for index in (0, len(curve) // 2, -1):
             solution_indicators = curve.solution(index).indicators(dof)

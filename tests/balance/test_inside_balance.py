@@ -51,7 +51,7 @@ from fenics_crack.balance.contact_integrals import (
     integrals_with_uncoupled_pairs,
 )
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.modes import damped_modes, multiply
+from fenics_crack.model.modes import damped_modes, multiply_columns
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
@@ -368,11 +368,13 @@ def test_products_with_the_tangent(mean: float) -> None:
         contact = integrals(kind, 4)
         forces, change_forces = contact.linearise(gap), contact.linearise(change)
         matrix = forces.tangent().reshape(27, 27)
-        assert np.allclose(forces.apply(change).ravel(), matrix @ change.ravel(), atol=1e-9)
+        assert np.allclose(forces.force_change(change).ravel(), matrix @ change.ravel(), atol=1e-9)
         projected_product = forces.tangent(basis).reshape(18, 18) @ change[:, :2].ravel()
         expected_product = (matrix @ (change[:, :2] @ basis.T).ravel()).reshape(9, 3) @ basis
         assert np.allclose(projected_product, expected_product.ravel(), atol=1e-9)
-        assert np.array_equal(change_forces.apply(gap), contact.linearise(change).apply(gap))
+        assert np.array_equal(
+            change_forces.force_change(gap), contact.linearise(change).force_change(gap)
+        )
 
 
 # --- forces ---------------------------------------------------------------------------------------
@@ -506,7 +508,7 @@ def test_coupled_tangent_against_finite_differences(kind: str, harmonics: int) -
             slope = difference(lambda s: contact.linearise(s).force, gap, 1e-6 * unit) / 1e-6
             assert np.abs(matrix[:, :, row, pair] - slope).max() < 2e-6 * np.abs(matrix).max()
     change = np.random.default_rng(1).normal(size=gap.shape)
-    assert relative(forces.apply(change), np.tensordot(matrix, change, 2)) < 1e-12
+    assert relative(forces.force_change(change), np.tensordot(matrix, change, 2)) < 1e-12
     if harmonics > 1:  # pairs and harmonics are coupled
         assert np.abs(matrix[1, 0, 4, 1]) > 1e-4 * np.abs(matrix).max()
 
@@ -557,7 +559,7 @@ def test_many_pairs_and_sets() -> None:
     assert relative(replace(contact, samples=1 << 13).linearise(gap).force, exact.force) < 1e-5
     change = 1e-6 * np.random.default_rng(1).normal(size=gap.shape)
     slope = difference(lambda s: contact.linearise(s).force, gap, change)
-    assert relative(exact.apply(change), slope) < 1e-5
+    assert relative(exact.force_change(change), slope) < 1e-5
 
 
 # --- Fourier coefficients, and samples of them ----------------------------------------------------
@@ -662,7 +664,10 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
     """Z u of amplitudes (m, n_local), from the distributed matrices (collective)."""
 
     def product(matrix: Any) -> np.ndarray:
-        return (multiply(matrix, amplitude.real.T) + 1j * multiply(matrix, amplitude.imag.T)).T
+        return (
+            multiply_columns(matrix, amplitude.real.T)
+            + 1j * multiply_columns(matrix, amplitude.imag.T)
+        ).T
 
     product_rows = product(structure.stiffness) - omega**2 * product(structure.mass)
     if structure.damping_matrix is not None:

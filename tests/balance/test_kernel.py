@@ -201,7 +201,9 @@ WRONG = {
     "intervals, an even number of rows": lambda: contact_intervals(np.ones((4, 2)), TWO),
     "intervals, other pairs": lambda: contact_intervals(np.ones((3, 5)), TWO),
     "coupled forces, other harmonics": lambda: BEHIND.linearise(np.ones((5, 2))),
-    "coupled forces, another change": lambda: BEHIND.linearise(np.ones((3, 2))).apply(np.ones(6)),
+    "coupled forces, another change": lambda: (
+        BEHIND.linearise(np.ones((3, 2))).force_change(np.ones(6))
+    ),
     "sets, a compliance not square": lambda: ActiveSetSolver(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),

@@ -76,7 +76,7 @@ def test_error_is_what_was_asked_for(name: str, tolerance: float) -> None:
     motion_size = size_of_motion(orbit.gap + structure.clearance)
     error = np.linalg.norm(solution.gap(time) - orbit.gap) / motion_size
     assert error == pytest.approx(solution.report.truncation, rel=0.3)
-    rate = orbit.flow.modal_model.shapes @ orbit.state[orbit.flow.size // 2 :]
+    rate = orbit.flow.modal_model.shapes @ orbit.state[orbit.flow.state_size // 2 :]
     initial_state = orbit.displacement_at(np.zeros(1))[0], rate
     history = fc.integrate_central_difference(
         structure, omega, law, periods=1, steps_per_period=512 * 600, initial=initial_state

@@ -518,7 +518,7 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
             raise KeyboardInterrupt
         return record(*given)
 
-    wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._record", record)
+    wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._append_segment", record)
     changes = [*RANGE, "harmonic_balance.tolerance=0.05"]
     messages = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
     assert "was interrupted; its errors were not examined" in messages

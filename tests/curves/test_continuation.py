@@ -292,7 +292,7 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
     assert len(points) == len(part) == stop and not part.complete
     assert [point.omega for point in points] == list(part.omega)
     assert np.array_equal(part.omega, complete_curve.omega[:stop])
-    assert 0.0 < continuation.progress() < 1.0
+    assert 0.0 < continuation.progress_fraction() < 1.0
     assert (
         continuation.describe_values()
         == f"{points[-1].omega / (2.0 * np.pi):.6g} Hz, {len(points)} points"

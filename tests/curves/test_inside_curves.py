@@ -36,7 +36,7 @@ from fenics_crack import continue_frequency
 from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS
 from fenics_crack.curves import continuation
 from fenics_crack.curves.balance_equations import BalanceEquations
-from fenics_crack.curves.branch import branch_start
+from fenics_crack.curves.branch import find_branch_start_point
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
@@ -49,7 +49,7 @@ from fenics_crack.curves.stability import monodromy_of_linear_flow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
-from fenics_crack.motion.search import wave_states
+from fenics_crack.motion.search import series_states_at_period_parts
 from fenics_crack.numerics.newton import point_on_path
 from fenics_crack.numerics.path import Path, PathOptions, Target
 
@@ -77,7 +77,7 @@ def orbit_at(problem: fc.Problem) -> PeriodicOrbit:
         wave = fc.solve_harmonic_balance(
             problem.structure, problem.omega, law, harmonics=harmonics, throw=False
         )
-        state = wave_states(flow, wave.displacement_coefficients, wave.omega)[0]
+        state = series_states_at_period_parts(flow, wave.displacement_coefficients, wave.omega)[0]
         orbit = find_orbit(flow, problem.omega, state)
         if orbit is not None and orbit.residual < 1e-6:
             return orbit
@@ -158,7 +158,7 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     """By the problem varied as a whole, and Newton's method on its own flow."""
     problem = fc.Problem(chain(), 1.3, fc.UnilateralPenalty(5.0))
     path = followed(problem, parameter, *RANGES[parameter], 0.1)
-    assert path.complete and path.progress() == 1.0
+    assert path.complete and path.progress_fraction() == 1.0
     family = OrbitEquations(problem, parameter, *RANGES[parameter])
     last_point, end_problem, state = (
         path.points[-1],
@@ -244,7 +244,7 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
         assert stretch.step_control_values[-1] == pytest.approx(
             leading_multipliers_and_counts(np.linalg.eigvals(point.monodromy[None]))[0], abs=1e-7
         )
-    assert path.event is not None and len(recorded_controls) > 2
+    assert path.terminal_event is not None and len(recorded_controls) > 2
 
 
 def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
@@ -432,7 +432,7 @@ def test_no_branch_of_twice_the_period_from_a_fold(stop: Continuation) -> None:
     curve = stop.curve
     fold = curve.bifurcation("period_doubling", 0.6, 0.6, curve.points[0])
     catch_error(
-        lambda: branch_start(doubled_family, fold, 0.05),
+        lambda: find_branch_start_point(doubled_family, fold, 0.05),
         names="another branch",
         kind=fc.ConvergenceError,
     )
@@ -757,7 +757,7 @@ def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> Non
             raise KeyboardInterrupt
         return 0.5
 
-    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    monkeypatch.setattr(fc.Continuation, "progress_fraction", progress)
     curve = continue_frequency(structure, 2.0, 0.3, law, progress=True)
     assert not curve.complete and curve.status == "interrupted" and len(curve) == 20
 

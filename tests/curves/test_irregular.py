@@ -38,7 +38,7 @@ def test_disturbance_grows_as_two_motions_part() -> None:
     assert motion.growth == stability.multipliers[0] and motion.orbit is None
     flow = exact_flow_or_error(plate(), LAW)
     states = [solution.assessment.states_at_period_parts[0]]
-    states.append(states[0] * (1.0 + 1e-10 * np.random.default_rng(2).normal(size=flow.size)))
+    states.append(states[0] * (1.0 + 1e-10 * np.random.default_rng(2).normal(size=flow.state_size)))
     distances = []
     for _ in range(11):
         distances.append(np.linalg.norm(flow.energy_weights(OMEGA) * (states[1] - states[0])))

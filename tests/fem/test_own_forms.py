@@ -22,7 +22,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.fem.plate import PartMesh, build_mesh
-from fenics_crack.model.modes import multiply
+from fenics_crack.model.modes import multiply_columns
 
 PLATE = fc.Scene.load(DEMOS / "paper_plate.toml").replace(
     {"mesh.columns": 8, "mesh.rows": 4, "contact.pairs": "all", "contact.stiffness": 1e9}
@@ -233,7 +233,7 @@ def of_functions(comm: MPI.Comm) -> list[float]:
     displacement = solution.function(1e-4)
     displacement_field = solution.displacement_field(np.array([1e-4]))[0]
     product = structure.sum_over_ranks(
-        displacement_field @ multiply(structure.mass, displacement_field[:, None])
+        displacement_field @ multiply_columns(structure.mass, displacement_field[:, None])
     )[0]
     form = dolfinx.fem.form(0.5 * 7800.0 * ufl.inner(displacement, displacement) * ufl.dx)
     energy = comm.allreduce(dolfinx.fem.assemble_scalar(form))

@@ -41,7 +41,7 @@ from fenics_crack.fem.matrix_files import find_coincident_node_pairs
 from fenics_crack.fem.msh_file import make_cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
-from fenics_crack.model.modes import multiply
+from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import relative_coriolis_shifts, static_displacement_and_forces
 from fenics_crack.monitoring.scene_timing import (
@@ -1015,7 +1015,9 @@ def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     force = structure.force[0]
     displacement, pairs = static_displacement_and_forces(structure, force, structure.clearance)
     unbalance = (
-        multiply(structure.stiffness, displacement[:, None])[:, 0] + structure.gap @ pairs - force
+        multiply_columns(structure.stiffness, displacement[:, None])[:, 0]
+        + structure.gap @ pairs
+        - force
     )
     assert np.abs(unbalance).max() < 1e-10 * np.abs(force).max()
     gap = structure.apply_bt(displacement[None])[0] - structure.clearance

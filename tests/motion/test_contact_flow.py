@@ -36,7 +36,7 @@ from fenics_crack.motion.flow import (
     exact_flow_or_none,
 )
 from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
-from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
+from fenics_crack.motion.search import SearchOptions, search_orbit, series_states_at_period_parts
 from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.fourier import evaluate_series, fourier_basis, fourier_coefficients
 
@@ -55,7 +55,7 @@ def reference_of(
 ) -> tuple[ReferenceFlow, np.ndarray]:
     """Return a flow that shares no code, and the matrix from a flow's states to its states."""
     reference, shapes = ReferenceFlow(structure, contact), flow.modal_model.shapes
-    units = (np.split(unit, 2) for unit in np.eye(flow.size))
+    units = (np.split(unit, 2) for unit in np.eye(flow.state_size))
     return reference, np.column_stack(
         [reference.state(shapes @ shape, shapes @ rate) for shape, rate in units]
     )
@@ -64,8 +64,8 @@ def reference_of(
 def thrown(flow: ContactFlow, seed: int = 0) -> np.ndarray:
     """A random state."""
     random = np.random.default_rng(seed)
-    return random.normal(size=flow.size) / np.concatenate(
-        [np.sqrt(np.maximum(flow.modal_model.squares, 0.1)), np.ones(flow.size // 2)]
+    return random.normal(size=flow.state_size) / np.concatenate(
+        [np.sqrt(np.maximum(flow.modal_model.squares, 0.1)), np.ones(flow.state_size // 2)]
     )
 
 
@@ -152,8 +152,8 @@ def test_derivatives(light: bool) -> None:
     flow, omega, step = known(structure, contact), 0.9, 1e-6
     state, duration = thrown(flow, 3), 11.0
     track = flow.advance(state, omega, duration, start=0.4).track
-    for place in (0, flow.size // 2, flow.size - 1):
-        state_changes = step * np.eye(flow.size)[place]
+    for place in (0, flow.state_size // 2, flow.state_size - 1):
+        state_changes = step * np.eye(flow.state_size)[place]
         upper_motion, lower_motion = (
             flow.advance(state + h, omega, duration, start=0.4)
             for h in (state_changes, -state_changes)
@@ -163,7 +163,7 @@ def test_derivatives(light: bool) -> None:
     upper_motion, lower_motion = (
         flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step)
     )
-    by_omega = np.empty(flow.size)
+    by_omega = np.empty(flow.state_size)
     assert not kernel.flow_by_omega(flow.handle, track._struct.address, pointer(by_omega))
     assert relative(by_omega, (upper_motion.state - lower_motion.state) / (2.0 * step)) < 1e-7
 
@@ -282,7 +282,7 @@ def test_motions_do_not_depend_on_earlier_ones(
         for seed in range(5 * busy):
             flow.advance(thrown(flow, seed), 0.3 + 0.1 * seed, 40.0)
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
-        step = predict_orbit(flow, 0.5, wave_states(flow, displacement, 0.5))
+        step = predict_orbit(flow, 0.5, series_states_at_period_parts(flow, displacement, 0.5))
         assert motion.n_events > 40 and step is not None
         return motion.state, motion.track.lengths, motion.track.tangent, step.states
 
@@ -302,7 +302,7 @@ def test_answers_of_sets(pairs: int) -> None:
     instants = np.linspace(0.0, 30.0, 200)
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
-        samples.states[:, : flow.size // 2] @ flow.modal_model.gaps_by_mode
+        samples.states[:, : flow.state_size // 2] @ flow.modal_model.gaps_by_mode
         + fourier_basis(omega * instants) @ flow.load_gap
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
@@ -325,7 +325,7 @@ def test_rest_stays() -> None:
     assert not motion.state.any() and motion.n_events == 0
     pressed_structure = chain(seed=1).varied(load=0.0, clearance=-1.0)
     flow = known(fc.reduce_structure(pressed_structure, modes=5, method="massless"), RIGID)
-    force = flow.advance(np.zeros(flow.size), 1.0, 0.1, instants=np.zeros(1)).samples.force
+    force = flow.advance(np.zeros(flow.state_size), 1.0, 0.1, instants=np.zeros(1)).samples.force
     assert np.all(force > 0.0)
 
 
@@ -343,7 +343,7 @@ def test_budget() -> None:
             kind=kind,
         )
     catch_error(
-        lambda: flow.advance(np.full(flow.size, np.nan), 0.8, 1e3),
+        lambda: flow.advance(np.full(flow.state_size, np.nan), 0.8, 1e3),
         names="finite",
         kind=fc.ConvergenceError,
     )
@@ -390,7 +390,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
     lengths = turns * turn / flow.rate_bound
-    exact_tangent, pairs = np.eye(flow.size), flow.modal_model.gaps_by_mode
+    exact_tangent, pairs = np.eye(flow.state_size), flow.modal_model.gaps_by_mode
     for is_closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, is_closed]
         force_slope = np.linalg.solve(flow.compliance[np.ix_(is_closed, is_closed)], rows.T)
@@ -487,7 +487,7 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     """The same orbit and the same prediction where M is not formed; its products are M's."""
     solution = fc.solve_harmonic_balance(light_chain(seed), 0.5, RIGID, harmonics=10)
     factor_prediction, orbit = next_to(solution)
-    change = np.random.default_rng(seed).normal(size=orbit.flow.size)
+    change = np.random.default_rng(seed).normal(size=orbit.flow.state_size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
     prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_at_period_parts)
@@ -504,7 +504,7 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
 def test_by_omega() -> None:
     """The orbit moves with the frequency as its derivative says."""
     flow, omega, step = exact_flow_or_none(light_chain(1), RIGID), 0.5, 1e-5
-    orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
+    orbits = [find_orbit(flow, omega + h, np.zeros(flow.state_size)) for h in (0.0, step, -step)]
     middle_orbit, upper_orbit, lower_orbit = (orbit for orbit in orbits if orbit is not None)
     system = FlowOrbitEquations(flow, omega, middle_orbit.state)
     point = system.linearise(system.start_unknown, 1.0)
@@ -515,7 +515,7 @@ def test_by_omega() -> None:
 def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
-    orbits = FlowOrbitEquations(flow, 0.614, np.zeros(flow.size), 40)
+    orbits = FlowOrbitEquations(flow, 0.614, np.zeros(flow.state_size), 40)
     attractor = find_attractor(orbits, orbits.start_unknown)
     assert attractor.description == "settles to an orbit of 160 periods of the load"
     assert attractor.orbit is not None and abs(attractor.orbit.multipliers[0]) < 0.01
@@ -526,7 +526,7 @@ def test_coefficients(light: bool) -> None:
     """Gauss's rule between events against very many samples; without contact they are exact."""
     structure: fc.Structure = light_chain(2) if light else chain(pairs=3, seed=2)
     flow = exact_flow_or_none(structure, RIGID if light else fc.UnilateralPenalty(20.0))
-    settled_state = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
+    settled_state = flow.advance(np.zeros(flow.state_size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     orbit = find_orbit(flow, 0.6, settled_state)
     assert orbit is not None and orbit.events > 0
     coefficients, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
@@ -621,7 +621,7 @@ def test_two_slopes_are_two_penalties(omega: float) -> None:
     rows = oscillator(np.column_stack([gap, gap]), [0.1, 0.1 + depth])
     penalties = fc.UnilateralPenalty([3.0 * share, 3.0 * (1.0 - share)])
     orbit = fc.solve_harmonic_balance(rows, omega, penalties, tolerance=1e-2).orbit
-    assert orbit is not None and orbit.measure([1])[0].penetration > 1.2 * depth
+    assert orbit is not None and orbit.indicators_of_dofs([1])[0].penetration > 1.2 * depth
     pair, law = oscillator(gap, [0.1]), Layer(3.0, share, depth)
     sampled_solution = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
     assert orbit.amplitude(1) == pytest.approx(sampled_solution.amplitude(1), rel=1e-6)

@@ -41,7 +41,7 @@ def test_laws_at_every_instant(pairs: int, mu: float) -> None:
     their friction does not push."""
     flow = random_flow(pairs, pairs, mu)
     time = np.linspace(0.0, 60.0, 1000)
-    samples = flow.advance(np.zeros(flow.size), 0.8, 60.0, instants=time).samples
+    samples = flow.advance(np.zeros(flow.state_size), 0.8, 60.0, instants=time).samples
     normal, tangential_force = np.split(samples.forces, 2, axis=1)
     gap, slide = np.split(samples.gaps, 2, axis=1)
     max_force, max_gap = np.abs(samples.forces).max(), np.abs(samples.gaps).max()
@@ -65,7 +65,7 @@ def test_laws_from_any_state(pairs: int) -> None:
     states, draw = set(), np.random.default_rng(2)
     for _ in range(20):
         flow = random_flow(pairs, pairs, 0.3)  # which knows no sets yet
-        start = draw.normal(size=flow.size)
+        start = draw.normal(size=flow.state_size)
         samples = flow.advance(start, 0.8, 1e-3, instants=np.zeros(1)).samples
         normal, tangential_force = np.split(samples.forces, 2, axis=1)
         gap = samples.gaps[:, :pairs]
@@ -85,13 +85,13 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
     """M against central differences, through all events, of a motion under way."""
     flow, omega = random_flow(10 + pairs, pairs, mu), 0.8
     period = 2.0 * np.pi / omega
-    start = flow.advance(np.zeros(flow.size), omega, 3.0 * period).state
+    start = flow.advance(np.zeros(flow.state_size), omega, 3.0 * period).state
     motion = flow.advance(start, omega, period)
     assert motion.n_events > 2
     draw = np.random.default_rng(1)
     stuck = motion.track.sets[0] == 1
     for _ in range(3):
-        change = draw.normal(size=flow.size)
+        change = draw.normal(size=flow.state_size)
         change[2 * flow.n_modes :][~stuck] = 0.0  # where they are follows
         step = 1e-7
         ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
@@ -151,12 +151,14 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     change, step = draw.normal(size=gap.shape), 1e-7
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
-    assert wave_forces.apply(change) == pytest.approx(
+    assert wave_forces.force_change(change) == pytest.approx(
         difference, abs=1e-6 * np.abs(difference).max()
     )
     matrix = wave_forces.tangent().reshape(gap.size, gap.size)
     product = (matrix @ change.ravel()).reshape(gap.shape)
-    assert product == pytest.approx(wave_forces.apply(change), abs=1e-12 * np.abs(difference).max())
+    assert product == pytest.approx(
+        wave_forces.force_change(change), abs=1e-12 * np.abs(difference).max()
+    )
     ends = [replace(integrals, friction_scale=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
     assert wave_forces.friction_scale_derivative() == pytest.approx(
@@ -182,7 +184,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
-    assert at_wave.apply(change) == pytest.approx(difference, abs=1e-6)
+    assert at_wave.force_change(change) == pytest.approx(difference, abs=1e-6)
     assert at_wave.tangent().reshape(10, 10) @ change.ravel() == pytest.approx(
         difference.ravel(), abs=1e-6
     )

@@ -24,7 +24,9 @@ def test_pairs_that_stick_all_the_time(share: float) -> None:
     period, tips, places = 2.0 * np.pi / omega, [], []
     draw = np.random.default_rng(4)
     for size in (0.0, 0.05, 0.2):
-        start = flow.rest_state + size * np.abs(flow.rest_state).max() * draw.normal(size=flow.size)
+        start = flow.rest_state + size * np.abs(flow.rest_state).max() * draw.normal(
+            size=flow.state_size
+        )
         for _ in range(200):
             start = flow.advance(start, omega, period).state
         orbit = find_orbit(flow, omega, start)

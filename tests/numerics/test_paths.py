@@ -164,7 +164,7 @@ def test_once_round_a_circle() -> None:
     assert np.allclose(places, [(0.0, 1.0), (0.0, -1.0)], atol=1e-7)
     zeros = [event_point.parameter for event, event_point in located_events if event is events[1]]
     assert np.allclose(zeros, [1.0, -1.0], atol=1e-10)
-    assert path.end_reason is EndReason.REACHED and path.event is events[2]
+    assert path.end_reason is EndReason.REACHED and path.terminal_event is events[2]
     assert (
         np.allclose(path.last_point.unknown, start.unknown)
         and path.find_terminal_point_or_none() is path.last_point
@@ -247,7 +247,7 @@ def test_equations_of_a_path(light: bool) -> None:
     if light:
         structure, contact = fc.reduce_structure(structure, modes=6, method="massless"), RIGID
     flow = exact_flow_or_none(structure, contact)
-    settled_state = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
+    settled_state = flow.advance(np.zeros(flow.state_size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     system, step = FlowOrbitEquations(flow, 0.6, settled_state), 1e-6
     x = 1.05 * system.start_unknown
     linearisation = system.linearise(x, 1.02)
@@ -255,7 +255,7 @@ def test_equations_of_a_path(light: bool) -> None:
     assert relative(linearisation.residual, system.state_factors * end_state - x) < 1e-12
     ends = [system.linearise(x, 1.02 + h).residual for h in (step, -step)]
     assert relative(linearisation.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
-    change = np.random.default_rng(0).normal(size=flow.size)
+    change = np.random.default_rng(0).normal(size=flow.state_size)
     ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
     assert relative(linearisation.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     solution = solve_in_plane(system, system.start_unknown, 1.0, None, tolerance=1e-11)

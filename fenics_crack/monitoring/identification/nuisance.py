@@ -55,7 +55,7 @@ from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
 from fenics_crack.basics.ranks import MPI
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.fem.loads import rigid_motions
-from fenics_crack.model.modes import Modes, multiply, solve_modes
+from fenics_crack.model.modes import Modes, multiply_columns, solve_modes
 from fenics_crack.monitoring.identification.interpolation import (
     Feature,
     compute_log_factors_by_first_harmonic,
@@ -112,7 +112,7 @@ class UncrackedPlate:
             else plate_modes.shapes
         )
         gram_eigenvalues, gram_eigenvectors = eigh(
-            mode_shapes.T @ multiply(plate_modes.structure.mass, mode_shapes)
+            mode_shapes.T @ multiply_columns(plate_modes.structure.mass, mode_shapes)
         )
         is_independent = (
             gram_eigenvalues > np.sqrt(np.finfo(float).eps) * gram_eigenvalues[-1]
@@ -120,10 +120,13 @@ class UncrackedPlate:
         orthonormal_basis = mode_shapes @ (
             gram_eigenvectors[:, is_independent] / np.sqrt(gram_eigenvalues[is_independent])
         )
-        rest_stiffness_times_basis = multiply(modes_at_rest.structure.stiffness, orthonormal_basis)
+        rest_stiffness_times_basis = multiply_columns(
+            modes_at_rest.structure.stiffness, orthonormal_basis
+        )
         elastic_stiffness = orthonormal_basis.T @ rest_stiffness_times_basis
         rotation_stiffness = (
-            orthonormal_basis.T @ multiply(plate_modes.structure.stiffness, orthonormal_basis)
+            orthonormal_basis.T
+            @ multiply_columns(plate_modes.structure.stiffness, orthonormal_basis)
             - elastic_stiffness
         )
         rigid_motions_at_clamp, self.n_reaction_forces = _build_rigid_clamp_motions(plate_modes)
