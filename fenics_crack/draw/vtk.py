@@ -186,10 +186,10 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     (..., n_nodes, 3) or (..., n_nodes, 6) [Pa]
         Components of :data:`STRESS_COMPONENTS_BY_DIMENSION`, of a plate or a solid.
     """
-    node_first_displacement = np.moveaxis(displacement, -2, 0)
-    flat_displacement = node_first_displacement.reshape(len(node_first_displacement), -1)
+    displacement_by_node = np.moveaxis(displacement, -2, 0)
+    flat_displacement = displacement_by_node.reshape(len(displacement_by_node), -1)
     derivative_fields = [
-        (matrix @ flat_displacement).reshape(node_first_displacement.shape)
+        (matrix @ flat_displacement).reshape(displacement_by_node.shape)
         for matrix in _make_derivative_matrices(mesh)
     ]
     displacement_gradient = np.moveaxis(np.stack(derivative_fields, axis=-1), 0, -3)
@@ -300,8 +300,8 @@ def stress_at(
         time = np.linspace(0.0, result.period, 128, endpoint=False)
         displacement = result.displacement_field(time)
     nodal_stresses = nodal_stress(mesh, mesh.nodal_vectors(displacement), run.scene.material)
-    grid, node_first_stress = make_grid_at_rest(mesh), np.moveaxis(nodal_stresses, -2, 0)
-    grid["stress"] = node_first_stress.reshape(len(node_first_stress), -1)
+    grid, stress_by_node = make_grid_at_rest(mesh), np.moveaxis(nodal_stresses, -2, 0)
+    grid["stress"] = stress_by_node.reshape(len(stress_by_node), -1)
     sampled_points = import_pyvista().PolyData(pad_to_space(stress_points)).sample(grid)
     outside_indices = np.flatnonzero(np.asarray(sampled_points["vtkValidPointMask"]) == 0)
     if len(outside_indices):

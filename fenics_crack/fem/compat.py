@@ -30,7 +30,7 @@ from fenics_crack.basics.untrusted_files import leave_working_folder
 
 
 @contextmanager
-def _replace_pkg_resources() -> Iterator[None]:
+def _replaced_pkg_resources_context() -> Iterator[None]:
     """Replace setuptools' pkg_resources while UFL 2022.2 and FFCx 0.5 are imported.
 
     Both ask it only for their own version. Its import takes a tenth of the program's start.
@@ -46,7 +46,7 @@ def _replace_pkg_resources() -> Iterator[None]:
 
 
 replace_unusable_caches()
-with _replace_pkg_resources(), leave_working_folder(), report_missing_libraries():
+with _replaced_pkg_resources_context(), leave_working_folder(), report_missing_libraries():
     import basix
     import dolfinx
     import dolfinx.fem.petsc
@@ -101,7 +101,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
 
 
 @contextmanager
-def _quiet_compiler() -> Iterator[None]:
+def _quiet_compiler_context() -> Iterator[None]:
     """Suppress distutils' messages on the root logger while a form is compiled.
 
     FFCx gives this logger a handler, and cffi sets its level to INFO. Warnings and messages of
@@ -118,7 +118,7 @@ def _quiet_compiler() -> Iterator[None]:
         logging.root.removeFilter(is_important)
 
 
-@_quiet_compiler()
+@_quiet_compiler_context()
 def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
     """Call a DOLFINx constructor that compiles a form or an element (collective)."""
     cache_key = ffcx.naming.compute_signature(

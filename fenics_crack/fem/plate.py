@@ -84,7 +84,7 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
         The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a
         group.
     """
-    with _gmsh_on_root(comm):
+    with _gmsh_on_root_context(comm):
         (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
             comm, lambda: _mesh_scene(scene)
         )
@@ -113,7 +113,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     --------
     >>> fc.write_msh(scene, "plate.msh")
     """
-    with _gmsh_on_root(MPI.COMM_SELF):
+    with _gmsh_on_root_context(MPI.COMM_SELF):
         _mesh_scene(scene)
         with partial_file(path) as partial_path:
             gmsh.write(str(partial_path))
@@ -124,7 +124,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
 
 
 @contextmanager
-def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
+def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
     """Run gmsh with an empty model on rank 0."""
     if comm.rank != 0:
         yield

@@ -1200,7 +1200,7 @@ def test_compiler_is_quiet(
     )
     assert list(tmp_path.glob("*/*.so")) and not caplog.records
     caplog.set_level(logging.INFO, "user")
-    with compat._quiet_compiler():
+    with compat._quiet_compiler_context():
         logging.warning("of the compiler")
         logging.getLogger("user").info("of the user")
     assert caplog.messages == ["of the compiler", "of the user"]
