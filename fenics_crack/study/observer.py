@@ -49,8 +49,8 @@ MAX_EXPANDED_VALUES = 20_000_000
 expansion factors the structure again."""
 
 
-def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
-    """Make the rows for requested quantities of crack tips and clamp (collective).
+def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
+    """Make rows, and readers of their numbers, for requested tips and clamp (collective).
 
     Rows are made once for the study's structure.
     """
@@ -58,8 +58,8 @@ def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
         OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(study.scene)
     }
     return [
-        make_extra_rows(study)
-        for place, make_extra_rows in _MAKE_EXTRA_ROWS_BY_PLACE.items()
+        make_rows_and_reader(study)
+        for place, make_rows_and_reader in _MAKE_ROWS_AND_READER_BY_PLACE.items()
         if place in requested_places
     ]
 
@@ -90,7 +90,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     """
     watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
     observed_displacements, requested_value_by_name = motion.observe(
-        watched_dofs, make_requested_extra_rows(study)
+        watched_dofs, make_requested_rows_and_readers(study)
     )
     observed_quantities = []
     for watched_displacement, (indicators, _) in zip(
@@ -280,7 +280,7 @@ def compute_tip_histories(
     return tip_histories
 
 
-class EllipseHistories(NamedTuple):
+class EllipseTipHistories(NamedTuple):
     """Stress intensity over time at the deepest station of a half-ellipse, and at its ends."""
 
     deepest_history: TipHistory
@@ -488,8 +488,8 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     return np.array(maxima_and_minima).reshape(-1, 2)
 
 
-def _make_tip_extra_rows(study: Study) -> ExtraRows:
-    """Make the rows of crack tips, for the numbers at the leading tip (collective).
+def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
+    """Make the rows of crack tips, and the reader for the leading tip (collective).
 
     In a solid K_max is the largest K_I of all stations, which decides on fracture.
     """
@@ -507,8 +507,8 @@ def _make_tip_extra_rows(study: Study) -> ExtraRows:
     return ExtraRows(displacement_rows, leading_tip_values)
 
 
-def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
-    """Make the rows of a half-ellipse's front (collective).
+def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
+    """Make the rows of a half-ellipse's front, and their reader (collective).
 
     The numbers are taken at the deepest station and at the ends.
     """
@@ -527,7 +527,7 @@ def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
 
     def ellipse_values(record: Record) -> dict[str, float]:
         tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
-        ellipse_histories = EllipseHistories(
+        ellipse_histories = EllipseTipHistories(
             tip_histories[int(station_heights.argmin())],
             [tip_histories[end_index] for end_index in end_indices],
         )
@@ -536,16 +536,16 @@ def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
     return ExtraRows(displacement_rows, ellipse_values)
 
 
-def _make_clamp_extra_rows(study: Study) -> ExtraRows:
-    """Make the rows of the clamp, for its largest force and moment (collective)."""
+def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
+    """Make the clamp's rows, and the reader of its largest force and moment (collective)."""
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(
         inertia_rows, lambda record: read_observables(Place.CLAMP, compute_clamp_reactions(record))
     )
 
 
-_MAKE_EXTRA_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.TIPS: _make_tip_extra_rows, Place.ELLIPSE: _make_ellipse_extra_rows,
-    Place.CLAMP: _make_clamp_extra_rows,
+_MAKE_ROWS_AND_READER_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
+    Place.TIPS: _make_tip_rows_and_reader, Place.ELLIPSE: _make_ellipse_rows_and_reader,
+    Place.CLAMP: _make_clamp_rows_and_reader,
 }  # fmt: skip
 """Functions that make the rows of a place."""

@@ -595,7 +595,7 @@ def _curve_parameter_at_crossing(
     return omega / harmonic
 
 
-def scales_with_load(scene: Scene) -> bool:
+def is_response_proportional_to_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
 
     If contact begins at g = 0, a positive factor of all forces and gaps is a factor of the whole

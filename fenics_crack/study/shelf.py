@@ -71,7 +71,7 @@ class StructureFile:
         self._cached_prepared_files: list[PreparedFile | None] = [] if is_read else [None]
         self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
-    def read_structure(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
+    def read_shared_structure_or_none(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
         """Return the structure of a scene from the file; None without it (collective)."""
         try:
             if not self._cached_prepared_files:
@@ -99,7 +99,7 @@ class StructureFile:
         self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
         return shared_structure
 
-    def note_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
+    def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
         """Note a structure for the file, if it has the first one's mesh."""
         if (
             not self._noted_structures_and_scenes
@@ -108,7 +108,7 @@ class StructureFile:
         ):
             self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
 
-    def write_structure(self, comm: MPI.Comm) -> None:
+    def write_noted_structure(self, comm: MPI.Comm) -> None:
         """Write the noted structure unless the file has as much (collective)."""
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:

@@ -26,8 +26,8 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS
 from fenics_crack.sweep.case import (
     FREQUENCIES_ONLY_STATUS,
-    CaseRequest,
     CaseValues,
+    SharedCaseOptions,
     SweepGeometry,
     build_geometry,
     solve_chunk,
@@ -67,14 +67,14 @@ class Worker:
 
     Parameters
     ----------
-    request : CaseRequest
+    case_options : SharedCaseOptions
         Options that all cases share.
     plan : Plan
         Plan of the sweep.
     """
 
-    def __init__(self, request: CaseRequest, plan: Plan) -> None:
-        self._request, self._plan = request, plan
+    def __init__(self, case_options: SharedCaseOptions, plan: Plan) -> None:
+        self._case_options, self._plan = case_options, plan
         self._geometry_number = -1
         self._geometry_or_error: SweepGeometry | Exception | None = None
         """Last geometry, or the error from building it."""
@@ -121,7 +121,7 @@ class Worker:
         )
         try:
             self._geometry_or_error = build_geometry(
-                scene, MPI.COMM_SELF, self._request, last_geometry
+                scene, MPI.COMM_SELF, self._case_options, last_geometry
             )
         except REFUSAL_EXCEPTIONS as error:
             self._geometry_or_error = error
@@ -137,7 +137,7 @@ class Worker:
         if isinstance(geometry_or_error, SweepGeometry):
             try:
                 chunk_case_values = solve_chunk(
-                    geometry_or_error, chunk, self._request, may_continue
+                    geometry_or_error, chunk, self._case_options, may_continue
                 )
                 return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
             except Exception:
@@ -148,7 +148,7 @@ class Worker:
         )
         if geometry_or_error is None or (
             isinstance(geometry_or_error, REFUSAL_EXCEPTIONS)
-            and not (is_too_large and self._request.ends_at_large_structure)
+            and not (is_too_large and self._case_options.ends_at_large_structure)
         ):
             reasons = [
                 scene_or_reason if isinstance(scene_or_reason, str) else str(geometry_or_error)

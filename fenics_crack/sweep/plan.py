@@ -20,12 +20,12 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
-FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
+LOAD_FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
 """Keys that set the load frequency directly."""
 FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
 """Full keys of the excitation's force."""
 GEOMETRY_INDEPENDENT_KEYS = {
-    *FREQUENCY_KEYS, *FULL_FORCE_KEYS,
+    *LOAD_FREQUENCY_KEYS, *FULL_FORCE_KEYS,
     *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
@@ -114,7 +114,7 @@ class Plan:
         frequency_axis_indices = [
             axis_index
             for axis_index in independent_axis_indices
-            if swept_keys[axis_index] in FREQUENCY_KEYS
+            if swept_keys[axis_index] in LOAD_FREQUENCY_KEYS
         ]
         chunk_axis_indices = (frequency_axis_indices or independent_axis_indices)[-1:]
         inner_axis_indices = [

@@ -65,7 +65,7 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import scene_contact_law
-from fenics_crack.sweep.case import CaseRequest, iterate_geometries_with_more_modes
+from fenics_crack.sweep.case import SharedCaseOptions, iterate_geometries_with_more_modes
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
     KIND,
@@ -152,7 +152,7 @@ def run_sweep(
         )
     managers: list[Manager] = []
 
-    def start() -> CaseRequest:
+    def start() -> SharedCaseOptions:
         plan = Plan(scene)
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
@@ -166,7 +166,7 @@ def run_sweep(
             omitted_options,
         )
         managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
-        return CaseRequest(
+        return SharedCaseOptions(
             plan.has_unit_loads,
             ends_at_large_structure=not plan.sweeps_reduction_method,
             at_resonance=sweep_table.at_resonance,
@@ -177,8 +177,8 @@ def run_sweep(
             ),
         )
 
-    case_request = on_root(comm, start)
-    worker = Worker(case_request, managers[0].plan if managers else Plan(scene))
+    case_options = on_root(comm, start)
+    worker = Worker(case_options, managers[0].plan if managers else Plan(scene))
     job_comm = comm.Dup()
     with StopRequest() as stop_request:
         if managers:
@@ -380,7 +380,9 @@ class SweepResult(Tabular):
         crack_length = float(self["crack_length"][case_index])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
-        for geometry in iterate_geometries_with_more_modes(case, CaseRequest(plan.has_unit_loads)):
+        for geometry in iterate_geometries_with_more_modes(
+            case, SharedCaseOptions(plan.has_unit_loads)
+        ):
             try:
                 return self._restore_solution(geometry.structure_of_case(case), case, case_index)
             except InputError as error:  # the file's waves may be of other modes

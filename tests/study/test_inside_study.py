@@ -34,9 +34,9 @@ from fenics_crack.study.plausibility import (
     _round_to_three_digits,
     find_key_figures,
     highest_harmonic_omega,
+    is_response_proportional_to_load,
     lowest_and_highest_load_omega,
     remarks_on_scene,
-    scales_with_load,
 )
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
@@ -285,11 +285,11 @@ def test_proportional_to_the_load() -> None:
     np.testing.assert_allclose(
         seven.gap_coefficients, 7.0 * single_solution.gap_coefficients, rtol=1e-6
     )
-    assert scales_with_load(PAPER)
-    assert not scales_with_load(PAPER.replace({"crack.clearance": 1e-7}))
+    assert is_response_proportional_to_load(PAPER)
+    assert not is_response_proportional_to_load(PAPER.replace({"crack.clearance": 1e-7}))
     smoothed_settings = {"contact.law": "smoothed", "contact.sharpness": 1e8}
-    assert not scales_with_load(PAPER.replace(smoothed_settings))
-    assert not scales_with_load(fc.Scene.load(DEMOS / "chain.toml"))
+    assert not is_response_proportional_to_load(PAPER.replace(smoothed_settings))
+    assert not is_response_proportional_to_load(fc.Scene.load(DEMOS / "chain.toml"))
 
 
 def test_a_rotor_that_keeps_its_crack_open() -> None:

@@ -39,7 +39,7 @@ from fenics_crack.monitoring.identification.nuisance import (
     compute_crack_deviations,
 )
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import scales_with_load
+from fenics_crack.study.plausibility import is_response_proportional_to_load
 from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 
 # --- displacements at probes ----------------------------------------------------------------------
@@ -435,7 +435,7 @@ class MeasurementPredictor:
             if any(measurement.resonance for measurement in self.rows)
             else (BREATHING_FACES,)
         )
-        self._is_free_at_rest = scales_with_load(model.scene.at_rest())
+        self._is_free_at_rest = is_response_proportional_to_load(model.scene.at_rest())
         self._interpolate_features()
 
     def _index_features(self) -> None:
@@ -1079,7 +1079,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
 
 def has_load_independent_shape(scene: Scene) -> bool:
     """Return True if a motion's shape does not depend on the load's size."""
-    return scales_with_load(scene) and not any(scene.excitation.force_mean)
+    return is_response_proportional_to_load(scene) and not any(scene.excitation.force_mean)
 
 
 def _combine_features(
