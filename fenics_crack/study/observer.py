@@ -181,7 +181,7 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
 # --- the tips -------------------------------------------------------------------------------------
 
 
-class TipHistory(NamedTuple):
+class CrackTipHistory(NamedTuple):
     """Stress intensity at a crack tip, or a station of a crack front, over time.
 
     Attributes
@@ -231,7 +231,7 @@ class TipHistory(NamedTuple):
             ** (1.0 / self.growth_law.exponent)
         )
 
-    def values_by_name(self) -> dict[str, float]:
+    def value_by_name(self) -> dict[str, float]:
         """Return the tip's quantities by name; the equivalent range only with a growth law."""
         excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
@@ -241,9 +241,9 @@ class TipHistory(NamedTuple):
         )
 
 
-def compute_tip_histories(
+def compute_crack_tip_histories(
     record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
-) -> list[TipHistory]:
+) -> list[CrackTipHistory]:
     """Compute stress intensities of each tip from a record of :func:`make_tips_and_intensity_rows`.
 
     At the front of a solid's crack without clearance K_I is never negative, and zero while all
@@ -268,7 +268,7 @@ def compute_tip_histories(
             corrected_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
         closed_front_error = float(np.abs(K_I - corrected_K_I).max())
         tip_histories.append(
-            TipHistory(
+            CrackTipHistory(
                 corrected_K_I,
                 K_II,
                 record.periods,
@@ -283,8 +283,8 @@ def compute_tip_histories(
 class EllipseTipHistories(NamedTuple):
     """Stress intensity over time at the deepest station of a half-ellipse, and at its ends."""
 
-    deepest_history: TipHistory
-    end_histories: list[TipHistory]
+    deepest_history: CrackTipHistory
+    end_histories: list[CrackTipHistory]
 
 
 def estimate_closed_front_and_mesh_errors(
@@ -350,20 +350,20 @@ def _collect_intensities_by_front(
 
     Returns
     -------
-    dict of str to (positions, values_by_name, closed_error)
+    dict of str to (relative_positions, values_by_name, closed_front_error)
         Positions (n,) over the front's length, each number at these positions (n,), and the error
         of K_I while the front is closed [Pa m^1/2].
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.records(displacement_rows)
-    tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
+    tip_histories = compute_crack_tip_histories(record, stations, force_rows, study.scene.growth)
     intensities_by_front, station_names = {}, [station.name for station in stations]
     for front_name, station_indices in station_indices_by_front(station_names).items():
         arc_lengths = np.array(
             [stations[station_index].arc_length for station_index in station_indices]
         )
         station_histories = [tip_histories[station_index] for station_index in station_indices]
-        value_by_name_of_stations = [history.values_by_name() for history in station_histories]
+        value_by_name_of_stations = [history.value_by_name() for history in station_histories]
         values_by_name = {
             name: np.array([value_by_name[name] for value_by_name in value_by_name_of_stations])
             for name in value_by_name_of_stations[0]
@@ -386,7 +386,7 @@ def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int
     return indices_by_front
 
 
-def leading_tip_index(tip_histories: list[TipHistory]) -> int:
+def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
     """Return the index of the crack tip with the largest effective range of K_I."""
     return int(
         np.argmax(
@@ -496,8 +496,8 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def leading_tip_values(record: Record) -> dict[str, float]:
-        tip_histories = compute_tip_histories(record, tips, force_rows, study.scene.growth)
-        value_by_name = tip_histories[leading_tip_index(tip_histories)].values_by_name()
+        tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
+        value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
             value_by_name["K_max"] = max(
                 float(tip_history.K_I.max()) for tip_history in tip_histories
@@ -526,7 +526,9 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
     ]
 
     def ellipse_values(record: Record) -> dict[str, float]:
-        tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
+        tip_histories = compute_crack_tip_histories(
+            record, stations, force_rows, study.scene.growth
+        )
         ellipse_histories = EllipseTipHistories(
             tip_histories[int(station_heights.argmin())],
             [tip_histories[end_index] for end_index in end_indices],

@@ -811,7 +811,7 @@ def _relative_distance_and_node_text(
     return distances[nearest_index] / longest_mesh_extent, format_point(nearest_point)
 
 
-def _tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
+def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
     """Return the speed of the node farthest from the axis [m/s] (collective).
 
     None if the value is not that of the key for the rotor's speed.
@@ -1173,10 +1173,12 @@ STRUCTURE_REMARK_RULES = (
         0.0,
         MAX_PLAUSIBLE_TIP_SPEED,
         TIP_SPEED_TEXT_TEMPLATE,
-        _tip_speed,
+        _blade_tip_speed,
         {"rpm": RAD_PER_S_PER_RPM},
     ),
-    RemarkRule("rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE, _tip_speed),
+    RemarkRule(
+        "rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE, _blade_tip_speed
+    ),
     RemarkRule(
         "rotation.hub_radius",
         0.0,

@@ -22,9 +22,9 @@ from fenics_crack.files.store import program_fingerprint, read_result_file, writ
 from fenics_crack.model.factor import local_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.artefact import (
-    PreparedFile,
+    GatheredCsrMatrix,
+    PreparedFileContent,
     PreparedStructure,
-    SparseRows,
     excitation_and_loads_without_amplitudes,
     weight_matrix_of_load_rows,
 )
@@ -68,7 +68,7 @@ class StructureFile:
 
     def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
         self._path, self._print_line, self._n_file_bytes = path, print_line, 0
-        self._cached_prepared_files: list[PreparedFile | None] = [] if is_read else [None]
+        self._cached_prepared_files: list[PreparedFileContent | None] = [] if is_read else [None]
         self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
     def read_shared_structure_or_none(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
@@ -78,7 +78,9 @@ class StructureFile:
                 stored_file = read_result_file(self._path, comm)
                 stored_file.check_kind(FILE_KIND)
                 with stored_file.checked_datasets() as datasets:
-                    self._cached_prepared_files.append(unpack_dataclass(PreparedFile, datasets))
+                    self._cached_prepared_files.append(
+                        unpack_dataclass(PreparedFileContent, datasets)
+                    )
             prepared_file = self._cached_prepared_files[0]
             if prepared_file is None or prepared_file.structure.key != digest_of_dependencies(
                 dependencies_of_structure(scene, comm)
@@ -91,10 +93,8 @@ class StructureFile:
             self._cached_prepared_files[:] = [None]
             self._print_line(f"{self._path}: not used, {error}")
             return None
-        self._noted_structures_and_scenes[:], self._n_file_bytes = (
-            [(shared_structure, scene)],
-            _count_dataset_bytes(pack_dataclass(prepared_file)),
-        )
+        self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
+        self._n_file_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
         source_text = f"the structure is taken from here ({self._n_file_bytes / 1e6:.3g} MB)"
         self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
         return shared_structure
@@ -122,7 +122,7 @@ class StructureFile:
                 if coarser_shared_structure.dependencies[1] == shared_structure.dependencies[1]
             ]  # of this load
             dataset_by_name = pack_dataclass(
-                PreparedFile(
+                PreparedFileContent(
                     *(
                         _gather_prepared_structure(stored_structure, scene)
                         for stored_structure in (shared_structure, *coarser_shared_structures)
@@ -155,9 +155,11 @@ def _gather_prepared_structure(
     return PreparedStructure.gather(
         shared_structure.structure,
         shared_structure.structure.nodes.vtk_type,  # type: ignore[union-attr]
-        mass=SparseRows.gather(local_rows(shared_structure.structure.mass), shared_structure.comm),
+        mass=GatheredCsrMatrix.gather(
+            local_rows(shared_structure.structure.mass), shared_structure.comm
+        ),
         key=digest_of_dependencies(shared_structure.dependencies),
-        stiffness=SparseRows.gather(
+        stiffness=GatheredCsrMatrix.gather(
             local_rows(shared_structure.structure.stiffness), shared_structure.comm
         ),
         excitation=np.array(force_vector_by_part(scene), dtype=float),

@@ -149,7 +149,7 @@ class SweepGeometry:
         return self.structure.varied(load=load_weight_matrix, clearance=clearance)
 
 
-def build_geometry(
+def build_sweep_geometry(
     scene: Scene,
     comm: MPI.Comm,
     case_options: SharedCaseOptions,
@@ -212,13 +212,13 @@ def iterate_geometries_with_more_modes(
     scene: Scene, case_options: SharedCaseOptions
 ) -> Iterator[SweepGeometry]:
     """Build geometries with each number of modes that may have solved a case."""
-    first_geometry = build_geometry(scene, MPI.COMM_SELF, case_options)
+    first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
     while geometry is not None:
         yield geometry
         geometry = geometry.geometry_with_more_modes
     if first_geometry.mode_counts:
-        yield build_geometry(
+        yield build_sweep_geometry(
             scene, MPI.COMM_SELF, replace(case_options, with_reduction_error=False)
         )
 

@@ -29,14 +29,14 @@ from fenics_crack.sweep.case import (
     CaseValues,
     SharedCaseOptions,
     SweepGeometry,
-    build_geometry,
+    build_sweep_geometry,
     solve_chunk,
 )
 from fenics_crack.sweep.file import CaseState, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
 
-class Tag(IntEnum):
+class MessageTag(IntEnum):
     """Tags of messages to a rank."""
 
     JOB = 0
@@ -120,7 +120,7 @@ class Worker:
             else None
         )
         try:
-            self._geometry_or_error = build_geometry(
+            self._geometry_or_error = build_sweep_geometry(
                 scene, MPI.COMM_SELF, self._case_options, last_geometry
             )
         except REFUSAL_EXCEPTIONS as error:
@@ -171,12 +171,12 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
         send_requests[:] = [
             send_request for send_request in send_requests if not send_request.Test()
         ]
-        return not comm.iprobe(source=0, tag=Tag.END)
+        return not comm.iprobe(source=0, tag=MessageTag.END)
 
     message_status = MPI.Status()
-    while message_status.tag != Tag.END:
+    while message_status.tag != MessageTag.END:
         job = _receive_message(comm, message_status)
-        if message_status.tag == Tag.JOB:
+        if message_status.tag == MessageTag.JOB:
             send_requests += [
                 comm.isend(outcome, 0)
                 for outcome in worker.iterate_chunk_outcomes(job, may_continue)
@@ -293,7 +293,7 @@ class Manager:
                 self._keep_error_and_discard_jobs(error)
         self._remaining_case_numbers_by_geometry.clear()
         for rank in other_ranks:
-            comm.send(None, rank, tag=Tag.END)
+            comm.send(None, rank, tag=MessageTag.END)
         while self._n_jobs_sent:
             self._receive_outcome(comm)
         self._progress_bar.close()
@@ -309,7 +309,7 @@ class Manager:
         """Send a job to a rank if one remains."""
         job = self._take_next_job(rank)
         if job is not None:
-            comm.send(job, rank, tag=Tag.JOB)
+            comm.send(job, rank, tag=MessageTag.JOB)
             self._n_jobs_sent += 1
 
     def _receive_outcome(self, comm: MPI.Comm) -> None:

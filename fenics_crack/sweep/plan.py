@@ -80,7 +80,9 @@ class Plan:
         self.has_unit_loads = not geometry_independent_keys.isdisjoint(
             FULL_FORCE_KEYS & self._swept_values_by_key.keys()
         )
-        self.chunk_case_numbers_by_geometry = self._split_into_chunks(geometry_independent_keys)
+        self.chunk_case_numbers_by_geometry = self._split_case_numbers_into_chunks(
+            geometry_independent_keys
+        )
         """Case numbers (n,) of each chunk, by geometry."""
         balance_table = scene.harmonic_balance
         self.n_harmonics_upper_bound = max(
@@ -99,7 +101,9 @@ class Plan:
             reason = self._scene_or_reason_by_number(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
-    def _split_into_chunks(self, geometry_independent_keys: set[str]) -> list[list[np.ndarray]]:
+    def _split_case_numbers_into_chunks(
+        self, geometry_independent_keys: set[str]
+    ) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks with at most 16 cases.
 
         Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last

@@ -73,8 +73,8 @@ from fenics_crack.sweep.file import (
     CaseState,
     SweepFile,
     column_name_at_load,
-    read_columns,
-    read_waves,
+    read_column_by_name,
+    read_gap_and_force_coefficients,
     scene_of_sweep,
     unit_and_type_by_column,
 )
@@ -260,7 +260,7 @@ class SweepResult(Tabular):
     def of(cls, sweep_header: StoredFile) -> SweepResult:
         """Return the table from a file's header."""
         scene = scene_of_sweep(sweep_header)
-        return cls(sweep_header.path, scene, read_columns(sweep_header, scene))
+        return cls(sweep_header.path, scene, read_column_by_name(sweep_header, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -359,7 +359,7 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         case_index = self._find_converged_index(index)
-        gap_rows = read_waves(self.path, case_index)[0]
+        gap_rows = read_gap_and_force_coefficients(self.path, case_index)[0]
         case = Plan(self.scene).scene_or_reason_at(case_index)
         assert isinstance(case, Scene)
         return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
@@ -401,7 +401,7 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
-        gap_rows, force_rows = read_waves(self.path, case_index)
+        gap_rows, force_rows = read_gap_and_force_coefficients(self.path, case_index)
         problem = Problem(structure, omega, law, len(gap_rows) // 2)
         # Without displacements: they follow from the forces.
         wave = problem.wave_of(np.zeros((len(gap_rows), 0)), gap_rows, force_rows)
