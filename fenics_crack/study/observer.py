@@ -495,7 +495,7 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
-    def leading_tip_values(record: Record) -> dict[str, float]:
+    def read_leading_tip_numbers(record: Record) -> dict[str, float]:
         tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
         value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
@@ -504,7 +504,7 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
             )
         return value_by_name
 
-    return ExtraRows(displacement_rows, leading_tip_values)
+    return ExtraRows(displacement_rows, read_leading_tip_numbers)
 
 
 def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
@@ -525,7 +525,7 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
         if station_heights[end_index] > middle_height
     ]
 
-    def ellipse_values(record: Record) -> dict[str, float]:
+    def read_ellipse_numbers(record: Record) -> dict[str, float]:
         tip_histories = compute_crack_tip_histories(
             record, stations, force_rows, study.scene.growth
         )
@@ -535,7 +535,7 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
         )
         return read_observables(Place.ELLIPSE, ellipse_histories)
 
-    return ExtraRows(displacement_rows, ellipse_values)
+    return ExtraRows(displacement_rows, read_ellipse_numbers)
 
 
 def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:

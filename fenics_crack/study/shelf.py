@@ -67,7 +67,7 @@ class StructureFile:
     """
 
     def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
-        self._path, self._print_line, self._n_file_bytes = path, print_line, 0
+        self._path, self._print_line, self._n_stored_bytes = path, print_line, 0
         self._cached_prepared_files: list[PreparedFileContent | None] = [] if is_read else [None]
         self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
@@ -94,8 +94,8 @@ class StructureFile:
             self._print_line(f"{self._path}: not used, {error}")
             return None
         self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
-        self._n_file_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
-        source_text = f"the structure is taken from here ({self._n_file_bytes / 1e6:.3g} MB)"
+        self._n_stored_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
+        source_text = f"the structure is taken from here ({self._n_stored_bytes / 1e6:.3g} MB)"
         self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
         return shared_structure
 
@@ -129,7 +129,9 @@ class StructureFile:
                     )
                 )
             )
-            if not self._n_file_bytes < (n_dataset_bytes := _count_dataset_bytes(dataset_by_name)):
+            if not self._n_stored_bytes < (
+                n_dataset_bytes := _count_dataset_bytes(dataset_by_name)
+            ):
                 return
             try:
                 if n_dataset_bytes > MAX_DATASET_BYTES:

@@ -356,7 +356,7 @@ class CaseSolver:
 
     def __init__(self, geometry: SweepGeometry) -> None:
         self._geometry = geometry
-        self._last_case: Scene | None = None
+        self._last_case_without_frequency: Scene | None = None
         self._last_solution: PeriodicSolution | None = None
 
     def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
@@ -383,8 +383,8 @@ class CaseSolver:
     def _set_structure_and_law(self, case: Scene) -> None:
         """Set structure and law for a case, unless only its frequency differs."""
         case_without_frequency = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last_case != case_without_frequency:
-            self._last_case = case_without_frequency
+        if self._last_case_without_frequency != case_without_frequency:
+            self._last_case_without_frequency = case_without_frequency
             self._structure = self._geometry.structure_of_case(case)
             self._law = scene_contact_law(case, self._structure)
 

@@ -152,7 +152,7 @@ def run_sweep(
         )
     managers: list[Manager] = []
 
-    def start() -> SharedCaseOptions:
+    def make_manager_and_case_options() -> SharedCaseOptions:
         plan = Plan(scene)
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
@@ -177,7 +177,7 @@ def run_sweep(
             ),
         )
 
-    case_options = on_root(comm, start)
+    case_options = on_root(comm, make_manager_and_case_options)
     worker = Worker(case_options, managers[0].plan if managers else Plan(scene))
     job_comm = comm.Dup()
     with StopRequest() as stop_request:
