@@ -7,7 +7,7 @@ from this table.
 
 A function to read a number takes the object at the place. :mod:`fenics_crack.motion.motions` has
 the classes ``PointDisplacement`` and ``CrackFaces``, :mod:`fenics_crack.study.observer` has
-``TipHistory`` and ``ClampReactions``.
+``CrackTipHistory`` and ``ClampReactions``.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ def write_and_print_report(
     """
     replacement_note = ""
     for structure_file in STRUCTURE_FILES:
-        structure_file.write_structure(console.comm)
+        structure_file.write_noted_structure(console.comm)
     if result is not None:
         replacement_note = keep_previous_files_with_note(
             Path(f"{stem_path}.json"), report.table.format_as("json"), console.comm

@@ -45,7 +45,7 @@ from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
 from fenics_crack.study.campbell import MAX_REPORTED_ORDER, Campbell
 from fenics_crack.study.prepare import prepare
-from fenics_crack.sweep.plan import FREQUENCY_KEYS
+from fenics_crack.sweep.plan import LOAD_FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
@@ -399,7 +399,7 @@ def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
         raise InputError("path", str(sweep_result.path), "a sweep with a case that converged")
     axis_indices.sort(
         key=lambda axis_index: (
-            axes[axis_index].key not in FREQUENCY_KEYS,
+            axes[axis_index].key not in LOAD_FREQUENCY_KEYS,
             -len(axes[axis_index].values),
         )
     )

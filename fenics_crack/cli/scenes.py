@@ -34,9 +34,9 @@ from fenics_crack.study.plausibility import (
     KeyFigures,
     find_key_figures,
     highest_harmonic_omega,
+    is_response_proportional_to_load,
     propose_curve_or_none,
     remarks_on_scene,
-    scales_with_load,
 )
 from fenics_crack.study.prepare import (
     Study,
@@ -56,9 +56,9 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if list_requested_extra_quantities(scene):  # which may be refused
-            from fenics_crack.study.observer import make_requested_extra_rows  # the solver
+            from fenics_crack.study.observer import make_requested_rows_and_readers  # the solver
 
-            make_requested_extra_rows(study)
+            make_requested_rows_and_readers(study)
     structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(structure, n_harmonics)
     is_run_up = scene.curve is not None and scene.curve.parameter_and_range[0] == "speed"
@@ -117,7 +117,7 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
     )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
     for structure_file in STRUCTURE_FILES:
-        structure_file.write_structure(console.comm)
+        structure_file.write_noted_structure(console.comm)
     console.print_table(Table(("what", "value"), [*values_by_label.items()]))
     console.print_notes(damping_remark_text)
     console.print_remarks(*scene_remarks)
@@ -236,7 +236,7 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
     is_not_proportional = (
         key_figures.n_closed_pairs
         or key_figures.opening_under_mean_load
-        or not scales_with_load(scene)
+        or not is_response_proportional_to_load(scene)
     )
     values_by_label["vibration there" if values_by_label else label] = load_resonance.in_words
     if not (is_not_proportional or load_resonance.unknown):

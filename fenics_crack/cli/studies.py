@@ -20,7 +20,7 @@ from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, yield_large_error_war
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.plan import FREQUENCY_KEYS
+from fenics_crack.sweep.plan import LOAD_FREQUENCY_KEYS
 from fenics_crack.sweep.result import (
     VERDICTS_NOT_STABLE,
     SweepResult,
@@ -153,7 +153,7 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     axis_indices = [
         axis_index
         for axis_index, axis in enumerate(sweep_result.axes)
-        if axis.key in (*FREQUENCY_KEYS, *ROTOR_SPEED_KEYS)
+        if axis.key in (*LOAD_FREQUENCY_KEYS, *ROTOR_SPEED_KEYS)
     ]
     if not axis_indices:
         return []
@@ -226,7 +226,7 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     if len(table.rows) <= N_SELECTED_ROWS:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))
-    for frequency_key in FREQUENCY_KEYS:
+    for frequency_key in LOAD_FREQUENCY_KEYS:
         axis_index = axis_keys.index(frequency_key) if frequency_key in axis_keys else axis_index
     responses = np.nan_to_num(sweep_result["response"], nan=-1.0)
     row_numbers = np.arange(responses.size).reshape(responses.shape)

@@ -110,7 +110,7 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.meshes import prepare_coarser_study_or_reason
 from fenics_crack.study.observer import (
     estimate_closed_front_and_mesh_errors,
-    make_requested_extra_rows,
+    make_requested_rows_and_readers,
 )
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
@@ -714,7 +714,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 def _without_refused_stress_intensities(study: Study) -> Study:
     """Drop stress intensities from a study with elements that are too long."""
     try:
-        make_requested_extra_rows(study)
+        make_requested_rows_and_readers(study)
     except InputError:
         refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
         kept_names = [name for name in study.scene.quantities or () if name not in refused_names]

@@ -24,7 +24,7 @@ from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import make_requested_extra_rows
+from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
@@ -78,7 +78,7 @@ def curve(
     studies = iterate_curve_studies(scene, comm)
     study = next(studies)
     _check_curve_is_possible(study)
-    make_requested_extra_rows(study)  # before the curve: this may raise InputError
+    make_requested_rows_and_readers(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
     parameter_name, start, stop = scene.given("curve").parameter_and_range
     if friction_of(required_contact_law(study)) is not None:

@@ -27,7 +27,7 @@ from fenics_crack.runs.load import (
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import make_requested_extra_rows
+from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
@@ -78,7 +78,7 @@ def integrate(
     study = with_friction_lines(prepare(scene, comm), omega)
     structure, law = study.structure, required_contact_law(study)
     method_name = _choose_method(study, integration_table, law)
-    make_requested_extra_rows(study)  # before the integration: this may raise InputError
+    make_requested_rows_and_readers(study)  # before the integration: this may raise InputError
     initial_motion_or_state: Initial = None
     if integration_table.deflection is not None:
         static_structure = structure_under_static_load(structure, integration_table.deflection)

@@ -17,9 +17,9 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.runs.run import Run, check_run_has_motion
 from fenics_crack.scene.scene import reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.study.observer import (
-    TipHistory,
-    compute_tip_histories,
-    leading_tip_index,
+    CrackTipHistory,
+    compute_crack_tip_histories,
+    leading_crack_tip_index,
     make_tips_and_intensity_rows,
     station_indices_by_front,
 )
@@ -65,7 +65,7 @@ class StressIntensity(Tabular):
     three: np.ndarray | None
     closed: np.ndarray
     _run: Run[Any] = field(compare=False)
-    _tip_histories: list[TipHistory] = field(compare=False)
+    _tip_histories: list[CrackTipHistory] = field(compare=False)
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
@@ -76,9 +76,7 @@ class StressIntensity(Tabular):
         ``[growth]`` adds delta_K_equivalent: the range from 0 that, once a period of the load, lets
         the crack grow as much as all rainflow cycles of K_I.
         """
-        value_by_name_of_tips = [
-            tip_history.values_by_name() for tip_history in self._tip_histories
-        ]
+        value_by_name_of_tips = [tip_history.value_by_name() for tip_history in self._tip_histories]
         return {
             name: np.array([value_by_name[name] for value_by_name in value_by_name_of_tips])
             for name in value_by_name_of_tips[0]
@@ -102,7 +100,7 @@ class StressIntensity(Tabular):
     @property
     def leading(self) -> int:
         """Index of the tip with the largest effective range."""
-        return leading_tip_index(self._tip_histories)
+        return leading_crack_tip_index(self._tip_histories)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -203,7 +201,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(run)
     [record] = run.result.records(displacement_rows)
-    tip_histories = compute_tip_histories(record, tips, force_rows, run.scene.growth)
+    tip_histories = compute_crack_tip_histories(record, tips, force_rows, run.scene.growth)
     K_III_columns = [
         tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None
     ]

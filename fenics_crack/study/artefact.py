@@ -69,7 +69,7 @@ NODE_ARRAY_NAMES = ("points", "dofs", "cells")
 
 
 @dataclass(frozen=True)
-class SparseRows:
+class GatheredCsrMatrix:
     """A sparse matrix in CSR format, with the rows of all ranks."""
 
     data: np.ndarray
@@ -103,13 +103,13 @@ class PreparedStructure:
 
     Attributes
     ----------
-    gap, tangential, tangents, shares : SparseRows or None
+    gap, tangential, tangents, shares : GatheredCsrMatrix or None
         As in :class:`Structure` and its pairs. ``pairs`` has no tangents and shares here.
     force, clearance, watched, nodes, pairs, clamp
         As in :class:`Structure`, with the rows of all ranks.
     receptances : tuple of Receptance
         Receptances under this load; with a solid's tangents last.
-    mass, stiffness : SparseRows or None
+    mass, stiffness : GatheredCsrMatrix or None
         Matrices, if they are kept.
     key : str
         Digest of the structure's dependencies, by
@@ -118,10 +118,10 @@ class PreparedStructure:
         Force of the excitation: mean, cosine and sine parts of each harmonic.
     """
 
-    gap: SparseRows
-    tangential: SparseRows | None
-    tangents: SparseRows | None
-    shares: SparseRows | None
+    gap: GatheredCsrMatrix
+    tangential: GatheredCsrMatrix | None
+    tangents: GatheredCsrMatrix | None
+    shares: GatheredCsrMatrix | None
     force: np.ndarray
     clearance: np.ndarray
     watched: np.ndarray | None
@@ -129,8 +129,8 @@ class PreparedStructure:
     pairs: Pairs
     clamp: Clamp | None
     receptances: tuple[Receptance, ...]
-    mass: SparseRows | None = None
-    stiffness: SparseRows | None = None
+    mass: GatheredCsrMatrix | None = None
+    stiffness: GatheredCsrMatrix | None = None
     key: str = ""
     excitation: np.ndarray | None = None
 
@@ -151,10 +151,10 @@ class PreparedStructure:
             name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
         }
         return cls(
-            gap=SparseRows.gather(structure.gap, comm),
-            tangential=SparseRows.gather(structure.tangential, comm),
-            tangents=SparseRows.gather(pairs.tangential_gap_matrix, comm),
-            shares=SparseRows.gather(pairs.pressure_matrix, MPI.COMM_SELF),
+            gap=GatheredCsrMatrix.gather(structure.gap, comm),
+            tangential=GatheredCsrMatrix.gather(structure.tangential, comm),
+            tangents=GatheredCsrMatrix.gather(pairs.tangential_gap_matrix, comm),
+            shares=GatheredCsrMatrix.gather(pairs.pressure_matrix, MPI.COMM_SELF),
             force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
             watched=None if watched_row is None else gather_rows(comm, watched_row),
             nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **node_array_by_name),
@@ -184,7 +184,7 @@ class PreparedStructure:
         n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
 
-        def local_matrix(sparse_rows: SparseRows | None, n_columns: int) -> Any:
+        def local_matrix(sparse_rows: GatheredCsrMatrix | None, n_columns: int) -> Any:
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
@@ -260,10 +260,8 @@ class PreparedStructure:
             "pairs.places": (0, n_pairs),
         }  # fmt: skip
         for receptance_index, stored_receptance in enumerate(self.receptances):
-            receptance_prefix, (n_sources, n_modes) = (
-                f"receptances.{receptance_index}",
-                stored_receptance.modal.shape,
-            )
+            receptance_prefix = f"receptances.{receptance_index}"
+            n_sources, n_modes = stored_receptance.modal.shape
             shape_by_field = {
                 "squares": (n_modes,),
                 "compliance": (n_sources,) * 2,
@@ -293,7 +291,7 @@ class PreparedStructure:
 
 
 @dataclass(frozen=True)
-class PreparedFile:
+class PreparedFileContent:
     """Datasets of a file: the structures of a mesh and, if any, of a coarser mesh."""
 
     structure: PreparedStructure
@@ -367,7 +365,7 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
     dataset_by_name = pack_dataclass(
-        PreparedFile(*map(_gather_prepared_structure, study_and_coarser_study))
+        PreparedFileContent(*map(_gather_prepared_structure, study_and_coarser_study))
     )
     write_result_file(dataset_by_name, path, FILE_KIND, scene, structure.whole.comm)
 
@@ -546,5 +544,5 @@ def _make_shared_structure_from_file(
     assert file_scene is not None
     load_weight_matrix = _weight_matrix_between_scene_loads(file_scene, scene)
     with stored_file.yield_checked_datasets() as datasets:
-        prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
+        prepared_file: PreparedFileContent = unpack_dataclass(PreparedFileContent, datasets)
         return prepared_file.make_shared_structure(scene, load_weight_matrix, comm)

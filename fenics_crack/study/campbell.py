@@ -205,7 +205,7 @@ class Campbell(SavedResult):
         if kind == "real":
             return self._crossings_in_actual_state(order)
 
-        def frequency_difference(speed: float, mode: int) -> float:
+        def omega_minus_order_line(speed: float, mode: int) -> float:
             return self._omega_of_kind(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
@@ -214,7 +214,7 @@ class Campbell(SavedResult):
             speed_interval = self.speed[speed_index : speed_index + 2].tolist()
             mode = mode_index + 1
             speed = brentq(
-                frequency_difference, *speed_interval, (mode,), rtol=RELATIVE_SPEED_TOLERANCE
+                omega_minus_order_line, *speed_interval, (mode,), rtol=RELATIVE_SPEED_TOLERANCE
             )
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)

@@ -74,7 +74,7 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     return (
         coarser_study,
         element_counts,
-        _element_length_ratio(scene, coarser_scene, element_counts),
+        _coarser_over_fine_element_length(scene, coarser_scene, element_counts),
     )
 
 
@@ -97,7 +97,7 @@ def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
     return "a grid of half as many columns and rows has no lines along the crack"
 
 
-def _element_length_ratio(
+def _coarser_over_fine_element_length(
     scene: Scene, coarser_scene: Scene, element_counts: tuple[int, int]
 ) -> float:
     """Return the element length of a coarser mesh over that of a scene's mesh.

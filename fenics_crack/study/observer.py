@@ -49,8 +49,8 @@ MAX_EXPANDED_VALUES = 20_000_000
 expansion factors the structure again."""
 
 
-def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
-    """Make the rows for requested quantities of crack tips and clamp (collective).
+def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
+    """Make rows, and readers of their numbers, for requested tips and clamp (collective).
 
     Rows are made once for the study's structure.
     """
@@ -58,8 +58,8 @@ def make_requested_extra_rows(study: Study) -> list[ExtraRows]:
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
     }
     return [
-        make_extra_rows(study)
-        for place, make_extra_rows in _MAKE_EXTRA_ROWS_BY_PLACE.items()
+        make_rows_and_reader(study)
+        for place, make_rows_and_reader in _MAKE_ROWS_AND_READER_BY_PLACE.items()
         if place in requested_places
     ]
 
@@ -90,7 +90,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     """
     watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
     observed_displacements, requested_value_by_name = motion.observe_dofs(
-        watched_dofs, make_requested_extra_rows(study)
+        watched_dofs, make_requested_rows_and_readers(study)
     )
     observed_quantities = []
     for watched_displacement, (indicators, _) in zip(
@@ -181,7 +181,7 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
 # --- the tips -------------------------------------------------------------------------------------
 
 
-class TipHistory(NamedTuple):
+class CrackTipHistory(NamedTuple):
     """Stress intensity at a crack tip, or a station of a crack front, over time.
 
     Attributes
@@ -231,7 +231,7 @@ class TipHistory(NamedTuple):
             ** (1.0 / self.growth_law.exponent)
         )
 
-    def values_by_name(self) -> dict[str, float]:
+    def value_by_name(self) -> dict[str, float]:
         """Return the tip's quantities by name; the equivalent range only with a growth law."""
         excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
@@ -241,9 +241,9 @@ class TipHistory(NamedTuple):
         )
 
 
-def compute_tip_histories(
+def compute_crack_tip_histories(
     record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
-) -> list[TipHistory]:
+) -> list[CrackTipHistory]:
     """Compute stress intensities of each tip from a record of :func:`make_tips_and_intensity_rows`.
 
     At the front of a solid's crack without clearance K_I is never negative, and zero while all
@@ -268,7 +268,7 @@ def compute_tip_histories(
             corrected_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
         closed_front_error = float(np.abs(K_I - corrected_K_I).max())
         tip_histories.append(
-            TipHistory(
+            CrackTipHistory(
                 corrected_K_I,
                 K_II,
                 record.periods,
@@ -280,11 +280,11 @@ def compute_tip_histories(
     return tip_histories
 
 
-class EllipseHistories(NamedTuple):
+class EllipseTipHistories(NamedTuple):
     """Stress intensity over time at the deepest station of a half-ellipse, and at its ends."""
 
-    deepest_history: TipHistory
-    end_histories: list[TipHistory]
+    deepest_history: CrackTipHistory
+    end_histories: list[CrackTipHistory]
 
 
 def estimate_closed_front_and_mesh_errors(
@@ -352,20 +352,20 @@ def _collect_intensities_by_front(
 
     Returns
     -------
-    dict of str to (positions, values_by_name, closed_error)
+    dict of str to (relative_positions, values_by_name, closed_front_error)
         Positions (n,) over the front's length, each number at these positions (n,), and the error
         of K_I while the front is closed [Pa m^1/2].
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.records(displacement_rows)
-    tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
+    tip_histories = compute_crack_tip_histories(record, stations, force_rows, study.scene.growth)
     intensities_by_front, station_names = {}, [station.name for station in stations]
     for front_name, station_indices in station_indices_by_front(station_names).items():
         arc_lengths = np.array(
             [stations[station_index].arc_length for station_index in station_indices]
         )
         station_histories = [tip_histories[station_index] for station_index in station_indices]
-        value_by_name_of_stations = [history.values_by_name() for history in station_histories]
+        value_by_name_of_stations = [history.value_by_name() for history in station_histories]
         values_by_name = {
             name: np.array([value_by_name[name] for value_by_name in value_by_name_of_stations])
             for name in value_by_name_of_stations[0]
@@ -388,7 +388,7 @@ def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int
     return indices_by_front
 
 
-def leading_tip_index(tip_histories: list[TipHistory]) -> int:
+def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
     """Return the index of the crack tip with the largest effective range of K_I."""
     return int(
         np.argmax(
@@ -490,27 +490,27 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     return np.array(maxima_and_minima).reshape(-1, 2)
 
 
-def _make_tip_extra_rows(study: Study) -> ExtraRows:
-    """Make the rows of crack tips, for the numbers at the leading tip (collective).
+def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
+    """Make the rows of crack tips, and the reader for the leading tip (collective).
 
     In a solid K_max is the largest K_I of all stations, which decides on fracture.
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
-    def leading_tip_values(record: Record) -> dict[str, float]:
-        tip_histories = compute_tip_histories(record, tips, force_rows, study.scene.growth)
-        value_by_name = tip_histories[leading_tip_index(tip_histories)].values_by_name()
+    def read_leading_tip_numbers(record: Record) -> dict[str, float]:
+        tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
+        value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
             value_by_name["K_max"] = max(
                 float(tip_history.K_I.max()) for tip_history in tip_histories
             )
         return value_by_name
 
-    return ExtraRows(displacement_rows, leading_tip_values)
+    return ExtraRows(displacement_rows, read_leading_tip_numbers)
 
 
-def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
-    """Make the rows of a half-ellipse's front (collective).
+def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
+    """Make the rows of a half-ellipse's front, and their reader (collective).
 
     The numbers are taken at the deepest station and at the ends.
     """
@@ -527,27 +527,29 @@ def _make_ellipse_extra_rows(study: Study) -> ExtraRows:
         if station_heights[end_index] > middle_height
     ]
 
-    def ellipse_values(record: Record) -> dict[str, float]:
-        tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
-        ellipse_histories = EllipseHistories(
+    def read_ellipse_numbers(record: Record) -> dict[str, float]:
+        tip_histories = compute_crack_tip_histories(
+            record, stations, force_rows, study.scene.growth
+        )
+        ellipse_histories = EllipseTipHistories(
             tip_histories[int(station_heights.argmin())],
             [tip_histories[end_index] for end_index in end_indices],
         )
         return read_observables(Place.ELLIPSE, ellipse_histories)
 
-    return ExtraRows(displacement_rows, ellipse_values)
+    return ExtraRows(displacement_rows, read_ellipse_numbers)
 
 
-def _make_clamp_extra_rows(study: Study) -> ExtraRows:
-    """Make the rows of the clamp, for its largest force and moment (collective)."""
+def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
+    """Make the clamp's rows, and the reader of its largest force and moment (collective)."""
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(
         inertia_rows, lambda record: read_observables(Place.CLAMP, compute_clamp_reactions(record))
     )
 
 
-_MAKE_EXTRA_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.TIPS: _make_tip_extra_rows, Place.ELLIPSE: _make_ellipse_extra_rows,
-    Place.CLAMP: _make_clamp_extra_rows,
+_MAKE_ROWS_AND_READER_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
+    Place.TIPS: _make_tip_rows_and_reader, Place.ELLIPSE: _make_ellipse_rows_and_reader,
+    Place.CLAMP: _make_clamp_rows_and_reader,
 }  # fmt: skip
 """Functions that make the rows of a place."""

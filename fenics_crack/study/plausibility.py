@@ -597,7 +597,7 @@ def _curve_parameter_at_crossing(
     return omega / harmonic
 
 
-def scales_with_load(scene: Scene) -> bool:
+def is_response_proportional_to_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
 
     If contact begins at g = 0, a positive factor of all forces and gaps is a factor of the whole
@@ -815,7 +815,7 @@ def _relative_distance_and_node_text(
     return distances[nearest_index] / longest_mesh_extent, format_point(nearest_point)
 
 
-def _tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
+def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
     """Return the speed of the node farthest from the axis [m/s] (collective).
 
     None if the value is not that of the key for the rotor's speed.
@@ -1180,10 +1180,12 @@ STRUCTURE_REMARK_RULES = (
         0.0,
         MAX_PLAUSIBLE_TIP_SPEED,
         TIP_SPEED_TEXT_TEMPLATE,
-        _tip_speed,
+        _blade_tip_speed,
         {"rpm": RAD_PER_S_PER_RPM},
     ),
-    RemarkRule("rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE, _tip_speed),
+    RemarkRule(
+        "rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE, _blade_tip_speed
+    ),
     RemarkRule(
         "rotation.hub_radius",
         0.0,

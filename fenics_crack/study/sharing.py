@@ -86,7 +86,8 @@ def assemble_or_reuse_structure(
         last_shared_structures += [
             shared_structure
             for structure_file in structure_files
-            if (shared_structure := structure_file.read_structure(scene, comm)) is not None
+            if (shared_structure := structure_file.read_shared_structure_or_none(scene, comm))
+            is not None
         ]
     if not last_shared_structures:
         from fenics_crack.fem.build import assemble_structure  # DOLFINx
@@ -112,7 +113,7 @@ def assemble_or_reuse_structure(
             )
         ]
     for structure_file in structure_files:
-        structure_file.note_structure(last_shared_structures[0], scene)
+        structure_file.note_shared_structure(last_shared_structures[0], scene)
     return last_shared_structures[0].structure
 
 

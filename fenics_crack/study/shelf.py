@@ -22,9 +22,9 @@ from fenics_crack.files.store import program_fingerprint_text, read_result_file,
 from fenics_crack.model.factor import local_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.artefact import (
-    PreparedFile,
+    GatheredCsrMatrix,
+    PreparedFileContent,
     PreparedStructure,
-    SparseRows,
     excitation_and_loads_without_amplitudes,
     weight_matrix_of_load_rows,
 )
@@ -67,18 +67,20 @@ class StructureFile:
     """
 
     def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
-        self._path, self._print_line, self._n_file_bytes = path, print_line, 0
-        self._cached_prepared_files: list[PreparedFile | None] = [] if is_read else [None]
+        self._path, self._print_line, self._n_stored_bytes = path, print_line, 0
+        self._cached_prepared_files: list[PreparedFileContent | None] = [] if is_read else [None]
         self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
-    def read_structure(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
+    def read_shared_structure_or_none(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
         """Return the structure of a scene from the file; None without it (collective)."""
         try:
             if not self._cached_prepared_files:
                 stored_file = read_result_file(self._path, comm)
                 stored_file.check_kind(FILE_KIND)
                 with stored_file.yield_checked_datasets() as datasets:
-                    self._cached_prepared_files.append(unpack_dataclass(PreparedFile, datasets))
+                    self._cached_prepared_files.append(
+                        unpack_dataclass(PreparedFileContent, datasets)
+                    )
             prepared_file = self._cached_prepared_files[0]
             if prepared_file is None or prepared_file.structure.key != digest_of_dependencies(
                 dependencies_of_structure(scene, comm)
@@ -91,15 +93,13 @@ class StructureFile:
             self._cached_prepared_files[:] = [None]
             self._print_line(f"{self._path}: not used, {error}")
             return None
-        self._noted_structures_and_scenes[:], self._n_file_bytes = (
-            [(shared_structure, scene)],
-            _count_dataset_bytes(pack_dataclass(prepared_file)),
-        )
-        source_text = f"the structure is taken from here ({self._n_file_bytes / 1e6:.3g} MB)"
+        self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
+        self._n_stored_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
+        source_text = f"the structure is taken from here ({self._n_stored_bytes / 1e6:.3g} MB)"
         self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
         return shared_structure
 
-    def note_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
+    def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
         """Note a structure for the file, if it has the first one's mesh."""
         if (
             not self._noted_structures_and_scenes
@@ -108,7 +108,7 @@ class StructureFile:
         ):
             self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
 
-    def write_structure(self, comm: MPI.Comm) -> None:
+    def write_noted_structure(self, comm: MPI.Comm) -> None:
         """Write the noted structure unless the file has as much (collective)."""
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:
@@ -122,14 +122,16 @@ class StructureFile:
                 if coarser_shared_structure.dependencies[1] == shared_structure.dependencies[1]
             ]  # of this load
             dataset_by_name = pack_dataclass(
-                PreparedFile(
+                PreparedFileContent(
                     *(
                         _gather_prepared_structure(stored_structure, scene)
                         for stored_structure in (shared_structure, *coarser_shared_structures)
                     )
                 )
             )
-            if not self._n_file_bytes < (n_dataset_bytes := _count_dataset_bytes(dataset_by_name)):
+            if not self._n_stored_bytes < (
+                n_dataset_bytes := _count_dataset_bytes(dataset_by_name)
+            ):
                 return
             try:
                 if n_dataset_bytes > MAX_DATASET_BYTES:
@@ -155,9 +157,11 @@ def _gather_prepared_structure(
     return PreparedStructure.gather(
         shared_structure.structure,
         shared_structure.structure.nodes.vtk_type,  # type: ignore[union-attr]
-        mass=SparseRows.gather(local_rows(shared_structure.structure.mass), shared_structure.comm),
+        mass=GatheredCsrMatrix.gather(
+            local_rows(shared_structure.structure.mass), shared_structure.comm
+        ),
         key=digest_of_dependencies(shared_structure.dependencies),
-        stiffness=SparseRows.gather(
+        stiffness=GatheredCsrMatrix.gather(
             local_rows(shared_structure.structure.stiffness), shared_structure.comm
         ),
         excitation=np.array(list_force_harmonic_vectors(scene), dtype=float),

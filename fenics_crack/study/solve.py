@@ -27,7 +27,7 @@ from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import make_requested_extra_rows
+from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,
     Study,
@@ -58,7 +58,7 @@ def solve_study(
     Newton's method starts from ``initial_solution`` (same structure), and ``omega`` [rad/s]
     replaces the scene's load frequency.
     """
-    make_requested_extra_rows(study)  # before anything is solved: this may raise InputError
+    make_requested_rows_and_readers(study)  # before anything is solved: this may raise InputError
     scene, law = study.scene, study.contact
     omega, balance_table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:

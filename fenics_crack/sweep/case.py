@@ -33,7 +33,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
-from fenics_crack.study.observer import make_requested_extra_rows
+from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
@@ -58,7 +58,7 @@ from fenics_crack.sweep.plan import Chunk
 
 
 @dataclass(frozen=True)
-class CaseRequest:
+class SharedCaseOptions:
     """Options that all cases of a sweep share.
 
     Attributes
@@ -149,16 +149,19 @@ class SweepGeometry:
         return self.structure.varied(load=load_weight_matrix, clearance=clearance)
 
 
-def build_geometry(
-    scene: Scene, comm: MPI.Comm, request: CaseRequest, last_geometry: SweepGeometry | None = None
+def build_sweep_geometry(
+    scene: Scene,
+    comm: MPI.Comm,
+    case_options: SharedCaseOptions,
+    last_geometry: SweepGeometry | None = None,
 ) -> SweepGeometry:
     """Build the geometry for a case (collective).
 
-    ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
-    mesh, for another rotor speed.
+    ``case_options`` decide whether the reduction error gets a reference. ``last_geometry`` lends
+    its mesh, for another rotor speed.
     """
     scene = scene.replace({f"{crack_key}.clearance": 0.0 for crack_key in scene.crack_by_name})
-    if request.has_unit_loads:
+    if case_options.has_unit_loads:
         dimension = scene.dimension
         keys_and_unit_forces = zip(
             FORCE_KEYS,
@@ -176,19 +179,19 @@ def build_geometry(
     )
     mode_counts = (
         candidate_mode_counts(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
-        if request.with_reduction_error
+        if case_options.with_reduction_error
         else []
     )
     # Natural frequencies have no error of their own: they are of many modes.
     many_mode_study = reduce_study(
-        unreduced_study, with_reference=request.with_reduction_error and not mode_counts
+        unreduced_study, with_reference=case_options.with_reduction_error and not mode_counts
     )
     structure = many_mode_study.structure
     if not is_small(structure):
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
         requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", reduction_method, requirement)
-    make_requested_extra_rows(many_mode_study)
+    make_requested_rows_and_readers(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
@@ -196,7 +199,7 @@ def build_geometry(
     watched_row_by_name = _find_watched_row_by_name(study)
     return SweepGeometry(
         study,
-        request.has_unit_loads,
+        case_options.has_unit_loads,
         crack_length,
         natural_frequencies,
         watched_row_by_name,
@@ -206,16 +209,18 @@ def build_geometry(
 
 
 def iterate_geometries_with_more_modes(
-    scene: Scene, request: CaseRequest
+    scene: Scene, case_options: SharedCaseOptions
 ) -> Iterator[SweepGeometry]:
     """Build geometries with each number of modes that may have solved a case."""
-    first_geometry = build_geometry(scene, MPI.COMM_SELF, request)
+    first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
     while geometry is not None:
         yield geometry
         geometry = geometry.geometry_with_more_modes
     if first_geometry.mode_counts:
-        yield build_geometry(scene, MPI.COMM_SELF, replace(request, with_reduction_error=False))
+        yield build_sweep_geometry(
+            scene, MPI.COMM_SELF, replace(case_options, with_reduction_error=False)
+        )
 
 
 def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
@@ -267,7 +272,10 @@ A converged case has "gap" and "force" coefficients.
 
 
 def solve_chunk(
-    geometry: SweepGeometry, chunk: Chunk, request: CaseRequest, may_continue: Callable[[], bool]
+    geometry: SweepGeometry,
+    chunk: Chunk,
+    case_options: SharedCaseOptions,
+    may_continue: Callable[[], bool],
 ) -> list[CaseValues]:
     """Solve the cases in a chunk in turn, at given frequencies or at resonances.
 
@@ -277,7 +285,7 @@ def solve_chunk(
         Shared structure.
     chunk : Chunk
         Cases.
-    request : CaseRequest
+    case_options : SharedCaseOptions
         Options.
     may_continue : callable
         Called before each case; False ends the chunk.
@@ -305,8 +313,8 @@ def solve_chunk(
             case.excitation.omega, geometry.bilinear_frequencies
         )
         value_by_column |= _natural_frequency_by_column(geometry.bilinear_frequencies)
-        if request.has_only_frequencies_by_position[
-            case_number % len(request.has_only_frequencies_by_position)
+        if case_options.has_only_frequencies_by_position[
+            case_number % len(case_options.has_only_frequencies_by_position)
         ]:
             chunk_case_values.append(
                 value_by_column
@@ -314,22 +322,22 @@ def solve_chunk(
             )
             continue
         try:
-            solution = solver.solve_as_requested(case, request)
+            solution = solver.solve_as_requested(case, case_options)
             tolerance = case.harmonic_balance.tolerance
             while (
                 tolerance and lacks_modes(solution, tolerance) and geometry.geometry_with_more_modes
             ):
                 geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
                 solver = CaseSolver(geometry)
-                solution = solver.solve_as_requested(case, request)
+                solution = solver.solve_as_requested(case, case_options)
             value_by_column |= _observe_value_by_column(solution, case, geometry)
             value_by_column |= (
                 _load_and_nearest_frequency_by_column(solution.omega, geometry.bilinear_frequencies)
                 | solution.to_dict()
             )
-            if not request.with_reduction_error:
+            if not case_options.with_reduction_error:
                 value_by_column.pop("reduction_error")
-            if request.with_verdicts and case.harmonic_balance.error:
+            if case_options.with_verdicts and case.harmonic_balance.error:
                 value_by_column |= solver.assess_stability_by_name(solution)
                 value_by_column["status"] += value_by_column.pop("remark", "")
             value_by_column |= {
@@ -351,12 +359,12 @@ class CaseSolver:
 
     def __init__(self, geometry: SweepGeometry) -> None:
         self._geometry = geometry
-        self._last_case: Scene | None = None
+        self._last_case_without_frequency: Scene | None = None
         self._last_solution: PeriodicSolution | None = None
 
-    def solve_as_requested(self, case: Scene, request: CaseRequest) -> PeriodicSolution:
+    def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
         """Solve a case at a given frequency or at resonance; raises as :meth:`solve`."""
-        return self.solve_at_resonance(case) if request.at_resonance else self.solve(case)
+        return self.solve_at_resonance(case) if case_options.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the given frequency; :data:`REFUSAL_EXCEPTIONS` are raised on failure."""
@@ -378,8 +386,8 @@ class CaseSolver:
     def _set_structure_and_law(self, case: Scene) -> None:
         """Set structure and law for a case, unless only its frequency differs."""
         case_without_frequency = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last_case != case_without_frequency:
-            self._last_case = case_without_frequency
+        if self._last_case_without_frequency != case_without_frequency:
+            self._last_case_without_frequency = case_without_frequency
             self._structure = self._geometry.structure_of_case(case)
             self._law = scene_contact_law(case, self._structure)
 
@@ -498,7 +506,7 @@ def _observe_value_by_column(
     row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
     observed_displacements, value_by_column = solution.observe_rows(
-        row_matrix, make_requested_extra_rows(geometry.study)
+        row_matrix, make_requested_rows_and_readers(geometry.study)
     )
     for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
         value_by_quantity = {

@@ -594,17 +594,19 @@ def _read_columns_and_find_damage(
         True for cases whose stored state does not match the checksum.
     """
     column_by_name, is_damaged = _replace_unconfirmed_states(
-        _read_flat_columns(sweep_header, scene)
+        _read_flat_column_by_name(sweep_header, scene)
     )
     if is_damaged.any():  # or is being written at this moment
         column_by_name, is_damaged_again = _replace_unconfirmed_states(
-            _read_flat_columns(sweep_header, scene)
+            _read_flat_column_by_name(sweep_header, scene)
         )
         is_damaged &= is_damaged_again
     return column_by_name, is_damaged
 
 
-def _read_flat_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
+def _read_flat_column_by_name(
+    sweep_header: store.StoredFile, scene: Scene
+) -> dict[str, np.ndarray]:
     """Read all stored columns, (n_cases,) each, by name."""
     try:  # the state first: what is written later counts as pending
         column_names = [
@@ -657,12 +659,12 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
         "state"
     ].reshape(scene.given("sweep").shape)
     for index in np.argwhere(case_states == CaseState.CONVERGED):
-        if _read_intact_waves(sweep_header, tuple(map(int, index))) is None:
+        if _read_intact_coefficients(sweep_header, tuple(map(int, index))) is None:
             case_states[tuple(index)] = CaseState.PENDING
     return case_states
 
 
-def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
+def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
     """Read ``state`` and all columns, in the shape of the axes.
 
     Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
@@ -700,14 +702,16 @@ def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.n
     return column_by_name
 
 
-def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def read_gap_and_force_coefficients(
+    path: Path, index: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """Read the gap [m] and force [N] coefficients of a converged case: (2H+1, n_rows) each.
 
     With friction, tangential rows follow the normal ones.
     """
     sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
-    waves = _read_intact_waves(sweep_header, index)
+    waves = _read_intact_coefficients(sweep_header, index)
     if waves is None:
         requirement = (
             f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
@@ -716,7 +720,7 @@ def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarr
     return waves
 
 
-def _read_intact_waves(
+def _read_intact_coefficients(
     sweep_header: store.StoredFile, index: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Read the same coefficients; None if they are damaged."""

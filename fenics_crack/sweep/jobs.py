@@ -26,17 +26,17 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS
 from fenics_crack.sweep.case import (
     FREQUENCIES_ONLY_STATUS,
-    CaseRequest,
     CaseValues,
+    SharedCaseOptions,
     SweepGeometry,
-    build_geometry,
+    build_sweep_geometry,
     solve_chunk,
 )
 from fenics_crack.sweep.file import CaseState, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
 
-class Tag(IntEnum):
+class MessageTag(IntEnum):
     """Tags of messages to a rank."""
 
     JOB = 0
@@ -67,14 +67,14 @@ class Worker:
 
     Parameters
     ----------
-    request : CaseRequest
+    case_options : SharedCaseOptions
         Options that all cases share.
     plan : Plan
         Plan of the sweep.
     """
 
-    def __init__(self, request: CaseRequest, plan: Plan) -> None:
-        self._request, self._plan = request, plan
+    def __init__(self, case_options: SharedCaseOptions, plan: Plan) -> None:
+        self._case_options, self._plan = case_options, plan
         self._geometry_number = -1
         self._geometry_or_error: SweepGeometry | Exception | None = None
         """Last geometry, or the error from building it."""
@@ -120,8 +120,8 @@ class Worker:
             else None
         )
         try:
-            self._geometry_or_error = build_geometry(
-                scene, MPI.COMM_SELF, self._request, last_geometry
+            self._geometry_or_error = build_sweep_geometry(
+                scene, MPI.COMM_SELF, self._case_options, last_geometry
             )
         except REFUSAL_EXCEPTIONS as error:
             self._geometry_or_error = error
@@ -137,7 +137,7 @@ class Worker:
         if isinstance(geometry_or_error, SweepGeometry):
             try:
                 chunk_case_values = solve_chunk(
-                    geometry_or_error, chunk, self._request, may_continue
+                    geometry_or_error, chunk, self._case_options, may_continue
                 )
                 return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
             except Exception:
@@ -148,7 +148,7 @@ class Worker:
         )
         if geometry_or_error is None or (
             isinstance(geometry_or_error, REFUSAL_EXCEPTIONS)
-            and not (is_too_large and self._request.ends_at_large_structure)
+            and not (is_too_large and self._case_options.ends_at_large_structure)
         ):
             reasons = [
                 scene_or_reason if isinstance(scene_or_reason, str) else str(geometry_or_error)
@@ -171,12 +171,12 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
         send_requests[:] = [
             send_request for send_request in send_requests if not send_request.Test()
         ]
-        return not comm.iprobe(source=0, tag=Tag.END)
+        return not comm.iprobe(source=0, tag=MessageTag.END)
 
     message_status = MPI.Status()
-    while message_status.tag != Tag.END:
+    while message_status.tag != MessageTag.END:
         job = _receive_message(comm, message_status)
-        if message_status.tag == Tag.JOB:
+        if message_status.tag == MessageTag.JOB:
             send_requests += [
                 comm.isend(outcome, 0)
                 for outcome in worker.iterate_chunk_outcomes(job, may_continue)
@@ -207,7 +207,7 @@ class Manager:
     """Owner of a sweep's jobs and file, on rank 0."""
 
     def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
-        self._error: BaseException | None = None
+        self._first_error: BaseException | None = None
         self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
         chunk_case_numbers_by_geometry = {
             geometry_number: [
@@ -230,9 +230,9 @@ class Manager:
             for geometry_number in ordered_geometry_numbers
             if chunk_case_numbers_by_geometry[geometry_number]
         }
-        self._geometry_by_rank: dict[int, int] = {}
+        self._geometry_number_by_rank: dict[int, int] = {}
         """Number of the present or next geometry, by rank."""
-        self._n_jobs_sent, self._n_recorded_chunks = 0, 0
+        self._n_jobs_at_other_ranks, self._n_recorded_chunks = 0, 0
         """Jobs at the other ranks, and chunks written."""
         self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == CaseState.FAILED))
         from tqdm import tqdm
@@ -254,8 +254,8 @@ class Manager:
     @property
     def sweep_header(self) -> StoredFile:
         """Header of the finished file; raises the error that ended the sweep."""
-        if self._error is not None:
-            raise self._error
+        if self._first_error is not None:
+            raise self._first_error
         return self._sweep_file.sweep_header
 
     def run(self, worker: Worker, comm: MPI.Comm, stop_request: StopRequest) -> None:
@@ -267,11 +267,11 @@ class Manager:
         other_ranks = range(1, comm.size)
 
         def may_continue() -> bool:
-            while self._n_jobs_sent and comm.iprobe():
+            while self._n_jobs_at_other_ranks and comm.iprobe():
                 if stop_request.is_requested(MPI.COMM_SELF):
                     self._remaining_case_numbers_by_geometry.clear()  # no further job
                 self._receive_outcome(comm)
-            return self._error is None and not stop_request.is_requested(MPI.COMM_SELF)
+            return self._first_error is None and not stop_request.is_requested(MPI.COMM_SELF)
 
         try:
             for rank in other_ranks:
@@ -283,7 +283,7 @@ class Manager:
                 for case_numbers, outcome in worker.iterate_chunk_outcomes(job, may_continue):
                     self._record_outcome(case_numbers, outcome)
                 job = self._take_next_job(0)
-            while may_continue() and self._n_jobs_sent:
+            while may_continue() and self._n_jobs_at_other_ranks:
                 self._receive_outcome(comm)
         except BaseException as error:
             is_second_interrupt = isinstance(
@@ -293,12 +293,14 @@ class Manager:
                 self._keep_error_and_discard_jobs(error)
         self._remaining_case_numbers_by_geometry.clear()
         for rank in other_ranks:
-            comm.send(None, rank, tag=Tag.END)
-        while self._n_jobs_sent:
+            comm.send(None, rank, tag=MessageTag.END)
+        while self._n_jobs_at_other_ranks:
             self._receive_outcome(comm)
         self._progress_bar.close()
         is_useless_file = (
-            self._sweep_file.is_new and self._n_recorded_chunks == 0 and self._error is not None
+            self._sweep_file.is_new
+            and self._n_recorded_chunks == 0
+            and self._first_error is not None
         )
         try:
             self._sweep_file.close(remove=is_useless_file)
@@ -309,8 +311,8 @@ class Manager:
         """Send a job to a rank if one remains."""
         job = self._take_next_job(rank)
         if job is not None:
-            comm.send(job, rank, tag=Tag.JOB)
-            self._n_jobs_sent += 1
+            comm.send(job, rank, tag=MessageTag.JOB)
+            self._n_jobs_at_other_ranks += 1
 
     def _receive_outcome(self, comm: MPI.Comm) -> None:
         """Receive a rank's message: record an outcome, or answer a finished job."""
@@ -319,7 +321,7 @@ class Manager:
         if case_numbers_and_outcome is not None:
             self._record_outcome(*case_numbers_and_outcome)
             return
-        self._n_jobs_sent -= 1
+        self._n_jobs_at_other_ranks -= 1
         self._send_job(comm, message_status.source)
 
     def _take_next_job(self, rank: int) -> Job | None:
@@ -334,15 +336,15 @@ class Manager:
         unassigned_geometry_numbers = [
             geometry_number
             for geometry_number in self._remaining_case_numbers_by_geometry
-            if geometry_number not in self._geometry_by_rank.values()
+            if geometry_number not in self._geometry_number_by_rank.values()
         ]
-        geometry_number = self._geometry_by_rank.get(rank, -1)
+        geometry_number = self._geometry_number_by_rank.get(rank, -1)
         if geometry_number not in self._remaining_case_numbers_by_geometry:
             geometry_number = max(
                 unassigned_geometry_numbers[:1] or self._remaining_case_numbers_by_geometry,
                 key=lambda number: len(self._remaining_case_numbers_by_geometry[number]),
             )
-        self._geometry_by_rank[rank] = geometry_number
+        self._geometry_number_by_rank[rank] = geometry_number
         chunk_case_numbers = self._remaining_case_numbers_by_geometry[geometry_number]
         is_whole_geometry = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
         n_job_chunks = (
@@ -381,5 +383,5 @@ class Manager:
 
     def _keep_error_and_discard_jobs(self, error: BaseException) -> None:
         """Discard all remaining jobs and keep the first error."""
-        self._error = self._error or error
+        self._first_error = self._first_error or error
         self._remaining_case_numbers_by_geometry.clear()

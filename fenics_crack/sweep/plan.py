@@ -20,12 +20,12 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
-FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
+LOAD_FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
 """Keys that set the load frequency directly."""
 FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
 """Full keys of the excitation's force."""
 GEOMETRY_INDEPENDENT_KEYS = {
-    *FREQUENCY_KEYS, *FULL_FORCE_KEYS,
+    *LOAD_FREQUENCY_KEYS, *FULL_FORCE_KEYS,
     *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
@@ -80,7 +80,9 @@ class Plan:
         self.has_unit_loads = not geometry_independent_keys.isdisjoint(
             FULL_FORCE_KEYS & self._swept_values_by_key.keys()
         )
-        self.chunk_case_numbers_by_geometry = self._split_into_chunks(geometry_independent_keys)
+        self.chunk_case_numbers_by_geometry = self._split_case_numbers_into_chunks(
+            geometry_independent_keys
+        )
         """Case numbers (n,) of each chunk, by geometry."""
         balance_table = scene.harmonic_balance
         self.n_harmonics_upper_bound = max(
@@ -99,7 +101,9 @@ class Plan:
             reason = self._scene_or_reason_by_number(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
-    def _split_into_chunks(self, geometry_independent_keys: set[str]) -> list[list[np.ndarray]]:
+    def _split_case_numbers_into_chunks(
+        self, geometry_independent_keys: set[str]
+    ) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks with at most 16 cases.
 
         Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
@@ -114,7 +118,7 @@ class Plan:
         frequency_axis_indices = [
             axis_index
             for axis_index in independent_axis_indices
-            if swept_keys[axis_index] in FREQUENCY_KEYS
+            if swept_keys[axis_index] in LOAD_FREQUENCY_KEYS
         ]
         chunk_axis_indices = (frequency_axis_indices or independent_axis_indices)[-1:]
         inner_axis_indices = [

@@ -65,7 +65,7 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import scene_contact_law
-from fenics_crack.sweep.case import CaseRequest, iterate_geometries_with_more_modes
+from fenics_crack.sweep.case import SharedCaseOptions, iterate_geometries_with_more_modes
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
     KIND,
@@ -73,8 +73,8 @@ from fenics_crack.sweep.file import (
     CaseState,
     SweepFile,
     column_name_at_load,
-    read_columns,
-    read_waves,
+    read_column_by_name,
+    read_gap_and_force_coefficients,
     scene_of_sweep,
     unit_and_type_by_column,
 )
@@ -152,7 +152,7 @@ def run_sweep(
         )
     managers: list[Manager] = []
 
-    def start() -> CaseRequest:
+    def make_manager_and_case_options() -> SharedCaseOptions:
         plan = Plan(scene)
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
@@ -166,7 +166,7 @@ def run_sweep(
             omitted_options,
         )
         managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
-        return CaseRequest(
+        return SharedCaseOptions(
             plan.has_unit_loads,
             ends_at_large_structure=not plan.sweeps_reduction_method,
             at_resonance=sweep_table.at_resonance,
@@ -177,8 +177,8 @@ def run_sweep(
             ),
         )
 
-    case_request = on_root(comm, start)
-    worker = Worker(case_request, managers[0].plan if managers else Plan(scene))
+    case_options = on_root(comm, make_manager_and_case_options)
+    worker = Worker(case_options, managers[0].plan if managers else Plan(scene))
     job_comm = comm.Dup()
     with StopRequest() as stop_request:
         if managers:
@@ -260,7 +260,7 @@ class SweepResult(Tabular):
     def from_stored_file(cls, sweep_header: StoredFile) -> SweepResult:
         """Return the table from a file's header."""
         scene = scene_of_sweep(sweep_header)
-        return cls(sweep_header.path, scene, read_columns(sweep_header, scene))
+        return cls(sweep_header.path, scene, read_column_by_name(sweep_header, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -359,7 +359,7 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         case_index = self._find_converged_index(index)
-        gap_rows = read_waves(self.path, case_index)[0]
+        gap_rows = read_gap_and_force_coefficients(self.path, case_index)[0]
         case = Plan(self.scene).scene_or_reason_at(case_index)
         assert isinstance(case, Scene)
         return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
@@ -380,7 +380,9 @@ class SweepResult(Tabular):
         crack_length = float(self["crack_length"][case_index])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
-        for geometry in iterate_geometries_with_more_modes(case, CaseRequest(plan.has_unit_loads)):
+        for geometry in iterate_geometries_with_more_modes(
+            case, SharedCaseOptions(plan.has_unit_loads)
+        ):
             try:
                 return self._restore_solution(geometry.structure_of_case(case), case, case_index)
             except InputError as error:  # the file's waves may be of other modes
@@ -399,7 +401,7 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
-        gap_rows, force_rows = read_waves(self.path, case_index)
+        gap_rows, force_rows = read_gap_and_force_coefficients(self.path, case_index)
         problem = Problem(structure, omega, law, len(gap_rows) // 2)
         # Without displacements: they follow from the forces.
         wave = problem.wave_of(np.zeros((len(gap_rows), 0)), gap_rows, force_rows)

@@ -28,15 +28,15 @@ from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.study import prepare
 from fenics_crack.study.meshes import refine_scene_or_none
-from fenics_crack.study.observer import compute_tip_histories
+from fenics_crack.study.observer import compute_crack_tip_histories
 from fenics_crack.study.plausibility import (
     KeyFigures,
     _round_to_three_digits,
     find_key_figures,
     highest_harmonic_omega,
+    is_response_proportional_to_load,
     lowest_and_highest_load_omega,
     remarks_on_scene,
-    scales_with_load,
 )
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
@@ -287,11 +287,11 @@ def test_proportional_to_the_load() -> None:
     np.testing.assert_allclose(
         seven.gap_coefficients, 7.0 * single_solution.gap_coefficients, rtol=1e-6
     )
-    assert scales_with_load(PAPER)
-    assert not scales_with_load(PAPER.replace({"crack.clearance": 1e-7}))
+    assert is_response_proportional_to_load(PAPER)
+    assert not is_response_proportional_to_load(PAPER.replace({"crack.clearance": 1e-7}))
     smoothed_settings = {"contact.law": "smoothed", "contact.sharpness": 1e8}
-    assert not scales_with_load(PAPER.replace(smoothed_settings))
-    assert not scales_with_load(fc.Scene.load(DEMOS / "chain.toml"))
+    assert not is_response_proportional_to_load(PAPER.replace(smoothed_settings))
+    assert not is_response_proportional_to_load(fc.Scene.load(DEMOS / "chain.toml"))
 
 
 def test_a_rotor_that_keeps_its_crack_open() -> None:
@@ -543,9 +543,9 @@ def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
         row_products=motion, forces=force, n_pairs=2, structure=structure, periods=1.0
     )
     station = SimpleNamespace(adjacent_pairs=np.array([0, 1]))
-    (at_station,) = compute_tip_histories(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
+    (at_station,) = compute_crack_tip_histories(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
     assert np.array_equal(at_station.K_I, [3.0, 0.0, 0.0]) and at_station.closed_front_error == 3.0
     record.row_products = motion[:, :2]
     tip = Tip("the crack tip", 0, np.zeros(2), np.ones(2), 0.01, 0.001)
-    (at_plate_tip,) = compute_tip_histories(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
+    (at_plate_tip,) = compute_crack_tip_histories(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
     assert np.array_equal(at_plate_tip.K_I, motion[:, 0])

@@ -248,7 +248,7 @@ def test_forged_files_are_not_used(
             forge(file)
         message_lines: list[str] = []
         assert (
-            StructureFile(path, message_lines.append, is_read=True).read_structure(
+            StructureFile(path, message_lines.append, is_read=True).read_shared_structure_or_none(
                 scene, MPI.COMM_SELF
             )
             is None
@@ -316,7 +316,7 @@ def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
         STRUCTURE_FILES[:] = [StructureFile(path, message_lines.append, is_read=is_read)]
         run = fc.solve(scene, comm)
         assert run.errors is not None
-        STRUCTURE_FILES[0].write_structure(comm)
+        STRUCTURE_FILES[0].write_noted_structure(comm)
         STRUCTURE_FILES.clear()
     assert comm.rank or len(message_lines) == 1, message_lines
     return float(run.amplitude(None))
@@ -358,6 +358,6 @@ def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -
         StructureFile(tmp_path / "prepared.h5", message_lines.append, is_read=False)
     ]
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
-    STRUCTURE_FILES[0].write_structure(MPI.COMM_SELF)
+    STRUCTURE_FILES[0].write_noted_structure(MPI.COMM_SELF)
     STRUCTURE_FILES.clear()
     assert "coarser_structure" not in read_result_file(tmp_path / "prepared.h5").datasets

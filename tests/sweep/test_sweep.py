@@ -200,8 +200,8 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         )
         for load, clearance in given
     ]
-    geometry = sweep_case.build_geometry(
-        cases[1], MPI.COMM_SELF, sweep_case.CaseRequest(has_unit_loads=True)
+    geometry = sweep_case.build_sweep_geometry(
+        cases[1], MPI.COMM_SELF, sweep_case.SharedCaseOptions(has_unit_loads=True)
     )
     solutions = [sweep_case.CaseSolver(geometry).solve(case) for case in cases]
     for solution, (load, clearance) in zip(solutions, given, strict=True):

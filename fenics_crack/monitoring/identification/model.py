@@ -39,7 +39,7 @@ from fenics_crack.monitoring.identification.nuisance import (
     compute_deviations_from_equivalent_crack,
 )
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import scales_with_load
+from fenics_crack.study.plausibility import is_response_proportional_to_load
 from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 
 # --- displacements at probes ----------------------------------------------------------------------
@@ -465,7 +465,9 @@ class MeasurementPredictor:
             if any(measurement.resonance for measurement in self.rows)
             else (BREATHING_STATE,)
         )
-        self._scales_with_load_at_rest = scales_with_load(model.scene.without_rotation())
+        self._scales_with_load_at_rest = is_response_proportional_to_load(
+            model.scene.without_rotation()
+        )
         self._set_up_feature_interpolations()
 
     def _set_up_features_and_indices(self) -> None:
@@ -1146,7 +1148,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
 
 def has_load_independent_motion_shape(scene: Scene) -> bool:
     """Return True if a motion's shape does not depend on the load's size."""
-    return scales_with_load(scene) and not any(scene.excitation.force_mean)
+    return is_response_proportional_to_load(scene) and not any(scene.excitation.force_mean)
 
 
 def _combine_features_with_slopes(
